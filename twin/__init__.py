@@ -1,0 +1,1 @@
+"""What we believe about the rig: a network of elements, its simulation and its calibrators."""
