@@ -1,0 +1,257 @@
+"""CAN through python-can and cantools: the one module that imports them.
+
+A thread of ours receives: python-can's own notifier thread dies silently on a bus error, and its socketcand bus
+returns "nothing yet" at once and for ever when the server has gone. The thread decodes each frame by the DBC, keeps
+the latest value of every wanted signal with its arrival, and reopens the bus when it is lost.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import socket
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import can
+import cantools.database
+
+from drivers.bus import Clock, Readings, quality_of
+from drivers.points import ConfigurationError, LinkError, Quality
+from drivers.rigfile import CanBus, Point
+from drivers.units import canonical_unit
+
+logging.getLogger("can").setLevel(logging.CRITICAL)  # what it reports, this module raises
+
+RECEIVE_TIMEOUT_S = 0.2
+REOPEN_EVERY_S = 1.0
+_EMPTY_READS_OF_A_DEAD_LINK = 20
+
+
+@dataclass(slots=True)
+class _Latest:
+    value: float = math.nan
+    quality: int = int(Quality.LINK_FAULT)
+    arrival_s: float = -math.inf
+
+
+class CanReceiver:
+    """The thermocouple side of a rig: points that arrive by themselves in CAN frames."""
+
+    def __init__(self, name: str, config: CanBus, points: tuple[Point, ...], clock: Clock) -> None:
+        self.name = name
+        self.points = points
+        self.frames = 0
+        self.unknown_frames = 0
+        self.bad_frames = 0
+        self.error_frames = 0
+        self.reconnects = 0
+        self._config = config
+        self._clock = clock
+        place = f"{config.host}:{config.port}/" if config.transport == "socketcand" else ""
+        self._where = f"{name} ({config.transport} {place}{config.channel})"
+        self._latest = [_Latest() for _ in points]
+        self._uptime = next((i for i, p in enumerate(points) if p.name == config.uptime), None)
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._fault: str | None = "nothing received yet"
+        self._bus: can.BusABC | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._waiter: tuple[float, asyncio.Future[None]] | None = None
+        self._messages = self._bind()
+
+    def _bind(self) -> dict[tuple[int, bool], tuple[Any, list[tuple[int, Point, str]]]]:
+        """Match points with the DBC's messages and signals; raises ConfigurationError."""
+        path = self._config.dbc
+        try:
+            database: Any = cantools.database.load_file(path, encoding=self._config.dbc_encoding)
+        except FileNotFoundError:
+            raise ConfigurationError(f"{path}: there is no such DBC file; correct dbc of bus {self.name}") from None
+        except Exception as error:  # cantools raises parse errors of several unrelated types
+            raise ConfigurationError(f"{path}: is not a DBC file that can be used ({error})") from error
+        bound: dict[tuple[int, bool], tuple[Any, list[tuple[int, Point, str]]]] = {}
+        for index, point in enumerate(self.points):
+            try:
+                message = database.get_message_by_name(point.message)
+            except KeyError:
+                names = ", ".join(m.name for m in database.messages)
+                raise ConfigurationError(
+                    f"{path}: no message {point.message!r} for point {point.name}; there is {names}"
+                ) from None
+            signal = next((s for s in message.signals if s.name == point.signal), None)
+            if signal is None:
+                names = ", ".join(s.name for s in message.signals)
+                raise ConfigurationError(
+                    f"{path}: message {message.name} has no signal {point.signal!r} for {point.name}; it has {names}"
+                )
+            if signal.unit and canonical_unit(signal.unit) != point.unit:
+                raise ConfigurationError(
+                    f"{path}: signal {signal.name} is in {signal.unit}, point {point.name} in {point.unit}; correct one"
+                )
+            key = (message.frame_id, message.is_extended_frame)
+            bound.setdefault(key, (message, []))[1].append((index, point, signal.name))
+        return bound
+
+    async def connect(self) -> None:
+        """Open the bus and start receiving; raises LinkError when no bound frame comes within the deadline."""
+        self._loop = asyncio.get_running_loop()
+        self._bus = await asyncio.to_thread(self._open)
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._receive, name=f"can {self.name}", daemon=True)
+        self._thread.start()
+
+    def _open(self) -> can.BusABC:
+        config = self._config
+        try:
+            if config.transport == "socketcand":
+                # python-can retries a refused connection for ten seconds in a busy loop: ask first
+                socket.create_connection((config.host, config.port), timeout=config.timeout_s).close()
+                return can.Bus(
+                    interface="socketcand", channel=config.channel, host=config.host, port=config.port, tcp_tune=True
+                )
+            return can.Bus(interface="socketcan", channel=config.channel)
+        except (OSError, can.CanError, ValueError, TimeoutError) as error:
+            raise LinkError(f"{self._where} cannot be opened: {error}; is the rig on?") from error
+
+    async def read(self) -> Readings:
+        """The latest values; STALE once older than the point's stale_after, LINK_FAULT while the bus is down."""
+        now = self._clock()
+        values: list[float] = []
+        quality: list[int] = []
+        source: list[float] = []
+        with self._lock:
+            fault = self._fault
+            base = self._latest[self._uptime] if self._uptime is not None else None
+            device_ahead = base.value - base.arrival_s if base is not None and math.isfinite(base.value) else 0.0
+            for point, latest in zip(self.points, self._latest, strict=True):
+                verdict = latest.quality
+                if now - latest.arrival_s > point.stale_after_s:
+                    verdict = int(Quality.LINK_FAULT if fault else Quality.STALE)
+                values.append(latest.value)
+                quality.append(verdict)
+                arrived = math.isfinite(latest.arrival_s)
+                source.append(latest.arrival_s + device_ahead if arrived else math.nan)
+        if self._thread is not None and not self._thread.is_alive() and fault is None:
+            fault = f"{self._where}: the receiving thread has ended"
+        return Readings(values, quality, source, fault)
+
+    async def wait_for_device_time(self, device_time_s: float, timeout_s: float) -> None:
+        """Return once the frames of `device_time_s` (the module's uptime) have come; raises LinkError if late."""
+        assert self._loop is not None
+        with self._lock:
+            if self._uptime is None or self._latest[self._uptime].value >= device_time_s - 1e-6:
+                return
+            future: asyncio.Future[None] = self._loop.create_future()
+            self._waiter = (device_time_s - 1e-6, future)
+        try:
+            async with asyncio.timeout(timeout_s):
+                await future
+        except TimeoutError:
+            raise LinkError(f"{self._where}: no frames of {device_time_s:g} s within {timeout_s:g} s") from None
+        finally:
+            self._waiter = None
+
+    async def write(self, values: Mapping[str, float]) -> None:
+        """CAN points are read only; the rig file's check refuses others."""
+        if values:
+            raise ConfigurationError(f"{self._where}: {', '.join(values)} cannot be written, CAN points are read only")
+
+    async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
+        """Nothing on this bus is writable."""
+        return {}
+
+    async def close(self) -> None:
+        """End the receiving thread and close the bus."""
+        self._stop.set()
+        if self._thread is not None:
+            await asyncio.to_thread(self._thread.join, 5.0)
+            self._thread = None
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None
+
+    def _receive(self) -> None:
+        empty_reads = 0
+        while not self._stop.is_set():
+            if self._bus is None and not self._reopened():
+                continue
+            assert self._bus is not None
+            began = time.monotonic()
+            try:
+                frame = self._bus.recv(RECEIVE_TIMEOUT_S)
+            except (can.CanError, OSError, ValueError) as error:
+                self._lost(f"{self._where}: {error}")
+                continue
+            if frame is None:
+                at_once = time.monotonic() - began < RECEIVE_TIMEOUT_S / 4
+                empty_reads = empty_reads + 1 if at_once else 0
+                if empty_reads > _EMPTY_READS_OF_A_DEAD_LINK:
+                    empty_reads = 0
+                    self._lost(f"{self._where}: the server closed the connection; reopening")
+                continue
+            empty_reads = 0
+            self._take(frame)
+
+    def _reopened(self) -> bool:
+        if self._stop.wait(REOPEN_EVERY_S):
+            return False
+        try:
+            self._bus = self._open()
+        except LinkError as error:
+            with self._lock:
+                self._fault = str(error)
+            return False
+        self.reconnects += 1
+        return True
+
+    def _lost(self, fault: str) -> None:
+        with self._lock:
+            self._fault = fault
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None
+
+    def _take(self, frame: can.Message) -> None:
+        self.frames += 1
+        if frame.is_error_frame or frame.is_remote_frame:
+            self.error_frames += 1
+            return
+        found = self._messages.get((frame.arbitration_id, frame.is_extended_id))
+        if found is None:
+            self.unknown_frames += 1
+            return
+        message, wanted = found
+        try:
+            decoded = message.decode(bytes(frame.data), decode_choices=False, scaling=True)
+        except Exception:  # cantools raises DecodeError, but bad DBCs leak others; a frame is then not used
+            self.bad_frames += 1
+            return
+        arrival = self._clock()
+        wake: asyncio.Future[None] | None = None
+        with self._lock:
+            self._fault = None
+            for index, point, signal in wanted:
+                raw = float(decoded[signal])
+                latest = self._latest[index]
+                latest.value = raw * point.scale + point.offset
+                latest.quality = quality_of(point, latest.value, raw)
+                latest.arrival_s = arrival
+            if (
+                self._uptime is not None
+                and self._waiter is not None
+                and self._latest[self._uptime].value >= self._waiter[0]
+            ):
+                wake = self._waiter[1]
+                self._waiter = None
+        if wake is not None and self._loop is not None:
+            self._loop.call_soon_threadsafe(_resolve, wake)
+
+
+def _resolve(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)

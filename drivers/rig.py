@@ -1,0 +1,101 @@
+"""A rig as the engine sees it: all buses of a rig file, opened together, polled together, written by point name."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping
+
+from drivers.bus import Bus, Clock
+from drivers.canbus import CanReceiver
+from drivers.modbus import ModbusBus
+from drivers.points import DriverError, LinkError, Signal, Snapshot
+from drivers.rigfile import CanBus, Point, Rig
+
+
+class RigConnection:
+    """Open buses of `rig`. `signals` are the polled points, in the order of every `Snapshot`."""
+
+    def __init__(self, rig: Rig, clock: Clock) -> None:
+        self.rig = rig
+        self._buses: dict[str, Bus] = {}
+        self._receivers: list[CanReceiver] = []
+        for name, config in rig.bus.items():
+            points = tuple(point for point in rig.point if point.bus == name)
+            if isinstance(config, CanBus):
+                receiver = CanReceiver(name, config, points, clock)
+                self._receivers.append(receiver)
+                self._buses[name] = receiver
+            else:
+                self._buses[name] = ModbusBus(name, config, points, clock)
+        self._all = list(self._buses.values())
+        self.points: tuple[Point, ...] = tuple(point for bus in self._all for point in bus.points)
+        self.signals: tuple[Signal, ...] = tuple(point.as_signal() for point in self.points)
+        self._bus_of = {point.name: point.bus for point in rig.point}
+
+    async def connect(self) -> None:
+        """Open all buses at once; one LinkError tells of every bus that failed, and those that opened are closed."""
+        results = await asyncio.gather(*(bus.connect() for bus in self._all), return_exceptions=True)
+        failed = [result for result in results if isinstance(result, BaseException)]
+        if not failed:
+            return
+        await self.close()
+        for error in failed:
+            if not isinstance(error, DriverError):
+                raise error
+        if len(failed) == 1:
+            raise failed[0]
+        raise LinkError("\n".join(str(error) for error in failed))
+
+    async def read(self) -> Snapshot:
+        """Readings of all polled points on this tick."""
+        snapshot = Snapshot([], [], [])
+        for bus in self._all:
+            readings = await bus.read()
+            snapshot.values += readings.values
+            snapshot.quality += readings.quality
+            snapshot.source_time_s += readings.source_time_s
+            if readings.fault is not None:
+                snapshot.faults.append(readings.fault)
+        return snapshot
+
+    async def write(self, values: Mapping[str, float]) -> None:
+        """Write engineering values by point name, one request where registers touch; raises a DriverError."""
+        for name, bus in self._buses.items():
+            mine = {point: value for point, value in values.items() if self._bus_of[point] == name}
+            if mine:
+                await bus.write(mine)
+
+    async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
+        """Writable points as the devices hold them; raises a DriverError."""
+        found: dict[str, float] = {}
+        for name, bus in self._buses.items():
+            mine = tuple(point for point in names if self._bus_of[point] == name)
+            if mine:
+                found |= await bus.read_back(mine)
+        return found
+
+    async def wait_for_device_time(self, device_time_s: float, timeout_s: float) -> None:
+        """Return once every bus that sends by itself has delivered the samples of `device_time_s`."""
+        for receiver in self._receivers:
+            await receiver.wait_for_device_time(device_time_s, timeout_s)
+
+    async def first_complete(self, timeout_s: float) -> Snapshot:
+        """The first snapshot in which every point has been heard of; raises LinkError naming those that were not."""
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + timeout_s
+        while True:
+            snapshot = await self.read()
+            silent = [
+                point.name for point, time in zip(self.points, snapshot.source_time_s, strict=True) if math.isnan(time)
+            ]
+            if not silent:
+                return snapshot
+            if loop.time() > deadline:
+                causes = ": " + "; ".join(snapshot.faults) if snapshot.faults else ""
+                raise LinkError(f"nothing heard of {', '.join(silent)} within {timeout_s:g} s{causes}")
+            await asyncio.sleep(0.02)
+
+    async def close(self) -> None:
+        """Close all buses; never raises."""
+        await asyncio.gather(*(bus.close() for bus in self._all), return_exceptions=True)

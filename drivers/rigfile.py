@@ -1,0 +1,333 @@
+"""The rig file: TOML that says what is on the rig, parsed into frozen, validated objects.
+
+Every mistake is reported with the file, the line, the key and what to do about it; all mistakes of a file come in one
+`RigFileError`. Addresses are PDU addresses, zero-based (Modbus application protocol V1.1b3, 4.4).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from drivers.codec import WIDTH, ByteOrder, RegisterType
+from drivers.points import ConfigurationError, Signal
+from drivers.units import canonical_unit
+
+Interval = tuple[float, float]
+
+
+class RigFileError(ConfigurationError):
+    """The rig file cannot be used; one sentence a mistake, each with line, key and remedy."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class ModbusTcpBus(_Section):
+    """A Modbus/TCP server and the device behind it. `uptime` names the point that carries the device's own clock."""
+
+    transport: Literal["modbus_tcp"]
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=1, le=65535)] = 502
+    device_id: Annotated[int, Field(ge=0, le=255)] = 1
+    timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.5
+    max_read: Annotated[int, Field(ge=1, le=125)] = 125
+    max_write: Annotated[int, Field(ge=1, le=123)] = 123
+    max_gap: Annotated[int, Field(ge=0, le=124)] = 8
+    uptime: str | None = None
+
+
+class CanBus(_Section):
+    """A CAN bus reached through python-can, its frames described by a DBC file beside the rig file."""
+
+    transport: Literal["socketcand", "socketcan"]
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=1, le=65535)] = 29536
+    channel: str = "can0"
+    dbc: Path
+    dbc_encoding: str = "utf-8"
+    timeout_s: Annotated[float, Field(gt=0, le=10)] = 1.0
+    uptime: str | None = None
+
+
+class Point(_Section):
+    """One quantity on a bus: where it is, how its raw value becomes an engineering value, and what it may be.
+
+    engineering value = raw * scale + offset. A point with `access` `w` or `rw` is a set-point when it has `limits`.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+    bus: str
+    unit: str
+    access: Literal["r", "w", "rw"] = "r"
+    role: str | None = None
+    doc: str = ""
+    # where: Modbus
+    table: Literal["holding", "input"] | None = None
+    address: Annotated[int, Field(ge=0, le=65535)] | None = None
+    type: RegisterType = "uint16"
+    order: ByteOrder = "ABCD"
+    scale: float = 1.0
+    offset: float = 0.0
+    # where: CAN
+    message: str | None = None
+    signal: str | None = None
+    # what a reading may be
+    kind: Literal["measured", "status"] = "measured"
+    invalid: tuple[float, ...] = ()
+    plausible: Interval | None = None
+    stale_after_s: Annotated[float, Field(gt=0)] = 3.0
+    alarm: Interval | None = None
+    # what may be written
+    limits: Interval | None = None
+    max_rate: Annotated[float, Field(gt=0)] | None = None
+    safe_value: float | None = None
+    safe_order: int = 0
+    readback: str | None = None
+    readback_tolerance: Annotated[float, Field(gt=0)] = 1.0
+    readback_within_s: Annotated[float, Field(gt=0)] = 30.0
+
+    @field_validator("unit")
+    @classmethod
+    def _known_unit(cls, unit: str) -> str:
+        return canonical_unit(unit)
+
+    @field_validator("plausible", "alarm", "limits")
+    @classmethod
+    def _ordered(cls, interval: Interval | None) -> Interval | None:
+        if interval is not None and interval[0] >= interval[1]:
+            raise ValueError(f"the lower bound {interval[0]:g} must be below the upper bound {interval[1]:g}")
+        return interval
+
+    @field_validator("scale")
+    @classmethod
+    def _invertible(cls, scale: float) -> float:
+        if scale == 0:
+            raise ValueError("a scale of 0 loses the value; give the engineering value of one raw count")
+        return scale
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.limits is not None:
+            if self.access == "r":
+                raise ValueError("has limits, which are for set-points; add access = 'rw' or take limits out")
+            if self.safe_value is None:
+                raise ValueError("is a set-point without safe_value; give the value that it is left at")
+            if not self.limits[0] <= self.safe_value <= self.limits[1]:
+                raise ValueError(f"safe_value {self.safe_value:g} is outside limits {list(self.limits)}")
+        return self
+
+    @property
+    def is_setpoint(self) -> bool:
+        """Whether profiles may drive this point."""
+        return self.limits is not None
+
+    @property
+    def width(self) -> int:
+        """Number of registers."""
+        return WIDTH[self.type]
+
+    def as_signal(self) -> Signal:
+        """The point without its address."""
+        kind: Literal["measured", "setpoint", "status"] = "setpoint" if self.is_setpoint else self.kind
+        return Signal(self.name, self.unit, kind, self.role, self.bus, self.plausible, self.doc)
+
+
+class Heartbeat(_Section):
+    """How rig and harness watch each other: the harness changes `point` each tick, the rig's `counter` must advance.
+
+    `arm` is the point that lets outputs go live when 1 is written. The rig says on `status` that it has tripped by
+    itself: any bit of `trip_mask`.
+    """
+
+    point: str
+    counter: str | None = None
+    arm: str | None = None
+    status: str | None = None
+    trip_mask: Annotated[int, Field(ge=0, le=65535)] = 0
+    timeout_s: Annotated[float, Field(gt=0)] = 10.0
+
+
+class Rig(_Section):
+    """A whole rig file."""
+
+    name: str
+    description: str = ""
+    period_s: Annotated[float, Field(gt=0, le=3600)] = 1.0
+    abort_after_s: Annotated[float, Field(gt=0)] = 5.0
+    heartbeat: Heartbeat | None = None
+    bus: dict[str, Annotated[ModbusTcpBus | CanBus, Field(discriminator="transport")]]
+    point: tuple[Point, ...]
+
+    @property
+    def setpoints(self) -> tuple[Point, ...]:
+        """Points that a profile may drive, in file order."""
+        return tuple(point for point in self.point if point.is_setpoint)
+
+    def get(self, name: str) -> Point:
+        """The point called `name`; KeyError where there is none."""
+        for point in self.point:
+            if point.name == name:
+                return point
+        raise KeyError(name)
+
+    def setpoint_of_column(self, name: str) -> Point | None:
+        """The set-point that a profile calls `name`: its own name or the name of the point it moves."""
+        return next((p for p in self.setpoints if name in (p.name, p.readback)), None)
+
+    def with_ports(self, ports: dict[str, int]) -> Rig:
+        """The same rig with other TCP ports, by bus name."""
+        buses = {name: bus.model_copy(update={"port": ports.get(name, bus.port)}) for name, bus in self.bus.items()}
+        return self.model_copy(update={"bus": buses})
+
+
+def load_rig(path: Path) -> Rig:
+    """Read and validate a rig file; raises RigFileError with every mistake in it."""
+    try:
+        raw = path.read_bytes()
+        text = raw.decode("utf-8")
+        document = tomllib.loads(text)
+    except FileNotFoundError:
+        raise RigFileError(f"{path}: there is no such file; give the path of a rig file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise RigFileError(f"{path}: cannot be read ({error}); save it as UTF-8 text") from error
+    except tomllib.TOMLDecodeError as error:
+        raise RigFileError(f"{path}: is not valid TOML: {error}") from error
+    for section in document.get("bus", {}).values():
+        if isinstance(section, dict) and isinstance(section.get("dbc"), str):
+            section["dbc"] = str(path.parent / section["dbc"])
+    document = {**document.pop("rig", {}), **document}
+    try:
+        rig = Rig.model_validate(document)
+    except ValidationError as error:
+        sentences = [_sentence(path, text, item) for item in error.errors()]
+        raise RigFileError("\n".join(dict.fromkeys(sentences))) from None
+    mistakes = [f"{path}, line {_line(text, place)}: {what}" for place, what in _cross_checks(rig)]
+    if mistakes:
+        raise RigFileError("\n".join(mistakes))
+    return rig
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
+    """Mistakes that need more than one section, with their place in the document."""
+    found: list[tuple[tuple[Any, ...], str]] = []
+    names: dict[str, int] = {}
+    taken: dict[tuple[str, str, int], str] = {}
+    for index, point in enumerate(rig.point):
+        place = ("point", index)
+        if point.name in names:
+            found.append(((*place, "name"), f"a second point is called {point.name!r}; names must differ"))
+        names[point.name] = index
+        bus = rig.bus.get(point.bus)
+        if bus is None:
+            found.append(((*place, "bus"), f"{point.name}: no bus {point.bus!r}; there is {', '.join(rig.bus)}"))
+            continue
+        if isinstance(bus, CanBus):
+            if point.message is None or point.signal is None:
+                found.append((place, f"{point.name}: a point on CAN needs message and signal, as in the DBC"))
+            if point.access != "r":
+                found.append(((*place, "access"), f"{point.name}: points on CAN are read only; take access out"))
+            continue
+        if point.table is None or point.address is None:
+            found.append((place, f"{point.name}: a point on Modbus needs table ('holding' or 'input') and address"))
+            continue
+        if point.access != "r" and point.table == "input":
+            found.append(((*place, "table"), f"{point.name}: input registers cannot be written; use table 'holding'"))
+        for address in range(point.address, point.address + point.width):
+            other = taken.setdefault((point.bus, point.table, address), point.name)
+            if other != point.name:
+                found.append(
+                    (
+                        (*place, "address"),
+                        f"{point.name}: {point.table} register {address} is {other}'s already; correct one address",
+                    )
+                )
+                break
+        if point.is_setpoint and point.readback is not None:
+            target = next((other for other in rig.point if other.name == point.readback), None)
+            if target is None:
+                found.append(((*place, "readback"), f"{point.name}: no point {point.readback!r} to read back"))
+            elif target.unit != point.unit:
+                found.append(
+                    ((*place, "readback"), f"{point.name} is in {point.unit} but {target.name} in {target.unit}")
+                )
+    for name, bus in rig.bus.items():
+        if bus.uptime is not None and not any(p.name == bus.uptime and p.bus == name for p in rig.point):
+            found.append((("bus", name, "uptime"), f"bus {name}: no point {bus.uptime!r} on this bus for uptime"))
+    if rig.heartbeat is not None:
+        for key in ("point", "counter", "arm", "status"):
+            named = getattr(rig.heartbeat, key)
+            if named is not None and named not in names:
+                found.append((("heartbeat", key), f"heartbeat: no point {named!r}; declare it or correct {key}"))
+    return found
+
+
+_KEY = re.compile(r"^\s*(?:\"([^\"]+)\"|([A-Za-z0-9_\-]+))\s*=")
+
+
+def _line(text: str, place: Sequence[Any]) -> int:
+    """Line (from 1) of a place such as ('point', 3, 'order') in TOML text; the section's line where the key is not."""
+    section = str(place[0]) if place else ""
+    rest = list(place[1:])
+    lines = text.splitlines()
+    start = 0
+    if rest and isinstance(rest[0], int):
+        header, count = f"[[{section}]]", rest.pop(0)
+        hits = [n for n, line in enumerate(lines) if line.split("#")[0].strip() == header]
+        start = hits[count] if count < len(hits) else 0
+    else:
+        if rest and section == "bus":
+            section = f"bus.{rest.pop(0)}"
+        wanted = {f"[{section}]", f"[[{section}]]"}
+        hits = [n for n, line in enumerate(lines) if line.split("#")[0].strip() in wanted]
+        if hits:
+            start = hits[0]
+        else:
+            rest = [section]
+    keys = {str(item) for item in rest}
+    for number in range(start, len(lines)):
+        if number > start and lines[number].lstrip().startswith("["):
+            if hits or start:
+                break
+            continue
+        match = _KEY.match(lines[number])
+        if match and (match[1] or match[2]) in keys:
+            return number + 1
+    return start + 1
+
+
+_REMEDY = {
+    "missing": "is missing; add it",
+    "extra_forbidden": "is not a key of this section; check its spelling",
+}
+
+
+def _sentence(path: Path, text: str, item: Any) -> str:
+    place = tuple(part for part in item["loc"] if part not in ("modbus_tcp", "socketcand", "socketcan"))
+    what = _REMEDY.get(item["type"], item["msg"].removeprefix("Value error, "))
+    if item["type"] == "literal_error":
+        what = f"{item['input']!r} is not known; use {item['ctx']['expected']}"
+    elif item["type"] == "union_tag_invalid":
+        what = f"transport {item['input'].get('transport')!r} is not known; use {item['ctx']['expected_tags']}"
+    elif item["type"] not in ("missing", "extra_forbidden", "value_error") and not isinstance(item["input"], dict):
+        what = f"{what}, got {item['input']!r}"
+    key = ".".join(str(part) for part in place if not isinstance(part, int))
+    owner = ""
+    if len(place) > 1 and place[0] == "point" and isinstance(place[1], int):
+        points = tomllib.loads(text).get("point", [])
+        name = points[place[1]].get("name") if place[1] < len(points) else None
+        key = str(place[2]) if len(place) > 2 else "point"
+        owner = f" of point {name or place[1]}"
+    return f"{path}, line {_line(text, place)}: {key}{owner}: {what}"
