@@ -1,0 +1,178 @@
+"""Time of a run: ticks on a fixed grid, in real, scaled or lockstep time.
+
+`now()` is rig time in seconds: what stamps arrivals and judges staleness, whatever the speed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Protocol
+
+from drivers.points import LinkError
+
+LOCKSTEP_DEADLINE_S = 20.0
+
+
+class Clock(Protocol):
+    """Ticks of one run. `overruns` counts ticks that began late by more than a period."""
+
+    period_s: float
+    overruns: int
+
+    def now(self) -> float:
+        """Rig time, s."""
+
+    async def start(self) -> None:
+        """Fix the grid: tick 0 is due now."""
+
+    def release(self) -> None:
+        """All set-points of this tick are written: the rig may go on to the next tick."""
+
+    async def next_tick(self) -> int:
+        """Wait for the next tick and return its index; missed ticks are left out, never caught up in a burst."""
+
+    async def close(self) -> None:
+        """Let go of the rig's time."""
+
+
+class MonotonicClock:
+    """Ticks every `period_s / speed` seconds of the monotonic clock, without drift."""
+
+    def __init__(self, period_s: float, speed: float = 1.0) -> None:
+        self.period_s = period_s
+        self.overruns = 0
+        self._speed = speed
+        self._origin = time.monotonic()
+        self._tick = -1
+
+    def now(self) -> float:
+        """Rig time since the clock was made or started, s."""
+        return (time.monotonic() - self._origin) * self._speed
+
+    async def start(self) -> None:
+        """Tick 0 is due now. Rig time goes on, so that arrivals stamped before stay in the past."""
+        self._tick = int(self.now() / self.period_s)
+        self._first = self._tick + 1
+
+    def release(self) -> None:
+        """Nothing to do: the rig's time runs by itself."""
+
+    async def next_tick(self) -> int:
+        """Sleep until the next tick is due."""
+        due = self._tick + 1
+        late = self.now() / self.period_s - due
+        if late > 1.0:
+            self.overruns += 1
+            due += int(late)
+        wait = (due * self.period_s - self.now()) / self._speed
+        await asyncio.sleep(max(wait, 0.0))
+        self._tick = due
+        return due - self._first
+
+    async def close(self) -> None:
+        """Nothing is held."""
+
+
+class _GrantLine(asyncio.Protocol):
+    """The virtual rig's control port: `step` out, `t 12.000` back."""
+
+    def __init__(self) -> None:
+        self.transport: asyncio.Transport | None = None
+        self._buffer = b""
+        self._lines: list[bytes] = []
+        self._waiter: asyncio.Future[None] | None = None
+        self._lost = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self.transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
+        self._lines += lines
+        self._wake()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._lost = True
+        self._wake()
+
+    def _wake(self) -> None:
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
+
+    async def line(self) -> str:
+        while not self._lines:
+            if self._lost:
+                raise LinkError("the virtual rig closed its control port; it has ended")
+            self._waiter = asyncio.get_running_loop().create_future()
+            try:
+                async with asyncio.timeout(LOCKSTEP_DEADLINE_S):
+                    await self._waiter
+            except TimeoutError:
+                raise LinkError(f"the virtual rig took no step within {LOCKSTEP_DEADLINE_S:g} s") from None
+        return self._lines.pop(0).decode("ascii", "replace").strip()
+
+
+class LockstepClock:
+    """The harness grants the virtual rig each step, so a run is as fast as the machine and the same every time."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.period_s = 1.0
+        self.overruns = 0
+        self._host, self._port = host, port
+        self._line: _GrantLine | None = None
+        self._granted = False
+        self._now = 0.0
+        self._tick = -1
+
+    def now(self) -> float:
+        """Rig time of the step that was granted last, s."""
+        return self._now
+
+    async def connect(self) -> None:
+        """Take over the rig's time; raises LinkError where the port does not answer as a virtual rig in lockstep."""
+        loop = asyncio.get_running_loop()
+        try:
+            _, self._line = await loop.create_connection(_GrantLine, self._host, self._port)
+        except OSError as error:
+            raise LinkError(
+                f"no virtual rig at {self._host}:{self._port} ({error}); start one with `hil rig`"
+            ) from error
+        greeting = await self._line.line()
+        words = dict(word.split("=", 1) for word in greeting.split() if "=" in word)
+        if words.get("mode") != "lockstep":
+            raise LinkError(f"{self._host}:{self._port} is no virtual rig in lockstep: it said {greeting!r}")
+        self.period_s = float(words["period"])
+        self._now = float(words["t"])
+
+    async def start(self) -> None:
+        """The next tick is tick 0."""
+        self._tick = -1
+
+    def release(self) -> None:
+        """Grant one step."""
+        assert self._line is not None and self._line.transport is not None
+        if not self._granted:
+            self._granted = True
+            self._now += self.period_s
+            self._line.transport.write(b"step\n")
+
+    async def next_tick(self) -> int:
+        """Wait until the granted step is done (and grant one, where nobody did)."""
+        assert self._line is not None
+        self.release()
+        answer = await self._line.line()
+        if not answer.startswith("t "):
+            raise LinkError(f"the virtual rig refused a step: {answer}")
+        self._now = float(answer[2:])
+        self._granted = False
+        self._tick += 1
+        return self._tick
+
+    async def close(self) -> None:
+        """Let go of the rig's time; the rig goes on in real time."""
+        if self._line is not None and self._line.transport is not None:
+            self._line.transport.close()
+            self._line = None
+            await asyncio.sleep(0)

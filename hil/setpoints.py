@@ -1,0 +1,71 @@
+"""From a profile's targets to what is written: clamped to the limits, no faster than the slew rate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from drivers.points import ConfigurationError
+from drivers.rigfile import Point, Rig
+from drivers.units import split_column
+
+
+def bind(rig: Rig, columns: Sequence[str]) -> list[Point]:
+    """The set-point of each profile column; raises ConfigurationError on a name or unit that the rig lacks."""
+    bound = []
+    for column in columns:
+        named = split_column(column)
+        point = rig.setpoint_of_column(named[0]) if named is not None else None
+        if named is None or point is None or point.unit != named[1]:
+            known = ", ".join(setpoint_columns(rig))
+            raise ConfigurationError(f"the rig {rig.name} has no set-point {column}; it has {known}")
+        bound.append(point)
+    return bound
+
+
+def setpoint_columns(rig: Rig) -> dict[str, Point]:
+    """Column by which a profile names each set-point: that of the point it moves, else its own."""
+    columns = {}
+    for point in rig.setpoints:
+        target = rig.get(point.readback) if point.readback is not None else point
+        columns[target.as_signal().column] = point
+    return columns
+
+
+class Setpoints:
+    """Current value of each of the rig's set-points; moves towards targets within limits and slew rates."""
+
+    def __init__(self, rig: Rig, start: dict[str, float] | None = None) -> None:
+        self._points = rig.setpoints
+        self.values: dict[str, float] = {
+            point.name: self._clamped(point, (start or {}).get(point.name, point.safe_value or 0.0))
+            for point in self._points
+        }
+
+    @staticmethod
+    def _clamped(point: Point, value: float) -> float:
+        if not math.isfinite(value):
+            raise ConfigurationError(f"{point.name} cannot be set to {value}; correct the profile")
+        assert point.limits is not None
+        return min(max(value, point.limits[0]), point.limits[1])
+
+    def move(self, targets: dict[str, float], elapsed_s: float) -> dict[str, float]:
+        """Advance towards `targets` (by point name) for `elapsed_s`; the values that changed."""
+        changed = {}
+        for point in self._points:
+            if point.name not in targets:
+                continue
+            target = self._clamped(point, targets[point.name])
+            value = self.values[point.name]
+            if point.max_rate is not None:
+                reach = point.max_rate * elapsed_s
+                target = min(max(target, value - reach), value + reach)
+            if target != value:
+                self.values[point.name] = target
+                changed[point.name] = target
+        return changed
+
+    def safe_values(self) -> dict[str, float]:
+        """Safe value of each set-point, in the order in which they are to be applied."""
+        ordered = sorted(self._points, key=lambda point: point.safe_order)
+        return {point.name: point.safe_value or 0.0 for point in ordered}
