@@ -36,9 +36,9 @@ def canonical_unit(unit: str) -> str:
     symbol = _ALIASES.get(unit, unit)
     if symbol in SUFFIX_OF_UNIT:
         return symbol
-    near = difflib.get_close_matches(unit, SUFFIX_OF_UNIT, n=1, cutoff=0.4)
-    known = near[0] if near else ", ".join(SUFFIX_OF_UNIT)
-    raise ValueError(f"unit {unit!r} is not known; did you mean {known}?")
+    near = difflib.get_close_matches(unit, SUFFIX_OF_UNIT, n=1, cutoff=0.3)
+    hint = f"did you mean {near[0]}?" if near else f"the known ones are {', '.join(SUFFIX_OF_UNIT)}"
+    raise ValueError(f"unit {unit!r} is not known; {hint}")
 
 
 def column_name(name: str, unit: str) -> str:

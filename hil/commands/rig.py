@@ -1,0 +1,56 @@
+"""`hil rig`: serve the virtual rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hil.commands.paths import INPUT_FILE
+
+
+@click.command()
+@click.option("--modbus-port", default=5020, show_default=True, help="Modbus/TCP port of the PLC; 0 picks a free one.")
+@click.option("--can-port", default=29536, show_default=True, help="socketcand port of the CAN bus vcan0.")
+@click.option("--control-port", default=0, show_default="free", help="Port that grants steps in lockstep.")
+@click.option("--mode", type=click.Choice(["real", "scaled", "lockstep"]), default="real", show_default=True)
+@click.option("--speed", default=1.0, show_default=True, help="Times real time, with --mode scaled.")
+@click.option("--period", default=1.0, show_default=True, help="Seconds between samples.")
+@click.option("--seed", default=0, show_default=True, help="Seed of noise, offsets and draughts.")
+@click.option("--with", "effects", type=INPUT_FILE, help="TOML file of effects that no twin knows of.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
+def command(
+    modbus_port: int,
+    can_port: int,
+    control_port: int,
+    mode: str,
+    speed: float,
+    period: float,
+    seed: int,
+    effects: Path | None,
+    host: str,
+) -> None:
+    """Serve the virtual rig: a PLC on Modbus/TCP and a thermocouple module on CAN, in processes of their own.
+
+    \b
+    Example:
+      hil rig --with profiles/effects/modules_heat.toml
+      mbpoll -m tcp -a 1 -t 3 -r 1 -c 12 -p 5020 127.0.0.1
+      cantools monitor -i socketcand -c vcan0 --bus-kwargs host=127.0.0.1 port=29536 -- \\
+          profiles/rigs/thermocouples.dbc
+    """
+    from drivers.virtual.rig import serve
+
+    if host not in ("127.0.0.1", "localhost", "::1"):
+        click.echo(f"Warning: the virtual rig listens on {host}, where other machines may write to it.", err=True)
+    serve(
+        modbus_port=modbus_port,
+        can_port=can_port,
+        control_port=control_port,
+        mode=mode,  # type: ignore[arg-type]
+        speed=speed,
+        period_s=period,
+        seed=seed,
+        effects=effects,
+        host=host,
+    )

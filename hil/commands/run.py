@@ -1,0 +1,102 @@
+"""`hil run`: replay a load profile on a rig while twins track it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.commands.paths import INPUT_FILE, LOOP_TWIN, VIRTUAL_RIG
+
+if TYPE_CHECKING:
+    from hil.session import RunResult
+
+
+@click.command()
+@click.argument("profile", type=INPUT_FILE)
+@click.option("--rig", "rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig file.")
+@click.option("--twin", type=INPUT_FILE, default=LOOP_TWIN, show_default=True, help="Twin file.")
+@click.option("--no-twin", is_flag=True, help="Run and record only.")
+@click.option("--virtual", is_flag=True, help="Start a virtual rig and run on that.")
+@click.option("--lockstep", is_flag=True, help="As fast as the machine can, the same every time (virtual rig).")
+@click.option("--speed", type=float, help="This many times real time (virtual rig).")
+@click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not know of (virtual rig).")
+@click.option(
+    "--calibrator", "calibrators", multiple=True, default=("pso",), show_default=True, help="May be repeated."
+)
+@click.option("--seed", default=0, show_default=True, help="Seed of the virtual rig and of the calibrators.")
+@click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
+@click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
+@click.option("--check-only", is_flag=True, help="Validate everything, move nothing.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def command(
+    profile: Path,
+    rig: Path,
+    twin: Path,
+    no_twin: bool,
+    virtual: bool,
+    lockstep: bool,
+    speed: float | None,
+    effects: Path | None,
+    calibrators: tuple[str, ...],
+    seed: int,
+    runs: Path,
+    viewer: bool | None,
+    check_only: bool,
+    as_json: bool,
+) -> None:
+    """Replay PROFILE on a rig while a static and a tracked twin run beside it.
+
+    Ctrl-C ends the run with the heater at its safe value; a second Ctrl-C shortens the waits.
+
+    \b
+    Example:
+      hil run profiles/loads/battle_40h.csv --virtual --lockstep
+      hil run my_load.csv --rig my_rig.toml --twin my_twin.toml
+    """
+    from hil.session import RunRequest, prepare, run_session
+
+    if lockstep and speed is not None:
+        raise click.UsageError("--lockstep and --speed exclude each other; choose one")
+    if speed is not None and speed <= 0:
+        raise click.UsageError("--speed must be above 0")
+    mode = "lockstep" if lockstep else "scaled" if speed is not None else "real"
+    request = RunRequest(
+        profile=profile,
+        rig=rig,
+        twin=None if no_twin else twin,
+        runs=runs,
+        virtual=virtual,
+        mode=mode,  # type: ignore[arg-type]
+        speed=speed or 1.0,
+        seed=seed,
+        effects=effects,
+        calibrators=() if no_twin else calibrators,
+        viewer=viewer,
+    )
+    if check_only:
+        ready = prepare(request)
+        click.echo(f"{profile}: {ready.profile.duration_s / 3600:.1f} h on {ready.rig.name}: nothing stands in the way")
+        for note in ready.notes:
+            click.echo(f"  {note}")
+        return
+    from hil.terminal import LiveRun
+
+    with LiveRun(quiet=as_json) as live:
+        result = asyncio.run(run_session(request, live.update, live.announce))
+    if as_json:
+        click.echo(json.dumps(_as_json(result), indent=1))
+    else:
+        live.show_result(result)
+    if result.outcome.status != "done" or not result.outcome.safe:
+        sys.exit(1)
+
+
+def _as_json(result: RunResult) -> dict[str, object]:
+    document: dict[str, object] = result.folder.read_manifest()
+    document["folder"] = str(result.folder.path)
+    return document

@@ -1,0 +1,45 @@
+"""Which errors are a user's to mend, and how they reach the terminal: plain sentences and an exit code."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+
+FOUND = 1
+USAGE = 2
+
+
+def exit_code(error: BaseException) -> int | None:
+    """2 for a file or an option that is wrong, 1 for a fault found on the rig or in a run, None for a bug."""
+    from drivers.points import ConfigurationError, DriverError
+    from hil.journal import JournalError
+    from hil.run_folder import RunFolderError
+    from hil.tracking import TrackingError
+
+    if isinstance(error, ConfigurationError):
+        return USAGE
+    if isinstance(error, DriverError | JournalError | TrackingError):
+        return FOUND
+    if isinstance(error, RunFolderError):
+        return USAGE
+    names = {kind.__name__ for kind in type(error).__mro__}
+    if names & {"ProfileError", "ScenarioError", "RecordError", "TwinFileError", "EffectsError", "CommissionError"}:
+        return USAGE
+    if names & {"VirtualRigError", "ReviewError"}:
+        return FOUND
+    return None
+
+
+@contextlib.contextmanager
+def explained() -> Iterator[None]:
+    """Turn a user's error into its sentences on standard error and its exit code; let bugs through."""
+    try:
+        yield
+    except Exception as error:
+        code = exit_code(error)
+        if code is None:
+            raise
+        for sentence in str(error).splitlines():
+            print(f"hil: {sentence}", file=sys.stderr)
+        sys.exit(code)

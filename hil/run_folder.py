@@ -1,0 +1,122 @@
+"""The folder of a run: `runs/<utc>-<profile>/` with journal, record, review, twin, report and `run.json`."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import platform
+import shutil
+import sys
+import uuid
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from drivers.rigfile import file_sha256
+from hil import __version__
+from hil.atomic import replacing
+
+LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "pyarrow", "rerun-sdk")
+BYTES_PER_TICK = 2500
+"""What a tick costs on disk, journal and record and review together, rounded up."""
+
+
+class RunFolderError(Exception):
+    """The run folder cannot be made or read; the message says what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunFolder:
+    """Paths of one run."""
+
+    path: Path
+
+    @property
+    def journal(self) -> Path:
+        """SQLite journal, the source of everything else."""
+        return self.path / "journal.sqlite"
+
+    @property
+    def record(self) -> Path:
+        """Parquet record derived from the journal."""
+        return self.path / "record.parquet"
+
+    @property
+    def review(self) -> Path:
+        """Rerun recording derived from the journal."""
+        return self.path / "review.rrd"
+
+    @property
+    def twin(self) -> Path:
+        """The twin file that the run began with."""
+        return self.path / "twin.toml"
+
+    @property
+    def report(self) -> Path:
+        """HTML report."""
+        return self.path / "report.html"
+
+    @property
+    def manifest(self) -> Path:
+        """Identity, hashes, versions and exit status."""
+        return self.path / "run.json"
+
+    def read_manifest(self) -> dict[str, Any]:
+        """`run.json`; raises RunFolderError where this is no run folder."""
+        try:
+            document: dict[str, Any] = json.loads(self.manifest.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise RunFolderError(f"{self.path} is not a run folder (no run.json); give one of runs/*") from None
+        except json.JSONDecodeError as error:
+            raise RunFolderError(
+                f"{self.manifest} is damaged ({error}); the journal beside it still holds the run"
+            ) from error
+        return document
+
+    def write_manifest(self, document: dict[str, Any]) -> None:
+        """Write `run.json` in one step."""
+        with replacing(self.manifest) as temporary:
+            temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
+    """A new, empty run folder under `parent`; raises RunFolderError where the disk has no room for `ticks`."""
+    stamp = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
+    for suffix in ("", *(f"-{n}" for n in range(2, 100))):
+        path = parent / f"{stamp}-{profile_name}{suffix}"
+        try:
+            path.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise RunFolderError(f"{path} cannot be made ({error}); choose another folder with --runs") from error
+        break
+    free, needed = shutil.disk_usage(path).free, ticks * BYTES_PER_TICK
+    if free < needed:
+        path.rmdir()
+        raise RunFolderError(
+            f"{parent} has {free / 1e6:.0f} MB free, this run may need {needed / 1e6:.0f} MB; free some or use --runs"
+        )
+    return RunFolder(path)
+
+
+def new_manifest(files: dict[str, Path | None], **settings: Any) -> dict[str, Any]:
+    """What is known before a run begins: identity, versions, host, hash of every file that it depends on."""
+    return {
+        "uid": str(uuid.uuid4()),
+        "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "ended": None,
+        "exit_status": "running",
+        "reason": "",
+        "host": platform.node(),
+        "versions": {
+            "hil": __version__,
+            "python": sys.version.split()[0],
+            **{name: metadata.version(name) for name in LIBRARIES},
+        },
+        "files": {
+            name: {"path": str(path), "sha256": file_sha256(path)} for name, path in files.items() if path is not None
+        },
+        "settings": settings,
+    }

@@ -1,0 +1,287 @@
+"""One run from its files to its folder: validate, start what is needed, run the engine, derive record and report."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import datetime
+import shutil
+import signal
+from collections.abc import AsyncIterator, Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from drivers.points import ConfigurationError
+from drivers.rig import RigConnection
+from drivers.rigfile import Rig, load_rig
+from hil.clock import Clock, LockstepClock, MonotonicClock
+from hil.engine import Engine, Outcome, Status
+from hil.journal import Header, JournalWriter
+from hil.profile import Profile, SetpointLimit, read_profile, validate
+from hil.record import export_record
+from hil.run_folder import RunFolder, create_run_folder, new_manifest
+from hil.setpoints import setpoint_columns
+from hil.tracking import ErrorTable, TrackingConfig, TrackingProcess
+
+if TYPE_CHECKING:
+    from twin.network import Network
+
+Mode = Literal["real", "scaled", "lockstep"]
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """What to run. `virtual` starts the virtual rig in place of the one at the rig file's addresses."""
+
+    profile: Path
+    rig: Path
+    twin: Path | None
+    runs: Path
+    virtual: bool = False
+    mode: Mode = "real"
+    speed: float = 1.0
+    seed: int = 0
+    effects: Path | None = None
+    calibrators: tuple[str, ...] = ("pso",)
+    viewer: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """A finished run: its folder, how it ended, the twins' errors and how fast it went."""
+
+    folder: RunFolder
+    outcome: Outcome
+    errors: ErrorTable | None
+    duration_s: float
+    wall_s: float
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """Everything that could be checked before anything moves."""
+
+    rig: Rig
+    profile: Profile
+    network: Network | None
+    notes: tuple[str, ...]
+
+
+def prepare(request: RunRequest) -> Prepared:
+    """Read and validate all files of a run; raises RigFileError, ProfileError, TwinFileError or ConfigurationError."""
+    rig = load_rig(request.rig)
+    profile = read_profile(request.profile)
+    notes = validate(profile, setpoint_limits(rig), period_s=rig.period_s)
+    network = None
+    if request.twin is not None:
+        from twin.network import load_network
+
+        network = load_network(request.twin)
+        _check_twin_columns(request.twin, network, rig)
+    if request.effects is not None and not request.virtual:
+        raise ConfigurationError(
+            "--with switches on effects in the virtual rig; give --virtual too, or take --with out"
+        )
+    return Prepared(rig, profile, network, tuple(notes))
+
+
+def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:
+    """What profiles may ask of the rig, by profile column."""
+    limits = {}
+    for column, point in setpoint_columns(rig).items():
+        assert point.limits is not None
+        low, high = point.limits
+        limits[column] = SetpointLimit(low=low, high=high, max_rate_per_s=point.max_rate, unit=point.unit)
+    return limits
+
+
+def _check_twin_columns(path: Path, network: Network, rig: Rig) -> None:
+    have = {point.as_signal().column for point in rig.point if not point.is_setpoint}
+    wanted = set(network.input_columns).union(*network.sensor_columns.values())
+    missing = sorted(wanted - have)
+    if missing:
+        raise ConfigurationError(
+            f"{path}: the twin needs {', '.join(missing)}, which the rig {rig.name} does not measure; "
+            "name a twin of this rig with --twin"
+        )
+
+
+async def run_session(
+    request: RunRequest,
+    observer: Callable[[Status], None] | None = None,
+    announce: Callable[[str], None] = lambda text: None,
+) -> RunResult:
+    """Run `request` to its end and derive everything in its folder; raises what `prepare` raises."""
+    ready = prepare(request)
+    loop = asyncio.get_running_loop()
+    began = loop.time()
+    for note in ready.notes:
+        announce(note)
+    folder = create_run_folder(
+        request.runs, request.profile.stem, int(ready.profile.duration_s / ready.rig.period_s) + 1
+    )
+    manifest = new_manifest(
+        {
+            "rig": request.rig,
+            "profile": request.profile,
+            "twin": request.twin,
+            "effects": request.effects,
+        },
+        mode=request.mode,
+        speed=request.speed,
+        virtual=request.virtual,
+        seed=request.seed,
+        calibrators=list(request.calibrators),
+    )
+    folder.write_manifest(manifest)
+    if request.twin is not None:
+        shutil.copyfile(request.twin, folder.twin)
+    async with contextlib.AsyncExitStack() as stack:
+        rig, clock = await stack.enter_async_context(_rig_and_clock(request, ready.rig, announce))
+        connection = RigConnection(rig, clock.now)
+        header = _header(connection, ready, request.calibrators)
+        journal = JournalWriter(folder.journal, header)
+        stack.callback(journal.close)
+        tracking = await _start_tracking(request, folder, ready, header, journal)
+        follower = await stack.enter_async_context(_live_review(request, folder, announce))
+        engine = Engine(
+            connection,
+            clock,
+            ready.profile,
+            journal,
+            publisher=tracking,
+            observer=observer,
+            lockstep=request.mode == "lockstep",
+        )
+        with _signals(engine):
+            outcome = await engine.run()
+        errors = await tracking.finish() if tracking is not None else None
+        if tracking is not None and tracking.failure is not None:
+            outcome.problems.append(f"the calibrators stopped: {tracking.failure}")
+        wall_s = loop.time() - began
+        manifest |= {
+            "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "exit_status": outcome.status,
+            "reason": outcome.reason,
+            "safe": outcome.safe,
+            "ticks": outcome.ticks,
+            "overruns": outcome.overruns,
+            "wall_s": round(wall_s, 2),
+            "problems": outcome.problems,
+            "errors_K": None if errors is None else asdict(errors),
+        }
+        journal.put_meta("exit_status", outcome.status)
+        journal.put_meta("errors", manifest["errors_K"])
+        journal.commit()
+    folder.write_manifest(manifest)
+    announce("writing record and report")
+    export_record(folder.journal, folder.record)
+    if not follower:
+        from hil.review import write_review
+
+        announce("writing review.rrd")
+        write_review(folder.journal, folder.review)
+    from hil.report import write_report
+
+    write_report(folder)
+    notes = ready.notes
+    return RunResult(folder, outcome, errors, outcome.ticks * clock.period_s, wall_s, notes)
+
+
+@contextlib.asynccontextmanager
+async def _rig_and_clock(
+    request: RunRequest, rig: Rig, announce: Callable[[str], None]
+) -> AsyncIterator[tuple[Rig, Clock]]:
+    if not request.virtual:
+        if request.mode != "real":
+            raise ConfigurationError(f"{request.mode} time needs a rig whose time can be set; add --virtual")
+        yield rig, MonotonicClock(rig.period_s)
+        return
+    from drivers.virtual.rig import start_virtual_rig
+
+    announce("starting the virtual rig")
+    virtual = await start_virtual_rig(
+        seed=request.seed,
+        mode=request.mode,
+        speed=request.speed,
+        period_s=rig.period_s,
+        effects=request.effects,
+    )
+    try:
+        ports = {
+            name: virtual.modbus_port if bus.transport == "modbus_tcp" else virtual.can_port
+            for name, bus in rig.bus.items()
+        }
+        if request.mode == "lockstep":
+            lockstep = LockstepClock("127.0.0.1", virtual.control_port)
+            await lockstep.connect()
+            yield rig.with_ports(ports), lockstep
+        else:
+            yield rig.with_ports(ports), MonotonicClock(rig.period_s, request.speed)
+    finally:
+        await virtual.stop()
+
+
+def _header(connection: RigConnection, ready: Prepared, calibrators: tuple[str, ...]) -> Header:
+    network = ready.network
+    setpoints = tuple(point.as_signal() for point in ready.rig.setpoints)
+    return Header(
+        signals=connection.signals + setpoints,
+        twin_sensors={} if network is None else dict(network.sensor_columns),
+        twin_names=() if network is None else ("static", *calibrators),
+        profile=ready.profile.name,
+        duration_s=ready.profile.duration_s,
+        period_s=ready.rig.period_s,
+        noise_K={} if network is None else dict(network.sensor_noise),
+    )
+
+
+async def _start_tracking(
+    request: RunRequest, folder: RunFolder, ready: Prepared, header: Header, journal: JournalWriter
+) -> TrackingProcess | None:
+    if ready.network is None or not request.calibrators:
+        return None
+    config = TrackingConfig(
+        twin=folder.twin,
+        columns=tuple(signal.column for signal in header.signals),
+        calibrators=request.calibrators,
+        seed=request.seed,
+    )
+    tracking = TrackingProcess(config, journal, wait=request.mode == "lockstep")
+    await tracking.start()
+    return tracking
+
+
+@contextlib.asynccontextmanager
+async def _live_review(request: RunRequest, folder: RunFolder, announce: Callable[[str], None]) -> AsyncIterator[bool]:
+    """A viewer that follows the journal, where there is a display or one was asked for; yields whether it runs."""
+    from hil.review import has_display
+
+    wanted = has_display() if request.viewer is None else request.viewer
+    if not wanted:
+        yield False
+        return
+    from hil.review import start_follower
+
+    announce("opening Rerun")
+    follower = await asyncio.to_thread(start_follower, folder.journal, folder.review)
+    try:
+        yield True
+    finally:
+        await asyncio.to_thread(follower.finish)
+
+
+@contextlib.contextmanager
+def _signals(engine: Engine) -> Any:
+    """Ctrl-C and SIGTERM ask the engine to stop; a second one shortens its waits."""
+    loop = asyncio.get_running_loop()
+    names = {signal.SIGINT: "stopped by the operator (Ctrl-C)", signal.SIGTERM: "stopped by SIGTERM"}
+    for number, reason in names.items():
+        loop.add_signal_handler(number, engine.request_stop, reason)
+    try:
+        yield
+    finally:
+        for number in names:
+            loop.remove_signal_handler(number)

@@ -1,0 +1,147 @@
+"""What a person sees in the terminal: progress with ETA and temperatures, tables of errors."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from hil.engine import Status
+    from hil.session import RunResult
+    from hil.tracking import ErrorTable
+
+LINE_EVERY_S = 5.0
+
+
+def hours(seconds: float) -> str:
+    """`37 h 05 min` for a time in seconds."""
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def error_table(errors: ErrorTable, title: str) -> Table:
+    """RMSE per sensor in K, one column a twin, the sensor's noise beside it."""
+    table = Table(title=title, title_justify="left", caption_justify="left")
+    table.add_column("sensor")
+    for column in errors.columns:
+        table.add_column(column, justify="right")
+    if errors.noise_K:
+        table.add_column("noise", justify="right", style="dim")
+    for sensor, cells in errors.rows.items():
+        noise = [f"{errors.noise_K[sensor]:.3f}"] if errors.noise_K else []
+        table.add_row(sensor, *(f"{cell:.3f}" for cell in cells), *noise)
+    table.caption = (
+        "static: as commissioned, never updated. ahead: predicted by the parameters of earlier windows, before the "
+        "data came. fitted: the same window after its calibration."
+    )
+    return table
+
+
+class Steps:
+    """A progress bar over `total` of something, with ETA; plain lines where the output is no terminal."""
+
+    def __init__(self, what: str, total: float, *, quiet: bool = False) -> None:
+        self._console = Console(stderr=True, quiet=quiet)
+        self._what = what
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=30),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeElapsedColumn(),
+            TextColumn("ETA"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}", style="dim"),
+            console=self._console,
+            transient=False,
+            disable=quiet or not self._console.is_terminal,
+        )
+        self._task: TaskID = self._progress.add_task(what, total=total, note="")
+        self._total = total
+        self._began = self._last_line = time.monotonic()
+        self._lines = not self._console.is_terminal
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        if kind is None:
+            self._progress.update(self._task, completed=self._total)
+        self._progress.stop()
+
+    def update(self, done: float, note: str = "") -> None:
+        """`done` of the total are behind; `note` is shown beside the bar."""
+        self._progress.update(self._task, completed=done, note=note)
+        now = time.monotonic()
+        if self._lines and now - self._last_line >= LINE_EVERY_S and done > 0:
+            self._last_line = now
+            eta = (now - self._began) * (self._total - done) / done
+            self._console.print(
+                f"{self._what}: {100 * done / self._total:3.0f} %, ETA {eta:.0f} s  {note}", highlight=False
+            )
+
+    def say(self, text: str) -> None:
+        """A line above the bar."""
+        self._console.print(text, highlight=False, markup=False)
+
+
+class LiveRun:
+    """Progress of a run: profile time, ETA, a live line of temperatures."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._steps: Steps | None = None
+        self._console = Console(stderr=True, quiet=quiet)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        if self._steps is not None:
+            self._steps.__exit__(kind, error, tb)
+
+    def announce(self, text: str) -> None:
+        """One line about what is being done."""
+        if self._steps is not None:
+            self._steps.say(text)
+        else:
+            self._console.print(text, highlight=False, markup=False)
+
+    def update(self, status: Status) -> None:
+        """Called by the engine a few times a second."""
+        if self._steps is None:
+            self._steps = Steps("replaying", status.duration_s, quiet=self._quiet)
+            self._steps.__enter__()
+        temperatures = "  ".join(
+            f"{name.removeprefix('T_')} {value:.1f}"
+            for name, value in status.values.items()
+            if name in ("T_heater", "T_pm1", "T_radiator", "T_tank", "T_ambient")
+        )
+        power = status.values.get("heater_power")
+        heater = f"{power:.0f} W  " if power is not None else ""
+        self._steps.update(status.time_s, f"{hours(status.time_s)}  {heater}{temperatures} °C")
+
+    def show_result(self, result: RunResult) -> None:
+        """Table of errors, how it ended, where it is."""
+        console = Console()
+        outcome = result.outcome
+        console.print()
+        if result.errors is not None:
+            console.print(error_table(result.errors, f"RMSE in K over {hours(result.duration_s)}"))
+        console.print(
+            f"{outcome.status}: {hours(result.duration_s)} of rig time in {result.wall_s:.1f} s"
+            + (f", {outcome.overruns} late ticks" if outcome.overruns else "")
+            + (f": {outcome.reason}" if outcome.reason else ""),
+            highlight=False,
+        )
+        if outcome.ticks and not outcome.safe:
+            console.print("The rig was NOT confirmed safe: look at it now.", style="bold red")
+        for problem in outcome.problems:
+            console.print(f"  {problem}", highlight=False, markup=False)
+        console.print(f"run folder: {result.folder.path}", highlight=False, soft_wrap=True)
+        console.print(f"look at it: hil review {result.folder.path}", highlight=False, soft_wrap=True)

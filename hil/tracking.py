@@ -1,0 +1,245 @@
+"""The calibrators in a process of their own, so that none ever delays a tick.
+
+Blocks of ticks go there over a pipe, predictions and calibrations come back and are journaled. In lockstep the engine
+waits when the process falls behind; in real time blocks queue here instead. Results depend on the samples alone, not
+on how they were cut into blocks or on timing, so a run in lockstep is reproducible.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import multiprocessing
+import signal
+from collections import deque
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.journal import JournalWriter
+
+if TYPE_CHECKING:
+    from twin.tracking import TwinTracker
+
+MOST_OUTSTANDING = 4
+START_TIMEOUT_S = 120.0
+FINISH_TIMEOUT_S = 120.0
+
+Block = tuple[list[int], list[float], list[list[float]]]
+
+
+class TrackingError(Exception):
+    """The calibrators could not start; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingConfig:
+    """What the process needs: the twin file, the record columns of a row, which calibrators, the seed."""
+
+    twin: Path
+    columns: tuple[str, ...]
+    calibrators: tuple[str, ...]
+    seed: int = 0
+
+
+@dataclass(slots=True)
+class _Reply:
+    ticks: list[int]
+    time_s: list[float]
+    outputs: dict[str, NDArray[np.float64]]
+    calibrations: list[tuple[str, float, float, dict[str, Any]]]
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorTable:
+    """RMSE in K per twin sensor: `rows[sensor][column]`, columns in reading order, and the sensors' noise."""
+
+    columns: tuple[str, ...]
+    rows: dict[str, tuple[float, ...]]
+    noise_K: dict[str, float] = field(default_factory=dict)
+
+
+def track_block(
+    trackers: dict[str, TwinTracker], columns: tuple[str, ...], block: Block
+) -> tuple[dict[str, NDArray[np.float64]], list[tuple[str, float, float, dict[str, Any]]]]:
+    """Push one block through every tracker: outputs by twin name (`static` first) and finished windows."""
+    _, time_s, rows = block
+    table = np.asarray(rows, dtype=np.float64).reshape(len(time_s), len(columns))
+    by_column = {column: table[:, index] for index, column in enumerate(columns)}
+    outputs: dict[str, NDArray[np.float64]] = {}
+    calibrations = []
+    for name, tracker in trackers.items():
+        inputs, measured = tracker.network.select(by_column)
+        update = tracker.push(np.asarray(time_s), inputs, measured)
+        outputs.setdefault("static", update.static)
+        outputs[name] = update.tracked
+        calibrations += [(name, c.start_s, c.end_s, c.document()) for c in update.calibrations]
+    return outputs, calibrations
+
+
+def make_trackers(config: TrackingConfig) -> dict[str, TwinTracker]:
+    """One tracker a calibrator; raises what the twin file's reader raises."""
+    from twin.tracking import TwinTracker
+
+    from twin.network import load_network
+
+    network = load_network(config.twin)
+    return {name: TwinTracker(network, calibrator=name, seed=config.seed) for name in config.calibrators}
+
+
+def error_table(trackers: dict[str, TwinTracker]) -> ErrorTable:
+    """The trackers' errors side by side: static, then per calibrator ahead (predicted) and fitted."""
+    columns: list[str] = []
+    rows: dict[str, list[float]] = {}
+    noise: dict[str, float] = {}
+    for name, tracker in trackers.items():
+        table = tracker.table()
+        first = not columns
+        columns += (["static"] if first else []) + [f"{name} ahead", f"{name} fitted"]
+        for row in table:
+            cells = rows.setdefault(row.sensor, [])
+            cells += ([row.static_K] if first else []) + [row.tracked_K, row.fitted_K]
+            noise[row.sensor] = row.noise_K
+    return ErrorTable(tuple(columns), {sensor: tuple(cells) for sensor, cells in rows.items()}, noise)
+
+
+def _serve(connection: Connection, config: TrackingConfig) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C belongs to the engine, which ends this process in order
+    try:
+        trackers = make_trackers(config)
+        for tracker in trackers.values():
+            tracker.warm_up()
+        connection.send("ready")
+        while (block := connection.recv()) is not None:
+            outputs, calibrations = track_block(trackers, config.columns, block)
+            connection.send(_Reply(block[0], block[1], outputs, calibrations))
+        connection.send(error_table(trackers))
+    except (EOFError, BrokenPipeError):
+        return
+    except Exception as error:
+        with contextlib.suppress(OSError):
+            connection.send(error)
+
+
+class TrackingProcess:
+    """A `hil.engine.Publisher` that calibrates twins in another process and journals what comes back."""
+
+    def __init__(self, config: TrackingConfig, journal: JournalWriter, *, wait: bool) -> None:
+        self._config = config
+        self._journal = journal
+        self._wait = wait
+        self._queue: deque[Block] = deque()
+        self._outstanding = 0
+        self._room = asyncio.Event()
+        self._failure: str | None = None
+        self._table: ErrorTable | None = None
+        self._process: Any = None
+        self._connection: Connection | None = None
+
+    async def start(self) -> None:
+        """Start the process and wait until its kernel is compiled; raises TrackingError."""
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs, self._config), name="calibrators", daemon=True)
+        self._process.start()
+        theirs.close()
+        ready = await asyncio.to_thread(self._first_answer)
+        if ready != "ready":
+            await self._end()
+            raise TrackingError(f"the calibrators did not start: {ready}")
+        asyncio.get_running_loop().add_reader(self._connection.fileno(), self._receive)
+
+    def _first_answer(self) -> Any:
+        assert self._connection is not None
+        try:
+            if self._connection.poll(START_TIMEOUT_S):
+                return self._connection.recv()
+        except EOFError:
+            return "the process ended at once"
+        return f"no answer within {START_TIMEOUT_S:g} s"
+
+    async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
+        """Hand over a block; in lockstep wait while the process is behind."""
+        if self._failure is not None or self._connection is None:
+            return
+        self._queue.append((ticks, time_s, rows))
+        self._pump()
+        while self._wait and self._failure is None and len(self._queue) + self._outstanding > MOST_OUTSTANDING:
+            self._room.clear()
+            await self._room.wait()
+
+    async def finish(self) -> ErrorTable | None:
+        """Wait for all results and end the process; the error table, or None where the calibrators failed."""
+        try:
+            async with asyncio.timeout(FINISH_TIMEOUT_S):
+                while self._failure is None and (self._queue or self._outstanding):
+                    self._room.clear()
+                    await self._room.wait()
+                if self._failure is None and self._connection is not None:
+                    self._connection.send(None)
+                    while self._failure is None and self._table is None:
+                        self._room.clear()
+                        await self._room.wait()
+        except TimeoutError:
+            self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
+        await self._end()
+        return self._table
+
+    @property
+    def failure(self) -> str | None:
+        """Why the calibrators stopped before the run did, or None."""
+        return self._failure
+
+    def _pump(self) -> None:
+        assert self._connection is not None
+        try:
+            while self._queue and self._outstanding < MOST_OUTSTANDING:
+                self._connection.send(self._queue.popleft())
+                self._outstanding += 1
+        except OSError as error:
+            self._fail(str(error))
+
+    def _receive(self) -> None:
+        assert self._connection is not None
+        try:
+            message = self._connection.recv()
+        except (EOFError, OSError):
+            self._fail("the process ended")
+            return
+        if isinstance(message, _Reply):
+            self._outstanding -= 1
+            for twin, values in message.outputs.items():
+                self._journal.twin_outputs(twin, message.ticks, message.time_s, values)
+            for calibration in message.calibrations:
+                self._journal.calibration(*calibration)
+            self._pump()
+        elif isinstance(message, ErrorTable):
+            self._table = message
+        else:
+            self._fail(f"{type(message).__name__}: {message}")
+        self._room.set()
+
+    def _fail(self, why: str) -> None:
+        if self._failure is None:
+            self._failure = why
+            self._journal.event(-1, 0.0, "ERROR", f"the calibrators stopped, the run goes on without them: {why}")
+        if self._connection is not None:
+            asyncio.get_running_loop().remove_reader(self._connection.fileno())
+        self._room.set()
+
+    async def _end(self) -> None:
+        if self._connection is not None:
+            asyncio.get_running_loop().remove_reader(self._connection.fileno())
+            self._connection.close()
+            self._connection = None
+        if self._process is not None:
+            await asyncio.to_thread(self._process.join, 5.0)
+            if self._process.is_alive():
+                self._process.kill()
+                await asyncio.to_thread(self._process.join)
+            self._process.close()
+            self._process = None

@@ -1,0 +1,35 @@
+"""Fixtures for all tests: no test may leave tasks behind, and data that is not shipped is found or skipped."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+import pytest_asyncio
+
+PROJECT = Path(__file__).resolve().parents[1]
+
+
+@pytest_asyncio.fixture(autouse=True)
+async def _no_leaked_tasks(request: pytest.FixtureRequest) -> AsyncIterator[None]:
+    """Fail any async test that leaves tasks running."""
+    yield
+    await asyncio.sleep(0)
+    left = [task for task in asyncio.all_tasks() if task is not asyncio.current_task() and not task.done()]
+    for task in left:
+        task.cancel()
+    if left:
+        await asyncio.gather(*left, return_exceptions=True)
+        pytest.fail("tasks left behind: " + ", ".join(task.get_name() for task in left))
+
+
+@pytest.fixture(scope="session")
+def hil_data() -> Path:
+    """Folder of recordings that are not part of the project (environment variable HIL_DATA)."""
+    folder = Path(os.environ.get("HIL_DATA", PROJECT.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"no recordings at {folder}; set HIL_DATA to their folder")
+    return folder

@@ -1,0 +1,99 @@
+"""Rig files: the shipped one loads, and each mistake gets a sentence with file, line, key and remedy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.rigfile import RigFileError, load_rig
+
+PROJECT = Path(__file__).resolve().parents[2]
+VIRTUAL = PROJECT / "profiles" / "rigs" / "virtual.toml"
+
+
+def broken(tmp_path: Path, old: str, new: str, count: int = 1) -> Path:
+    text = VIRTUAL.read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "rig.toml"
+    path.write_text(text.replace(old, new, count), encoding="utf-8")
+    return path
+
+
+def complaint(path: Path) -> str:
+    with pytest.raises(RigFileError) as caught:
+        load_rig(path)
+    return str(caught.value)
+
+
+def test_the_virtual_rig_file_loads():
+    rig = load_rig(VIRTUAL)
+    assert [p.name for p in rig.setpoints] == ["heater_power_set", "pump_speed_set", "fan_speed_set"]
+    assert sum(p.bus == "thermocouples" and p.kind == "measured" for p in rig.point) == 9
+    assert rig.bus["thermocouples"].dbc.is_file()
+
+
+def test_wrong_word_order_names_line_point_and_choices(tmp_path):
+    path = broken(tmp_path, 'order = "CDAB"', 'order = "ABDC"')
+    text = complaint(path)
+    line = next(n for n, row in enumerate(path.read_text().splitlines(), 1) if "ABDC" in row)
+    assert f"rig.toml, line {line}: order of point heater_power" in text
+    assert "'ABDC' is not known; use 'ABCD', 'CDAB', 'BADC' or 'DCBA'" in text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('unit = "W"\n', "", ["unit of point heater_power_set", "is missing"]),
+        ('unit = "W"\n', 'unit = "Watts"\n', ["'Watts' is not known; did you mean W?"]),
+        ("address = 1\n", "address = 0\n", ["pump_speed_set: holding register 0 is heater_power_set's already"]),
+        ('name = "flow"', 'name = "pump_speed"', ["a second point is called 'pump_speed'"]),
+        ("limits = [0.0, 1000.0]", "limits = [1000.0, 0.0]", ["lower bound 1000 must be below"]),
+        ("safe_value = 0.0\n", "", ["heater_power_set", "without safe_value"]),
+        ("safe_value = 0.0\n", "safe_value = 1500.0\n", ["safe_value 1500 is outside limits"]),
+        ("safe_value = 0.0\n", "safe_valeu = 0.0\n", ["safe_valeu of point heater_power_set", "not a key"]),
+        ('transport = "modbus_tcp"', 'transport = "modbus_udp"', ["transport 'modbus_udp' is not known"]),
+        ('bus = "plc"', 'bus = "plcc"', ["no bus 'plcc'; there is plc, thermocouples"]),
+        ("port = 5020", "port = 502000", ["port", "65535", "502000"]),
+        ('uptime = "plc_uptime"', 'uptime = "uptime"', ["bus plc: no point 'uptime' on this bus"]),
+        ('message = "TC_A"\n', "", ["T_heater: a point on CAN needs message and signal"]),
+        ("scale = 0.1", "scale = 0.0", ["a scale of 0 loses the value"]),
+        ('readback = "heater_power"', 'readback = "heater"', ["no point 'heater' to read back"]),
+        ('point = "heartbeat"', 'point = "beat"', ["heartbeat: no point 'beat'"]),
+        ("[rig]", "[rig", ["is not valid TOML", "line"]),
+    ],
+)
+def test_each_mistake_is_one_sentence_with_place_and_remedy(tmp_path, old, new, words):
+    text = complaint(broken(tmp_path, old, new))
+    assert "rig.toml" in text
+    assert "line" in text
+    for word in words:
+        assert word in text
+
+
+def test_all_mistakes_come_together(tmp_path):
+    path = broken(tmp_path, 'order = "CDAB"', 'order = "XY"', count=2)
+    assert len(complaint(path).splitlines()) == 2
+
+
+def test_a_missing_file_is_said_plainly(tmp_path):
+    assert "there is no such file" in complaint(tmp_path / "none.toml")
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_damaged_files_raise_nothing_but_our_own_error(tmp_path_factory, data):
+    lines = VIRTUAL.read_text(encoding="utf-8").splitlines()
+    for _ in range(data.draw(st.integers(1, 4))):
+        index = data.draw(st.integers(0, len(lines) - 1))
+        lines[index] = data.draw(
+            st.sampled_from(["", "x", '= "', "[bus]", "bus = 3", "[[point]]", "point = []", "[bus.plc]"])
+        )
+    path = tmp_path_factory.mktemp("fuzz") / "rig.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    try:
+        load_rig(path)
+    except RigFileError as error:
+        assert "rig.toml" in str(error)
