@@ -49,9 +49,7 @@ FORMS = (
     Form(*_HEAT, "pump_speed", "power_W", -_LIMIT_W, _LIMIT_W, (("exponent", 3.0),)),
     Form(*_HEAT, "fan_speed", "power_W", -_LIMIT_W, _LIMIT_W, (("exponent", 1.0),)),
     Form(*_HEAT, "periodic", "power_W", -_LIMIT_W, _LIMIT_W, (("period_s", None), ("duty", 0.5))),
-    Form(
-        *_HEAT, "threshold", "power_W", -_LIMIT_W, _LIMIT_W, (("threshold_C", None), ("hysteresis_K", 0.5))
-    ),
+    Form(*_HEAT, "threshold", "power_W", -_LIMIT_W, _LIMIT_W, (("threshold_C", None), ("hysteresis_K", 0.5))),
     Form("heat_loss", PLACES, "temperature_difference", "conductance_W_per_K", 0.0, 60.0, (("exponent", 1.0),)),
     Form("heat_rejection", ("radiator",), "constant", "lost_fraction", -0.5, 0.95),
     Form("heat_rejection", ("radiator",), "elapsed_time", "lost_fraction", -0.5, 0.95),
@@ -60,9 +58,7 @@ FORMS = (
     Form("flow", ("loop",), "constant", "lost_fraction", -0.5, 1.0),
     Form("flow", ("loop",), "elapsed_time", "lost_fraction", -0.5, 1.0),
     Form("flow", _BYPASSABLE, "constant", "bypass_fraction", 0.0, 0.95),
-    Form(
-        "thermal_mass", ("tank",), "history", "capacity_J_per_K", 100.0, 1e6, (("conductance_W_per_K", None),)
-    ),
+    Form("thermal_mass", ("tank",), "history", "capacity_J_per_K", 100.0, 1e6, (("conductance_W_per_K", None),)),
     Form("sensor", CHANNELS + READINGS, "constant", "bias", -1000.0, 1000.0),
     Form("sensor", CHANNELS + READINGS, "elapsed_time", "drift_per_h", -1000.0, 1000.0),
     Form("sensor", CHANNELS + READINGS, "history", "lag_s", 0.0, 7200.0),

@@ -1,0 +1,174 @@
+"""Process 1 of the virtual rig: the plant, its PLC's Modbus/TCP server, and the control port.
+
+python -m drivers.virtual.plc [--mode real|scaled|lockstep] [--speed N] [--period S] [--seed N]
+    [--with EFFECTS.toml] [--host H] [--modbus-port P] [--control-port P] [--link-fd FD]
+"""
+
+import argparse
+import asyncio
+import socket
+import sys
+from pathlib import Path
+
+from drivers.virtual import link
+from drivers.virtual.control import ControlConnection
+from drivers.virtual.effects import Effect, load_effects
+from drivers.virtual.instruments import Instruments
+from drivers.virtual.modbus_protocol import ModbusConnection
+from drivers.virtual.plant import Plant
+from drivers.virtual.registers import Registers
+from drivers.virtual.supervision import end_with_parent, listen, port_of, say
+
+MODES = ("real", "scaled", "lockstep")
+LARGEST_BACKLOG_S = 5.0
+"""Wall-clock seconds that the plant catches up with after a stall of the host; older time is lost."""
+
+
+class Plc:
+    """One period: interlocks, plant, read-backs, registers, temperatures to the module. Owns rig time."""
+
+    def __init__(self, mode: str, period_s: float, speed: float, seed: int, effects: tuple[Effect, ...]) -> None:
+        self.mode, self.period_s = mode, period_s
+        self._wall_period_s = period_s / speed if mode == "scaled" else period_s
+        self.registers = Registers()
+        self.plant = Plant(seed=seed, period_s=period_s, effects=effects)
+        self._instruments = Instruments(seed, period_s, effects)
+        self.stop = asyncio.Event()
+        self.controller: ControlConnection | None = None
+        self.link: link.LinkSender | None = None
+        self.missed_records = 0
+        self.ended_because = "stopped"
+        self._timer: asyncio.TimerHandle | None = None
+        self._due = 0.0
+        # Compile or load the physics before the ports open.
+        Plant(seed=seed, period_s=period_s).step(0.0, 0.0, 0.0)
+        self.registers.publish(self._instruments.read(self.plant), 0)
+
+    def cycle(self) -> None:
+        """Advance rig time by one period."""
+        registers, plant = self.registers, self.plant
+        plant.step(registers.heater_W, registers.pump_fraction, registers.fan_fraction)
+        # Temperatures leave first: the other process works while this one packs its registers.
+        sender = self.link
+        if sender is not None:
+            if sender.ready:
+                sender.transport.write(link.pack(plant.time_s, plant.junction.tolist()))
+            else:
+                self.missed_records += 1
+        registers.supervise(plant.time_s, plant.heater_water_C)
+        registers.publish(self._instruments.read(plant), plant.steps)
+
+    # Time by itself: real and scaled modes, and lockstep after its client has gone.
+
+    def run_free(self) -> None:
+        """Start advancing with the clock."""
+        if self._timer is None:
+            loop = asyncio.get_running_loop()
+            self._due = loop.time() + self._wall_period_s
+            self._timer = loop.call_at(self._due, self._tick)
+
+    def hold(self) -> None:
+        """Stop advancing by itself."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _tick(self) -> None:
+        self.cycle()
+        loop = asyncio.get_running_loop()
+        self._due = max(self._due + self._wall_period_s, loop.time() - LARGEST_BACKLOG_S)
+        self._timer = loop.call_at(self._due, self._tick)
+
+    # What the control port asks for.
+
+    def greeting(self) -> str:
+        """First line to a control client."""
+        return f"virtual-rig 1 mode={self.mode} period={self.period_s!r} t={self.plant.time_s:.3f}\n"
+
+    def grant(self) -> str:
+        """One granted period."""
+        if self.mode != "lockstep":
+            return f"error the rig runs in {self.mode} time; steps are granted in lockstep only.\n"
+        self.cycle()
+        return f"t {self.plant.time_s:.3f}\n"
+
+    def congested(self) -> bool:
+        """Lockstep loses no frame: steps wait for the module."""
+        return self.mode == "lockstep" and self.link is not None and not self.link.ready
+
+    def on_link_lost(self) -> None:
+        """A rig without thermometers is no rig."""
+        if not self.stop.is_set():
+            self.ended_because = "lost the thermocouple module"
+            self.stop.set()
+
+    def on_link_ready(self) -> None:
+        """The module caught up."""
+        if self.controller is not None:
+            self.controller.proceed()
+
+    def on_controller(self, connected: bool) -> None:
+        """In lockstep time belongs to the client while there is one; later the watchdog must be able to run out."""
+        if self.mode == "lockstep":
+            if connected:
+                self.hold()
+            elif not self.stop.is_set():
+                self.run_free()
+
+    def quit(self) -> None:
+        """End the process after what is being written."""
+        self.ended_because = "quit"
+        asyncio.get_running_loop().call_later(0.02, self.stop.set)
+
+
+async def run(arguments: argparse.Namespace) -> int:
+    """Serve until told to stop."""
+    effects = load_effects(arguments.effects) if arguments.effects else ()
+    plc = Plc(arguments.mode, arguments.period, arguments.speed, arguments.seed, effects)
+    connections: set[ModbusConnection] = set()
+    modbus = await listen(
+        lambda: ModbusConnection(plc.registers, connections), arguments.host, arguments.modbus_port, "Modbus"
+    )
+    control = await listen(lambda: ControlConnection(plc), arguments.host, arguments.control_port, "control")
+    loop = asyncio.get_running_loop()
+    if arguments.link_fd is not None:
+        wire = socket.socket(fileno=arguments.link_fd)
+        _, plc.link = await loop.create_connection(
+            lambda: link.LinkSender(plc.on_link_ready, plc.on_link_lost), sock=wire
+        )
+    end_with_parent(plc.stop)
+    if plc.mode != "lockstep":
+        plc.run_free()
+    say(event="ready", modbus_port=port_of(modbus), control_port=port_of(control))
+    await plc.stop.wait()
+    plc.hold()
+    modbus.close()
+    control.close()
+    for connection in tuple(connections):
+        connection.close()
+    if plc.controller is not None:
+        plc.controller.close()
+    if plc.link is not None:
+        plc.link.transport.abort()
+    await asyncio.sleep(0)
+    say(event="ended", reason=plc.ended_because, t=plc.plant.time_s, missed_records=plc.missed_records)
+    return 0
+
+
+def main() -> int:
+    """Entry point."""
+    parser = argparse.ArgumentParser(prog="python -m drivers.virtual.plc")
+    parser.add_argument("--mode", choices=MODES, default="real")
+    parser.add_argument("--speed", type=float, default=1.0, help="how many times faster, in scaled mode")
+    parser.add_argument("--period", type=float, default=1.0, help="plant period in s of rig time")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--with", dest="effects", type=Path, help="file of effects")
+    parser.add_argument("--host", default="127.0.0.1")
+    parser.add_argument("--modbus-port", type=int, default=0)
+    parser.add_argument("--control-port", type=int, default=0)
+    parser.add_argument("--link-fd", type=int, help="inherited socket to the thermocouple process")
+    return asyncio.run(run(parser.parse_args()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,63 @@
+"""What both processes of the rig share: listening, readiness lines on stdout, and ending with their parent."""
+
+import asyncio
+import contextlib
+import errno
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+EXIT_PORT_IN_USE = 3
+PARENT_CHECK_S = 1.0
+
+
+def say(**fields: Any) -> None:
+    """One JSON line to the parent."""
+    # A parent that closed its end is noticed by the stdin watch.
+    with contextlib.suppress(OSError):
+        print(json.dumps(fields), flush=True)
+
+
+async def listen(factory: Callable[[], asyncio.BaseProtocol], host: str, port: int, what: str) -> asyncio.Server:
+    """Server on `host:port` (0: any). A port that cannot be had ends the process with one sentence."""
+    try:
+        return await asyncio.get_running_loop().create_server(factory, host, port, reuse_address=True)
+    except OSError as error:
+        reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be opened ({error.strerror or error})"
+        say(event="error", errno=error.errno, port=port, message=f"{what} port {host}:{port} {reason}; choose another.")
+        raise SystemExit(EXIT_PORT_IN_USE) from error
+
+
+def port_of(server: asyncio.Server) -> int:
+    """Port that a server got."""
+    return int(server.sockets[0].getsockname()[1])
+
+
+def end_with_parent(stop: asyncio.Event) -> None:
+    """Set `stop` on SIGTERM or SIGINT, when stdin reaches its end, or when the parent process changed.
+
+    Two nets: stdin is a pipe that a dying parent closes, but other children of the parent may hold it open too.
+    """
+    loop = asyncio.get_running_loop()
+    parent = os.getppid()
+
+    def on_stdin() -> None:
+        if not os.read(sys.stdin.fileno(), 4096):
+            loop.remove_reader(sys.stdin.fileno())
+            stop.set()
+
+    def check() -> None:
+        if os.getppid() != parent:
+            stop.set()
+        elif not stop.is_set():
+            loop.call_later(PARENT_CHECK_S, check)
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop.set)
+    # A file or /dev/null as stdin cannot be watched, and never ends.
+    with contextlib.suppress(PermissionError):
+        loop.add_reader(sys.stdin.fileno(), on_stdin)
+    loop.call_later(PARENT_CHECK_S, check)
