@@ -29,7 +29,7 @@ MAX_LINE = 2000
 EARLY_S = 1e-6
 """A breakpoint this close ahead counts as reached: `tick * period` may round to just below it."""
 
-_WRITTEN_UNITS = {
+WRITTEN_UNITS = {
     "w": "W",
     "watt": "W",
     "watts": "W",
@@ -49,6 +49,7 @@ _WRITTEN_UNITS = {
     "kpa": "kPa",
     "sec": "s",
 }
+"""Unit suffixes as people write them, lower case, and the unit that they mean."""
 _USUAL_UNITS = {"power": "W", "speed": "%", "flow": "L/min"}
 
 
@@ -223,7 +224,7 @@ def _header(place: str, raw: str, unitless: Collection[str]) -> tuple[str, ...]:
 
 def _suffix_problem(column: str) -> str:
     stem, _, tail = column.rpartition("_")
-    if stem and (unit := _WRITTEN_UNITS.get(tail.lower())):
+    if stem and (unit := WRITTEN_UNITS.get(tail.lower())):
         return f"column '{column}' ends in '_{tail}', which is no unit suffix; did you mean {column_name(stem, unit)}?"
     known = ", ".join("_" + suffix for suffix in SUFFIX_OF_UNIT.values() if suffix)
     if unit := _USUAL_UNITS.get(tail):

@@ -9,6 +9,7 @@ turns it into a `Profile`, `picture` draws it.
 
 from __future__ import annotations
 
+import itertools
 import re
 import sys
 import tomllib
@@ -41,7 +42,7 @@ def _from_zero(steps: tuple[tuple[int, float], ...]) -> tuple[tuple[int, float],
     times = [time for time, _ in steps]
     if not times or times[0] != 0:
         raise ValueError("does not begin at 0:00; add the value that holds from the start")
-    for earlier, later in zip(times, times[1:], strict=False):
+    for earlier, later in itertools.pairwise(times):
         if later <= earlier:
             raise ValueError(f"{clock(later)} comes after {clock(earlier)}; sort the steps by time, each time once")
     return steps

@@ -33,7 +33,12 @@ def picture(scenario: Scenario, path: Path, kind: str = "") -> None:
     water = [index for index, system in enumerate(scenario.system) if system.cooling == "water"]
     air = [index for index, system in enumerate(scenario.system) if system.cooling == "air"]
     rows = [("water", 3.2), *([("air", 1.0)] if air else []), *([("drives", 1.2)] if scenario.setpoints else [])]
-    style = {"font.size": 9, "svg.hashsalt": scenario.name, "axes.spines.top": False, "axes.spines.right": False}
+    style: dict[Any, Any] = {
+        "font.size": 9,
+        "svg.hashsalt": scenario.name,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+    }
     style |= {"hatch.linewidth": 0.6, "svg.fonttype": "path", "font.family": "DejaVu Sans"}
     with matplotlib.rc_context(style):
         figure = Figure(figsize=(9.6, 1.1 + 1.05 * sum(height for _, height in rows)), layout="constrained")

@@ -1,0 +1,261 @@
+"""Records: what a rig did, one row a sample, as Parquet or CSV.
+
+The first column is `time_s`, the others are signals with the unit as suffix (`heater_power_W`, `T_tank_C`). Real
+records have gaps, missing values, repeated and out-of-order stamps, irregular rates and columns that nobody asked
+for: `read_record` copes with all of them and says what it met, in `Record.messages`.
+
+`<column>_quality` beside a column tells why its values are missing (`drivers.points.Quality`); `export_record` writes
+such columns only for signals that were ever not good.
+"""
+
+from __future__ import annotations
+
+import datetime
+import difflib
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.points import Quality
+from drivers.units import column_name, split_column
+from hil.atomic import replacing
+from hil.profile import WRITTEN_UNITS
+from hil.record_export import Exported, export_record
+from hil.record_file import RawRecord, RecordError, parse, read_raw
+from hil.record_time import describe_steps, order, read_time, span
+
+__all__ = ["Exported", "Record", "RecordError", "export_record", "read_record", "write_record"]
+
+QUALITY = "_quality"
+"""Ending of a column that holds the quality of the column before it."""
+
+SENTINELS = (-9999.0, -999.0, 32767.0, -32768.0, 327.67, 3276.7)
+"""What loggers write into a temperature when there is none."""
+
+_COMPOUND_SUFFIXES = {"_kg_s": "kg/s", "_m3_h": "m3/h", "_L_min": "L/min", "_l_min": "L/min"}
+_STANDARD_UNITS = {"heater_power": "W", "pump_speed": "%", "fan_speed": "%"}
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Samples at `time_s (n,)`, strictly increasing: `columns` by name, each `(n,)` float64, NaN where missing.
+
+    `quality` holds, for columns that come with one, the reason `(n,)` of what is missing. `start` is the UTC time of
+    0 s where the record tells it. `messages` is what reading met, a sentence each.
+    """
+
+    time_s: NDArray[np.float64]
+    columns: dict[str, NDArray[np.float64]]
+    messages: tuple[str, ...] = ()
+    path: Path | None = None
+    sha256: str = ""
+    quality: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
+    start: datetime.datetime | None = None
+    metadata: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def period_s(self) -> float:
+        """Typical step between samples, s; NaN for a single one."""
+        return float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else float("nan")
+
+    def require(self, *names: str) -> None:
+        """Raise RecordError naming the columns of `names` that are missing or hold no value at all."""
+        problems = []
+        for name in names:
+            if name not in self.columns:
+                near = difflib.get_close_matches(name, self.columns, n=1)
+                problems.append(f"{name} (did you mean {near[0]}?)" if near else name)
+            elif np.isnan(self.columns[name]).all():
+                problems.append(f"{name} (there, but without a value)")
+        if problems:
+            raise RecordError(
+                f"{self.path or 'the record'} lacks {', '.join(problems)}; it has {', '.join(self.columns)}"
+            )
+
+
+def read_record(path: Path) -> Record:
+    """The record in the Parquet or CSV file at `path`, cleaned; raises RecordError where nothing can be done.
+
+    Rows are sorted by time. Of rows with the same stamp one is kept, with each column's last value that is not
+    missing: a logger sends a correction after the original, or one row a device.
+    """
+    raw = read_raw(path)
+    messages = list(raw.messages)
+    axis = read_time(raw)
+    messages += axis.messages
+    rows, moved = order(raw, axis.seconds)
+    messages += moved
+    stamps = axis.seconds[rows]
+    last_of_stamp = np.append(np.flatnonzero(np.diff(stamps) > 0), len(stamps) - 1)
+    time_s = stamps[last_of_stamp]
+    repeats = len(stamps) - len(time_s)
+    if repeats:
+        messages.append(f"{repeats} repeated time stamps: the last value of each column is kept")
+    messages += describe_steps(time_s)
+    columns: dict[str, NDArray[np.float64]] = {}
+    quality: dict[str, NDArray[np.uint8]] = {}
+    unmarked: list[str] = []
+    for name, cells in zip(raw.names, raw.cells, strict=True):
+        if name == axis.column:
+            continue
+        numbers = parse(cells)
+        if numbers is None or numbers.bad > numbers.present / 2:
+            kind = "text" if numbers else str(cells.type)
+            messages.append(f"column '{name}' holds {kind}: dropped")
+            continue
+        if numbers.bad:
+            cells_are = "1 cell is no number" if numbers.bad == 1 else f"{numbers.bad} cells are no numbers"
+            messages.append(
+                f"{name}: {cells_are} (the first, {raw.place(numbers.row)}, is '{numbers.text[:20]}'): missing"
+            )
+        if numbers.commas:
+            messages.append(f"{name}: {numbers.commas} decimal commas read as points")
+        values = numbers.values[rows]
+        if np.isinf(values).any():
+            messages.append(f"{name}: {np.isinf(values).sum()} values are infinite: missing")
+            values[np.isinf(values)] = np.nan
+        if repeats:
+            values = _last_known(values, last_of_stamp)
+        if name.endswith(QUALITY) and name.removesuffix(QUALITY) in raw.names:
+            quality[name.removesuffix(QUALITY)] = np.nan_to_num(values, nan=0.0).astype(np.uint8)
+            continue
+        name, values = _unit(name, values, raw, messages, unmarked)
+        columns[name] = _without_sentinels(name, values, messages)
+    if not columns:
+        raise RecordError(f"{path} has no column of numbers besides {axis.column}; give a record with signals")
+    if unmarked:
+        messages.append(f"no unit suffix: {', '.join(unmarked)} (kept as they are)")
+    messages += _describe_missing(time_s, columns, quality)
+    return Record(time_s, columns, tuple(messages), path, raw.sha256, quality, axis.start, raw.metadata or {})
+
+
+def _last_known(values: NDArray[np.float64], last_of_stamp: NDArray[np.int64]) -> NDArray[np.float64]:
+    known = np.where(np.isnan(values), -1, np.arange(len(values)))
+    latest = np.maximum.accumulate(known)[last_of_stamp]
+    first_of_stamp = np.append(0, last_of_stamp[:-1] + 1)
+    return np.where(latest >= first_of_stamp, values[np.maximum(latest, 0)], np.nan)
+
+
+def _unit(
+    name: str, values: NDArray[np.float64], raw: RawRecord, messages: list[str], unmarked: list[str]
+) -> tuple[str, NDArray[np.float64]]:
+    """`name` and `values` in the contract's unit, where the name says another or writes it otherwise."""
+    written = _rewritten(name)
+    if written and written not in raw.names:
+        if _standard_unit(written) is None:
+            messages.append(f"{name}: its unit would be told from the name {written}; kept as it is")
+            return name, values
+        messages.append(f"column '{name}' is read as {written}")
+        name = written
+    parts = split_column(name)
+    if parts is None:
+        if name not in (raw.units or {}):
+            unmarked.append(name)
+        return name, values
+    signal, unit = parts
+    wanted = _standard_unit(name) or unit
+    if wanted != unit:
+        target = column_name(signal, wanted)
+        convert = {("kW", "W"): (1000.0, 0.0), ("K", "degC"): (1.0, -273.15)}.get((unit, wanted))
+        if convert is None or target in raw.names:
+            messages.append(f"{name} is in {unit} where a record has {target}: kept as it is")
+        else:
+            messages.append(f"{name} is in {unit}: converted to {target}")
+            name, values = target, values * convert[0] + convert[1]
+    middle = np.nanmedian(values) if not np.isnan(values).all() else np.nan
+    if wanted == "degC" and middle > 200:
+        messages.append(f"{name} has a median of {middle:.4g}: is it in kelvin?")
+    if signal in _STANDARD_UNITS and wanted == "%" and 0 < middle <= 1:
+        messages.append(f"{name} has a median of {middle:.4g}: is it a fraction of 1?")
+    return name, values
+
+
+def _standard_unit(column: str) -> str | None:
+    """Unit that the contract gives the signal of `column`, None where it says nothing of it."""
+    signal, _ = split_column(column) or (column, "")
+    return _STANDARD_UNITS.get(signal) or ("degC" if signal.startswith("T_") else None)
+
+
+def _rewritten(name: str) -> str | None:
+    for ending, unit in _COMPOUND_SUFFIXES.items():
+        if name.endswith(ending) and len(name) > len(ending):
+            return column_name(name.removesuffix(ending), unit)
+    stem, _, tail = name.rpartition("_")
+    if split_column(name) is None and stem and tail.lower() in WRITTEN_UNITS:
+        return column_name(stem, WRITTEN_UNITS[tail.lower()])
+    return None
+
+
+def _without_sentinels(name: str, values: NDArray[np.float64], messages: list[str]) -> NDArray[np.float64]:
+    if not (name.startswith("T_") and name.endswith("_C")):
+        return values
+    marks = np.isin(values, SENTINELS) | np.isin(values, np.array(SENTINELS, dtype=np.float32))
+    if marks.any():
+        messages.append(f"{name}: {marks.sum()} values are {values[marks][0]:g}, a mark for no measurement: missing")
+        values = np.where(marks, np.nan, values)
+    elif len(values) > 100 and np.ptp(values) == 0:
+        messages.append(f"{name} is {values[0]:g} throughout: is the channel dead?")
+    return values
+
+
+def _describe_missing(
+    time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]], quality: Mapping[str, NDArray[np.uint8]]
+) -> list[str]:
+    alike: dict[bytes, list[str]] = defaultdict(list)
+    for name, values in columns.items():
+        alike[np.packbits(np.isnan(values)).tobytes()].append(name)
+    messages = []
+    for names in alike.values():
+        missing = np.isnan(columns[names[0]])
+        count = int(missing.sum())
+        if not count:
+            continue
+        who = ", ".join(names)
+        if count == len(time_s):
+            messages.append(f"{who}: no value at all")
+            continue
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.int8), [0]])))
+        starts, ends = edges[::2], edges[1::2]
+        longest = int(np.argmax(ends - starts))
+        reasons = _reasons([quality[name][missing] for name in names if name in quality])
+        each = " each" if len(names) > 1 else ""
+        messages.append(
+            f"{who}: {count} of {len(time_s)} values missing{each}{reasons}, the longest stretch "
+            f"{ends[longest] - starts[longest]} samples at {span(time_s[starts[longest]])}"
+        )
+    return messages
+
+
+def _reasons(codes: list[NDArray[np.uint8]]) -> str:
+    if not codes:
+        return ""
+    known = {member.value: member.name.lower().replace("_", " ") for member in Quality if member is not Quality.GOOD}
+    found = [known[code] for code in np.unique(np.concatenate(codes)).tolist() if code in known]
+    return f" ({', '.join(found)})" if found else ""
+
+
+def write_record(record: Record, path: Path) -> None:
+    """Write `record` to `path`, Parquet or CSV by its suffix, atomically; every number reads back exactly."""
+    import pyarrow as pa
+    import pyarrow.csv as pacsv
+    import pyarrow.parquet as pq
+
+    arrays = {"time_s": pa.array(record.time_s)}
+    # A missing value is null, not NaN, so that a CSV has an empty cell and Parquet's statistics stay usable.
+    for name, values in record.columns.items():
+        arrays[name] = pa.array(values, mask=np.isnan(values))
+    for name, codes in record.quality.items():
+        arrays[name + QUALITY] = pa.array(codes)
+    table = pa.table(arrays)
+    if path.suffix not in (".parquet", ".csv"):
+        raise RecordError(f"{path} has suffix '{path.suffix}'; a record is written as .parquet or .csv")
+    with replacing(path) as unfinished:
+        if path.suffix == ".csv":
+            options = pacsv.WriteOptions(quoting_style="none")
+            pacsv.write_csv(table, unfinished, options)
+        else:
+            pq.write_table(table.replace_schema_metadata(record.metadata), unfinished, compression="zstd")

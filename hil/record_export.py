@@ -1,0 +1,100 @@
+"""The record of a run, made from its journal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.points import Quality
+from hil.atomic import replacing
+from hil.journal import JournalReader
+
+PAGE = 16_384
+"""Ticks read from the journal at a time: the rows of SQLite are Python objects, many times the size of the arrays."""
+
+_KIND_ORDER = {"measured": 0, "setpoint": 1, "status": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written: rows, columns besides `time_s`, bytes, and the signals that were not always good."""
+
+    path: Path
+    rows: int
+    columns: int
+    size: int
+    not_always_good: tuple[str, ...]
+
+
+def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | None = None) -> Exported:
+    """Write the record `parquet` from the run's `journal`, atomically.
+
+    Columns: `time_s`, then measured signals, set-points and status signals in the rig's order, float64. A value whose
+    quality is not GOOD becomes missing (the journal keeps what was received) and the signal gets a column
+    `<column>_quality`, uint8, at the end. The unit, kind, role and bus of each column go into its field's metadata;
+    `metadata` (run uid, hashes, ...), as JSON, into the schema's under `hil`, with the journal's own header. Without
+    `metadata` the `run.json` beside the journal is taken, where there is one.
+
+    Raises JournalError for an unreadable journal, OSError for an unwritable target.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    reader = JournalReader(journal)
+    try:
+        header = reader.header
+        time_s, values, quality = _all_samples(reader)
+    finally:
+        reader.close()
+    if metadata is None:
+        manifest = journal.with_name("run.json")
+        metadata = json.loads(manifest.read_text(encoding="utf-8")) if manifest.is_file() else {}
+    about = {"profile": header.profile, "period_s": header.period_s, "noise_K": header.noise_K, "run": dict(metadata)}
+    order = sorted(range(len(header.signals)), key=lambda index: _KIND_ORDER[header.signals[index].kind])
+    fields = [pa.field("time_s", pa.float64(), nullable=False, metadata={"unit": "s"})]
+    arrays = [pa.array(time_s)]
+    doubtful = []
+    for index in order:
+        signal = header.signals[index]
+        told = {"unit": signal.unit, "kind": signal.kind, "role": signal.role or "", "bus": signal.bus}
+        fields.append(pa.field(signal.column, pa.float64(), metadata=told))
+        bad = quality[:, index] != Quality.GOOD
+        arrays.append(pa.array(values[:, index], mask=bad | np.isnan(values[:, index])))
+        if bad.any():
+            doubtful.append(index)
+    for index in doubtful:
+        codes = ", ".join(f"{member.value} {member.name}" for member in Quality)
+        fields.append(pa.field(header.signals[index].column + "_quality", pa.uint8(), metadata={"codes": codes}))
+        arrays.append(pa.array(quality[:, index]))
+    schema = pa.schema(fields, metadata={"hil": json.dumps(about, default=str)})
+    with replacing(parquet) as unfinished:
+        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), unfinished, compression="zstd")
+    return Exported(
+        parquet,
+        len(time_s),
+        len(arrays) - 1,
+        parquet.stat().st_size,
+        tuple(header.signals[index].column for index in doubtful),
+    )
+
+
+def _all_samples(
+    reader: JournalReader,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
+    """`time_s (n,)`, `values (n, k)` and `quality (n, k)` of the whole journal."""
+    pages = []
+    after = -1
+    while True:
+        page = reader.samples(after_tick=after, limit=PAGE)
+        pages.append((page.time_s, page.values, page.quality))
+        if len(page.tick) < PAGE:
+            break
+        after = int(page.tick[-1])
+    time_s, values, quality = (np.concatenate(parts) for parts in zip(*pages, strict=True))
+    return time_s, values, quality
