@@ -1,0 +1,231 @@
+"""Fit a twin to a healthy record: the values from which everything later is judged.
+
+The last part of the record, by time, is split off before the fit and never seen by it; the errors quoted are
+of a free run through the whole record, read off over that part. Standard errors are widened for the fact that
+residuals are not white: by their size against the declared noise and by their autocorrelation time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.gauss_newton import Data, Fit, Prior, Scaling, descend
+from twin.kernel import Kernel, clean_time, held, masked
+from twin.network import Array, Network, Revision, TwinFileError
+
+FIRST_SAMPLES = 30
+CANNOT_TELL = 0.5
+"""A parameter whose posterior is wider than this share of its prior was not told by the record."""
+SE90 = 1.6449
+
+
+@dataclass(frozen=True)
+class Commission:
+    """A commissioned twin and how far to believe it. Per-parameter mappings go by parameter id.
+
+    Attributes:
+        network: the new revision, with its parent and errors entered; save it under a new name.
+        values, start: fitted and initial values. standard_error, interval90: same units.
+        cannot_tell: parameters that the record does not determine; their values come from the prior.
+        at_bound: parameters that ended on a bound.
+        rmse_before, rmse_after, rmse_fitted: K per sensor; the first two free-running over `held_out_s`,
+            the last over the part that was fitted. NaN for a sensor without a measurement there.
+        condition: condition number of the data's correlation matrix of the tunables.
+        state: (k,) initial state. evaluations: linearisations over all starts.
+    """
+
+    network: Network
+    values: Mapping[str, float]
+    start: Mapping[str, float]
+    standard_error: Mapping[str, float]
+    interval90: Mapping[str, tuple[float, float]]
+    cannot_tell: tuple[str, ...]
+    at_bound: tuple[str, ...]
+    rmse_before: Mapping[str, float]
+    rmse_after: Mapping[str, float]
+    rmse_fitted: Mapping[str, float]
+    held_out_s: tuple[float, float]
+    condition: float
+    state: Array
+    evaluations: int
+    notes: tuple[str, ...] = field(default=())
+
+
+def commission(
+    network: Network,
+    time_s: ArrayLike,
+    inputs: ArrayLike,
+    measured: ArrayLike,
+    *,
+    tunables: str | Iterable[str] | None = "commission",
+    held_out: float = 0.2,
+    starts: int = 4,
+    seed: int = 0,
+    made_by: str = "commission",
+) -> Commission:
+    """Fit the tunables and the initial state to a healthy record.
+
+    Args:
+        network: the twin as it is; it stays untouched.
+        time_s: (N,) s, not decreasing.
+        inputs: (N, c) in the order of ``network.input_columns``; NaN holds the last good value.
+        measured: (N, m) degC in the order of ``network.sensor_names``; NaN is masked.
+        tunables: name of a set of the twin, ids, or None for every parameter of status tunable. A twin
+            without a set "commission" uses the latter.
+        held_out: share of the record's time, at its end, kept out of the fit.
+        starts: descents from different points: the twin's own values, then random ones by `seed`.
+
+    Raises:
+        TwinFileError: time goes back, too few samples, no finite measurement, unknown tunables.
+    """
+    if tunables == "commission" and "commission" not in network.sets:
+        tunables = None
+    ids = network.tunables(tunables)
+    if not ids:
+        raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
+    if not 0.05 <= held_out <= 0.5:
+        raise TwinFileError(f"held_out must be between 0.05 and 0.5, got {held_out:g}")
+    t, u = clean_time(time_s), held(network, inputs)
+    y, weight = masked(measured, network.sigma)
+    if not len(t) == len(u) == len(y):
+        raise TwinFileError(f"time, inputs and measured differ in length: {len(t)}, {len(u)}, {len(y)}")
+    if len(t) < 100 or t[-1] - t[0] < network.rules.window_s:
+        raise TwinFileError(
+            f"the record has {len(t)} samples over {t[-1] - t[0] if len(t) else 0:.0f} s; commissioning needs at "
+            f"least 100 samples over {network.rules.window_s:.0f} s"
+        )
+    split_s = t[0] + (1.0 - held_out) * (t[-1] - t[0])
+    split = int(np.searchsorted(t, split_s))
+    if not (weight[:split] > 0.0).any() or not (weight[split:] > 0.0).any():
+        raise TwinFileError("the record has no finite measurement in its fitted or in its held-out part")
+
+    kernel, scaling = Kernel(network, ids), Scaling.of(network, ids)
+    raw = np.where(weight > 0.0, y, np.nan)
+    state0 = network.initial_state(raw[:FIRST_SAMPLES])
+    start = network.values[scaling.index]
+    data = Data(t[:split], u[:split], y[:split], weight[:split])
+    prior = weak_prior(scaling, start, state0)
+    rng = np.random.default_rng(seed)
+    fits: list[Fit] = []
+    for k in range(max(starts, 1)):
+        z = scaling.to_z(start) + (rng.normal(0.0, scaling.prior_sd()) if k else 0.0)
+        fits.append(descend(kernel, scaling, network.values, data, scaling.to_values(z), state0, prior))
+    best = min(fits, key=lambda f: f.cost)
+
+    def free_run(values: Array, state: Array) -> Array:
+        full = network.values.copy()
+        full[scaling.index] = values
+        return kernel.trace(full, state, t, u)[0][0]
+
+    before, after = free_run(start, state0), free_run(best.values, best.state)
+    residual = np.where(weight > 0.0, after - y, np.nan)
+    stale = np.where(weight > 0.0, before - y, np.nan)
+    inflation = _inflation(residual[:split], network.sigma)
+    covariance = np.linalg.inv(best.normal / inflation + prior.precision)
+    spread = np.sqrt(np.diag(covariance)[: len(ids)])
+    told = spread / scaling.prior_sd() < CANNOT_TELL
+    low, high = (scaling.to_values(scaling.to_z(best.values) + s * SE90 * spread) for s in (-1.0, 1.0))
+    names = network.sensor_names
+    errors = [dict(zip(names, rmse(r), strict=True)) for r in (stale[split:], residual[split:], residual[:split])]
+    notes = _notes(network, ids, fits, best, told, u[:split], inflation)
+    values = dict(zip(ids, best.values.tolist(), strict=True))
+    revision = Revision(
+        number=network.revision.number + 1,
+        parent=network.digest,
+        made_by=made_by,
+        window_s=(float(t[0]), float(t[split - 1])),
+        error_before_K={k: v for k, v in errors[0].items() if np.isfinite(v)},
+        error_after_K={k: v for k, v in errors[1].items() if np.isfinite(v)},
+        notes=tuple(notes),
+    )
+    return Commission(
+        network=network.with_values(values, revision),
+        values=values,
+        start=dict(zip(ids, start.tolist(), strict=True)),
+        standard_error=dict(zip(ids, (spread * scaling.slope(best.values)).tolist(), strict=True)),
+        interval90={name: (float(a), float(b)) for name, a, b in zip(ids, low, high, strict=True)},
+        cannot_tell=tuple(name for name, ok in zip(ids, told, strict=True) if not ok),
+        at_bound=tuple(name for name, hit in zip(ids, best.at_bound, strict=True) if hit),
+        rmse_before=errors[0],
+        rmse_after=errors[1],
+        rmse_fitted=errors[2],
+        held_out_s=(float(t[split]), float(t[-1])),
+        condition=_condition(best.normal[: len(ids), : len(ids)]),
+        state=best.state,
+        evaluations=sum(f.evaluations for f in fits),
+        notes=tuple(notes),
+    )
+
+
+def weak_prior(scaling: Scaling, values: Array, state: Array, state_sd: float = 5.0) -> Prior:
+    """Prior centred on `values` (q,) and `state` (k,), as wide as `Scaling.prior_sd` and `state_sd` K."""
+    sd = np.concatenate([scaling.prior_sd(), np.full(state.size, state_sd)])
+    return Prior(np.concatenate([scaling.to_z(values), state]), np.diag(sd**-2.0))
+
+
+def rmse(residual: Array) -> list[float]:
+    """Root mean square of each column over its finite entries; NaN for a column without any."""
+    good = np.isfinite(residual)
+    total = np.where(good, residual, 0.0)
+    count = good.sum(axis=0)
+    mean = np.where(count > 0, (total**2).sum(axis=0) / np.maximum(count, 1), np.nan)
+    return [float(v) for v in np.sqrt(mean)]
+
+
+def _inflation(residual: Array, sigma: Array) -> float:
+    """How many declared-noise samples one sample of these residuals is worth, at least 1.
+
+    The product of reduced chi-square and autocorrelation time (initial positive sequence, Geyer 1992), the
+    worst sensor counting.
+    """
+    worst = 1.0
+    for j in range(residual.shape[1]):
+        r = residual[np.isfinite(residual[:, j]), j]
+        if r.size < 50:
+            continue
+        chi = float(np.mean(r**2) / sigma[j] ** 2)
+        r = r - r.mean()
+        spectrum = np.abs(np.fft.rfft(r, 2 * r.size)) ** 2
+        correlation = np.fft.irfft(spectrum)[: r.size // 2]
+        correlation = correlation / max(correlation[0], 1e-300)
+        negative = np.flatnonzero(correlation < 0.05)
+        until = int(negative[0]) if negative.size else correlation.size
+        worst = max(worst, chi * (1.0 + 2.0 * float(correlation[1:until].sum())))
+    return worst
+
+
+def _condition(normal: Array) -> float:
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    values = np.linalg.eigvalsh(normal / np.outer(scale, scale))
+    return float(values[-1] / max(values[0], 1e-16))
+
+
+def _notes(
+    network: Network,
+    ids: tuple[str, ...],
+    fits: list[Fit],
+    best: Fit,
+    told: np.ndarray,
+    inputs: Array,
+    inflation: float,
+) -> list[str]:
+    notes = []
+    agree = sum(f.cost < best.cost * 1.001 for f in fits)
+    if agree < len(fits):
+        notes.append(f"{agree} of {len(fits)} starts reached the best fit; the others ended above it")
+    constant = [c for c, column in zip(network.input_columns, inputs.T, strict=True) if np.ptp(column) == 0.0]
+    if constant:
+        notes.append(f"{', '.join(constant)} did not vary in the record, so their effects cannot be told apart")
+    untold = [name for name, ok in zip(ids, told, strict=True) if not ok]
+    if untold:
+        notes.append(f"the record cannot tell {', '.join(untold)}; their values lean on the twin file")
+    bound = [name for name, hit in zip(ids, best.at_bound, strict=True) if hit]
+    if bound:
+        notes.append(f"{', '.join(bound)} ended on a bound; the model may lack an effect")
+    if inflation > 100.0:
+        notes.append(f"residuals are far from white (intervals widened {np.sqrt(inflation):.0f} times)")
+    return notes

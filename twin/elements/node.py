@@ -1,0 +1,31 @@
+"""A lumped mass: the only kind that stores heat.
+
+    C dT/dt = sum of the heat flows into the node
+
+Source: left side of eq. 1 of Energies 2026, 19, 2452; C is the "effective thermal capacitance" of its Table 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from twin.elements.base import Element, Fragment, Names, ParameterSpec
+
+
+@dataclass(frozen=True)
+class Node(Element):
+    """A volume at one temperature, named like the element itself."""
+
+    kind: ClassVar[str] = "node"
+    parameters: ClassVar[tuple[ParameterSpec, ...]] = (
+        ParameterSpec(
+            "capacitance", "J/K", None, 10.0, 1.0e7, "fixed", "mass times specific heat of water and solid"
+        ),
+    )
+
+    def nodes(self) -> tuple[str, ...]:
+        return (self.name,)
+
+    def emit(self, n: Names) -> Fragment:
+        return Fragment()

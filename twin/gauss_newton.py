@@ -1,0 +1,193 @@
+"""Bounded Gauss-Newton with Levenberg damping on the lane-difference normal equations.
+
+Positive parameters whose bounds span a decade or more are varied in their logarithm, the others in fractions
+of their range, the initial state in kelvin. Bounds are handled by an active set: a variable that sits on a
+bound and is pushed outward leaves the step. The Gaussian prior keeps directions that the data cannot tell
+where they were, and its share in the answer is what names them.
+
+Source: Nocedal & Wright, Numerical Optimization, 2nd ed., secs. 10.3 and 16.7; Nielsen, IMM-REP-1999-05 for
+the damping.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.codegen import LANES
+from twin.kernel import GaussNewton, Kernel
+from twin.network import Array, Network, TwinFileError
+
+PRIOR_LOG = 0.5
+"""Prior standard deviation of a parameter varied in its logarithm: a factor of 1.65 either way."""
+PRIOR_RANGE = 0.25
+"""Prior standard deviation of a parameter varied linearly, as a fraction of its range."""
+_STEP = 1.0e-5
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Between physical values and the optimiser's variables z, for the named parameters (q,)."""
+
+    ids: tuple[str, ...]
+    index: np.ndarray
+    log: np.ndarray
+    offset: Array
+    width: Array
+    lower: Array
+    upper: Array
+
+    @classmethod
+    def of(cls, network: Network, ids: tuple[str, ...]) -> Scaling:
+        low, high = network.bounds(ids)
+        if (high <= low).any():
+            name = ids[int(np.argmax(high <= low))]
+            raise TwinFileError(f"{name} has no room between its bounds; take it out of the tunables")
+        log = (low > 0.0) & (high >= 10.0 * np.maximum(low, 1e-300))
+        offset, width = np.where(log, 0.0, low), np.where(log, 1.0, high - low)
+        self = cls(ids, network.index(ids), log, offset, width, low, high)
+        return self
+
+    def to_z(self, values: Array) -> Array:
+        """Physical (..., q) to z."""
+        safe = np.where(self.log, np.maximum(values, 1e-300), 1.0)
+        z: Array = np.where(self.log, np.log(safe), (values - self.offset) / self.width)
+        return z
+
+    def to_values(self, z: Array) -> Array:
+        """z (..., q) to physical, inside the bounds to the last bit."""
+        values = np.where(self.log, np.exp(np.where(self.log, z, 0.0)), self.offset + self.width * z)
+        clipped: Array = np.clip(values, self.lower, self.upper)
+        return clipped
+
+    def slope(self, values: Array) -> Array:
+        """d value / d z at `values` (q,)."""
+        return np.where(self.log, values, self.width)
+
+    def prior_sd(self) -> Array:
+        return np.where(self.log, PRIOR_LOG, PRIOR_RANGE)
+
+
+@dataclass(frozen=True)
+class Data:
+    """One record or window, cleaned: time (n,), inputs (n, c), measured and weight (n, m)."""
+
+    time: Array
+    inputs: Array
+    measured: Array
+    weight: Array
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Gaussian prior of [parameters z, state K]: mean (q + k,), precision (q + k, q + k)."""
+
+    mean: Array
+    precision: Array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of one descent.
+
+    Attributes:
+        values: physical (q,). state: (k,) at the first sample. end: (k,) at the last.
+        normal: (q + k, q + k) J'J of the data alone, in z and K.
+        cost: weighted squares plus prior. sse: (m,) weighted squares per sensor.
+        at_bound: (q,) bool. evaluations: linearisations made.
+    """
+
+    values: Array
+    state: Array
+    end: Array
+    normal: Array
+    cost: float
+    sse: Array
+    at_bound: np.ndarray
+    evaluations: int
+
+
+def descend(
+    kernel: Kernel,
+    scaling: Scaling,
+    base: Array,
+    data: Data,
+    values: Array,
+    state: Array,
+    prior: Prior,
+    most: int = 40,
+    tolerance: float = 1e-6,
+) -> Fit:
+    """Minimise weighted squares plus prior over the scaled parameters and the initial state.
+
+    Args:
+        base: full parameter vector (p,); entries of `scaling.index` are replaced.
+        values, state: where to start, (q,) and (k,).
+    """
+    q, k = len(scaling.ids), state.size
+    if q + k >= LANES:
+        raise TwinFileError(f"{q} tunables and {k} nodes are too many for one fit; at most {LANES - 1} together")
+    low = np.concatenate([scaling.to_z(scaling.lower), np.full(k, -np.inf)])
+    high = np.concatenate([scaling.to_z(scaling.upper), np.full(k, np.inf)])
+
+    def evaluate(v: Array) -> tuple[float, GaussNewton]:
+        steps = np.concatenate([np.full(q, _STEP), np.full(k, 1e-2)])
+        steps = np.where(v + steps > high, -steps, steps)
+        rows = v + np.vstack([np.zeros(q + k), np.diag(steps)])
+        full = np.tile(base, (1 + q + k, 1))
+        full[:, scaling.index] = scaling.to_values(rows[:, :q])
+        out = kernel.linearise(full, rows[:, q:], steps, data.time, data.inputs, data.measured, data.weight)
+        away = v - prior.mean
+        return float(out.sse.sum() + away @ prior.precision @ away), out
+
+    v = np.clip(np.concatenate([scaling.to_z(values), state]), low, high)
+    cost, out = evaluate(v)
+    evaluations, damping, growth = 1, 1e-3, 2.0
+    while evaluations < most:
+        hessian = out.jtj + prior.precision
+        gradient = out.jtr + prior.precision @ (v - prior.mean)
+        free = ~(((v <= low) & (gradient > 0.0)) | ((v >= high) & (gradient < 0.0)))
+        step = _bounded_step(hessian, gradient, free, damping, low - v, high - v)
+        predicted = -(2.0 * gradient @ step + step @ hessian @ step)
+        if predicted <= tolerance * max(cost, 1e-300) * 1e-2 or not np.isfinite(predicted):
+            break
+        trial = v + step
+        new_cost, new_out = evaluate(trial)
+        evaluations += 1
+        ratio = (cost - new_cost) / predicted
+        if new_cost < cost:
+            done = cost - new_cost < tolerance * cost
+            v, cost, out = trial, new_cost, new_out
+            damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 2.0
+            if done and ratio > 0.1:
+                break
+        else:
+            damping, growth = damping * growth, growth * 2.0
+            if damping > 1e12:
+                break
+    at_bound = (v[:q] <= low[:q] + 1e-9) | (v[:q] >= high[:q] - 1e-9)
+    return Fit(
+        scaling.to_values(v[:q]), v[q:].copy(), out.end, out.jtj, cost, out.sse, at_bound, evaluations
+    )
+
+
+def _bounded_step(
+    hessian: Array, gradient: Array, free: np.ndarray, damping: float, low: Array, high: Array
+) -> Array:
+    """Damped step inside [low, high]; variables that would leave are put on the bound and solved around."""
+    step = np.zeros_like(gradient)
+    free = free.copy()
+    for _ in range(gradient.size):
+        if not free.any():
+            break
+        h = hessian[np.ix_(free, free)]
+        pull = gradient[free] + hessian[np.ix_(free, ~free)] @ step[~free]
+        scale = damping * np.maximum(np.diag(h), 1e-12 * max(np.diag(h).max(), 1e-300))
+        step[free] = -np.linalg.solve(h + np.diag(scale), pull)
+        out = free & ((step < low) | (step > high))
+        if not out.any():
+            break
+        step[out] = np.clip(step[out], low[out], high[out])
+        free &= ~out
+    return np.clip(step, low, high)

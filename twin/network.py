@@ -1,0 +1,284 @@
+"""A twin: nodes and elements with their parameters, frozen once it is known to make sense."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin.elements import Element, Parameter
+from twin.elements.node import Node
+from twin.elements.sensor import Sensor
+
+Array = NDArray[np.float64]
+
+
+class TwinFileError(ValueError):
+    """A twin file or a change to a twin that cannot be used; the message is one plain sentence."""
+
+
+@dataclass(frozen=True)
+class InputSpec:
+    """A driver column: its value until the first good sample, and the range it is declared for."""
+
+    column: str
+    nominal: float
+    lower: float
+    upper: float
+    unit: str = ""
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class TunableSet:
+    """A named vector of tunables, with the swarm's normalised units where the file gives them.
+
+    physical value = scale * normalised position. ``initial`` is the range of normalised positions in which a
+    swarm starts, ``bounds`` the box in normalised units.
+    """
+
+    name: str
+    members: tuple[str, ...]
+    scale: tuple[float, ...]
+    initial: tuple[tuple[float, float], ...]
+    bounds: tuple[float, float] | None = None
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class WindowRules:
+    """When a window is complete and what it is called (see docs/decisions/0003)."""
+
+    window_s: float = 600.0
+    first_s: float = 60.0
+    calibrated_K: float = 0.1
+    large_K: float = 0.5
+
+
+@dataclass(frozen=True)
+class Revision:
+    """Where a twin file comes from. ``parent`` is the SHA-256 of the file it was made from."""
+
+    number: int = 0
+    parent: str = ""
+    made_by: str = ""
+    window_s: tuple[float, float] | None = None
+    error_before_K: Mapping[str, float] = field(default_factory=dict)
+    error_after_K: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Network:
+    """A validated thermal network. Build it with `load` or `parse` of `twin.twinfile`, never by hand.
+
+    Attributes:
+        elements: every element, nodes first, in file order.
+        parameters: id ("element.parameter") -> Parameter, in element order.
+        inputs: input column -> InputSpec.
+        sets: name -> TunableSet.
+        digest: SHA-256 of the file's text, "" for a network that was not read from a file.
+    """
+
+    name: str
+    title: str
+    elements: tuple[Element, ...]
+    parameters: Mapping[str, Parameter]
+    inputs: Mapping[str, InputSpec]
+    sets: Mapping[str, TunableSet]
+    rules: WindowRules = WindowRules()
+    revision: Revision = Revision()
+    digest: str = ""
+
+    @cached_property
+    def nodes(self) -> tuple[str, ...]:
+        """Node names; the order of every state vector."""
+        return tuple(e.name for e in self.elements if isinstance(e, Node))
+
+    @cached_property
+    def sensors(self) -> tuple[Sensor, ...]:
+        return tuple(e for e in self.elements if isinstance(e, Sensor))
+
+    @cached_property
+    def sensor_names(self) -> tuple[str, ...]:
+        """Order of every measured array."""
+        return tuple(s.name for s in self.sensors)
+
+    @cached_property
+    def input_columns(self) -> tuple[str, ...]:
+        """Order of every input array."""
+        return tuple(self.inputs)
+
+    @cached_property
+    def sensor_columns(self) -> Mapping[str, tuple[str, ...]]:
+        """Sensor -> the measured columns whose mean it is."""
+        return MappingProxyType({s.name: s.measured for s in self.sensors})
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Noise of each sensor (m,), K: that of one thermometer over the root of how many are averaged."""
+        return np.array(
+            [self.parameters[f"{s.name}.sigma"].value / np.sqrt(len(s.measured)) for s in self.sensors]
+        )
+
+    @cached_property
+    def ids(self) -> tuple[str, ...]:
+        """Parameter ids; the order of every full parameter vector."""
+        return tuple(self.parameters)
+
+    @cached_property
+    def values(self) -> Array:
+        """Full parameter vector (p,) in the parameters' own units."""
+        values = np.array([p.value for p in self.parameters.values()])
+        values.flags.writeable = False
+        return values
+
+    @cached_property
+    def nominal_inputs(self) -> Array:
+        return np.array([spec.nominal for spec in self.inputs.values()])
+
+    def index(self, ids: Iterable[str]) -> NDArray[np.intp]:
+        """Positions of parameter ids in the full vector.
+
+        Raises:
+            TwinFileError: an id is unknown.
+        """
+        where = {name: k for k, name in enumerate(self.ids)}
+        wanted = list(ids)
+        for name in wanted:
+            if name not in where:
+                raise TwinFileError(f"twin {self.name!r} has no parameter {name!r}{did_you_mean(name, where)}")
+        return np.array([where[name] for name in wanted], dtype=np.intp)
+
+    def tunables(self, which: str | Iterable[str] | None = None) -> tuple[str, ...]:
+        """Parameter ids of a named set, of a list of ids, or (None) all of status tunable.
+
+        Raises:
+            TwinFileError: no such set or parameter.
+        """
+        if which is None:
+            return tuple(p.id for p in self.parameters.values() if p.status == "tunable")
+        if isinstance(which, str):
+            if which not in self.sets:
+                known = ", ".join(self.sets) or "none"
+                raise TwinFileError(f"twin {self.name!r} has no set of tunables {which!r}; it has: {known}")
+            return self.sets[which].members
+        ids = tuple(which)
+        self.index(ids)
+        return ids
+
+    def bounds(self, ids: Iterable[str]) -> tuple[Array, Array]:
+        """Lower and upper physical bounds of the named parameters, each (k,)."""
+        chosen = [self.parameters[name] for name in ids]
+        return np.array([p.lower for p in chosen]), np.array([p.upper for p in chosen])
+
+    def with_values(self, values: Mapping[str, float], revision: Revision | None = None) -> Network:
+        """The same network with other parameter values: a new object, this one stays as it is.
+
+        Raises:
+            TwinFileError: unknown id, or a value that is not finite or out of bounds.
+        """
+        self.index(values)
+        changed = dict(self.parameters)
+        for name, value in values.items():
+            p = changed[name]
+            if not p.lower <= value <= p.upper:
+                raise TwinFileError(
+                    f"{name} = {value:g} {p.unit} is outside [{p.lower:g}, {p.upper:g}] of twin {self.name!r}"
+                )
+            changed[name] = replace(p, value=float(value))
+        return replace(
+            self, parameters=MappingProxyType(changed), revision=revision or self.revision, digest=""
+        )
+
+    def select(self, columns: Mapping[str, ArrayLike]) -> tuple[Array, Array]:
+        """Inputs (N, k) and measured (N, m) out of a record's columns.
+
+        A sensor of several thermometers is the mean of those that are finite at that sample. NaN and infinite
+        values stay NaN: the simulation holds the last good input, the fit masks the measurement.
+
+        Raises:
+            TwinFileError: an input column is missing, all thermometers of a sensor are missing, or columns
+                differ in length.
+        """
+        missing = [c for c in self.input_columns if c not in columns]
+        missing += [c for s in self.sensors for c in s.measured if not any(x in columns for x in s.measured)]
+        if missing:
+            raise TwinFileError(
+                f"the record lacks {', '.join(missing)}, which twin {self.name!r} needs; "
+                f"rename the columns of the record or the keys of the twin file"
+            )
+        taken: dict[str, Array] = {}
+        for c in (*self.input_columns, *(c for s in self.sensors for c in s.measured if c in columns)):
+            taken[c] = np.asarray(columns[c], dtype=np.float64)
+        if len({a.shape for a in taken.values()}) > 1:
+            lengths = ", ".join(f"{c}: {a.size}" for c, a in taken.items())
+            raise TwinFileError(f"the columns of the record differ in length ({lengths})")
+        inputs = _finite(np.column_stack([taken[c] for c in self.input_columns]))
+        measured = [
+            _mean_of_finite(_finite(np.column_stack([taken[c] for c in s.measured if c in taken])))
+            for s in self.sensors
+        ]
+        return inputs, np.column_stack(measured)
+
+    def initial_state(self, measured: ArrayLike) -> Array:
+        """State (k,) at the first sample: the mean of each node's finite readings in the rows of `measured`.
+
+        Args:
+            measured: (n, m) or (m,), degC. A few rows at the start of a record.
+
+        A node without a finite reading gets the mean of the others; without any, the nominal room
+        temperature (20 degC where the twin has no such input).
+        """
+        rows = np.atleast_2d(np.asarray(measured, dtype=np.float64))
+        per_sensor = _mean_of_finite(_finite(rows).T)
+        state = np.full(len(self.nodes), np.nan)
+        for j, sensor in enumerate(self.sensors):
+            k = self.nodes.index(sensor.node)
+            if np.isfinite(per_sensor[j]) and np.isnan(state[k]):
+                state[k] = per_sensor[j]
+        known = state[np.isfinite(state)]
+        fallback = known.mean() if known.size else self._room()
+        return np.where(np.isfinite(state), state, fallback)
+
+    def _room(self) -> float:
+        for column, spec in self.inputs.items():
+            if column.startswith("T_amb"):
+                return spec.nominal
+        return 20.0
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """ "; did you mean 'x'?" for the nearest known word, or an empty string."""
+    import difflib
+
+    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def digest(text: str) -> str:
+    """SHA-256 of a twin file's text, hexadecimal."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _finite(a: Array) -> Array:
+    return np.where(np.isfinite(a), a, np.nan)
+
+
+def _mean_of_finite(a: Array) -> Array:
+    """Row means over finite entries, NaN for a row without any (np.nanmean warns there)."""
+    good = np.isfinite(a)
+    count = good.sum(axis=1)
+    total = np.where(good, a, 0.0).sum(axis=1)
+    mean: Array = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return mean
+
+
+def frozen_mapping(items: Mapping[str, Any]) -> Mapping[str, Any]:
+    return MappingProxyType(dict(items))

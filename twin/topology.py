@@ -1,0 +1,62 @@
+"""What a network must be before it may be simulated: connected, closed, and read by at least one sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from twin.elements import Element
+from twin.elements.flow import Flow
+from twin.elements.node import Node
+from twin.elements.sensor import Sensor
+from twin.network import did_you_mean
+
+
+def check_topology(
+    elements: tuple[Element, ...], most_nodes: int, fail: Callable[[str, str], object]
+) -> None:
+    """Check how elements hang together; `fail(element name, sentence)` is called for the first problem."""
+    nodes = [e.name for e in elements if isinstance(e, Node)]
+    if not nodes:
+        fail("", "there is no node; add an element of kind 'node'")
+    if len(nodes) > most_nodes:
+        fail(nodes[most_nodes], f"there are {len(nodes)} nodes; the kernel takes at most {most_nodes}")
+    for element in elements:
+        for node in element.nodes():
+            if node not in nodes:
+                fail(element.name, f"no such node {node!r}{did_you_mean(node, nodes)}")
+    flows = [e for e in elements if isinstance(e, Flow)]
+    fed: dict[str, str] = {}
+    for flow in flows:
+        for node in flow.path:
+            if node in fed:
+                fail(flow.name, f"node {node!r} is already fed by {fed[node]!r}; two flows need a mixer")
+            fed[node] = flow.name
+    _all_reachable(elements, nodes, fail)
+    sensors = [e for e in elements if isinstance(e, Sensor)]
+    if not sensors:
+        fail("", "there is no sensor; add an element of kind 'sensor'")
+    read: dict[str, str] = {}
+    for sensor in sensors:
+        for column in sensor.measured:
+            if column in read:
+                fail(sensor.name, f"column {column!r} is already read by sensor {read[column]!r}")
+            read[column] = sensor.name
+
+
+def _all_reachable(
+    elements: tuple[Element, ...], nodes: list[str], fail: Callable[[str, str], object]
+) -> None:
+    neighbours: dict[str, set[str]] = {node: set() for node in nodes}
+    for element in elements:
+        if not isinstance(element, Sensor):
+            touched = element.nodes()
+            for node in touched:
+                neighbours[node].update(touched)
+    seen, frontier = {nodes[0]}, [nodes[0]]
+    while frontier:
+        for node in neighbours[frontier.pop()] - seen:
+            seen.add(node)
+            frontier.append(node)
+    for node in nodes:
+        if node not in seen:
+            fail(node, f"no heat can reach this node from {nodes[0]!r}; put it on a flow path or add a conduction")

@@ -1,0 +1,398 @@
+"""Twin files: TOML text to a validated `Network` and back. Every complaint is one plain sentence."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+from twin.elements import KINDS, Element, Parameter, ParameterSpec
+from twin.elements.base import STATUSES
+from twin.network import (
+    InputSpec,
+    Network,
+    Revision,
+    TunableSet,
+    TwinFileError,
+    WindowRules,
+    did_you_mean,
+    digest,
+    frozen_mapping,
+)
+from twin.topology import check_topology
+
+TOP = ("format", "name", "title", "inputs", "elements", "sets", "windows", "revision")
+FORMAT = 1
+MOST_NODES = 32
+
+
+def load(path: str | Path) -> Network:
+    """Read a twin file.
+
+    Raises:
+        TwinFileError: the file is absent, is not TOML, or describes a network that cannot be.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise TwinFileError(f"{path}: cannot be read ({error.strerror}); give the path of a twin file") from None
+    except UnicodeDecodeError:
+        raise TwinFileError(f"{path}: is not UTF-8 text; save the twin file as UTF-8") from None
+    return parse(text, str(path))
+
+
+def parse(text: str, file: str = "twin file") -> Network:
+    """Turn the text of a twin file into a network; `file` names it in messages.
+
+    Raises:
+        TwinFileError: as `load`.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise TwinFileError(f"{file}: is not valid TOML: {error}") from None
+    return _Reader(text, file).network(data)
+
+
+@dataclass(frozen=True)
+class _Reader:
+    text: str
+    file: str
+
+    def fail(self, keys: tuple[str, ...], sentence: str) -> NoReturn:
+        line = _line_of(self.text, keys)
+        where = f"{self.file}, line {line}" if line else self.file
+        raise TwinFileError(f"{where}: {'.'.join(keys)}: {sentence}" if keys else f"{where}: {sentence}")
+
+    def known(self, table: Mapping[str, Any], allowed: Iterable[str], keys: tuple[str, ...]) -> None:
+        allowed = tuple(allowed)
+        for key in table:
+            if key not in allowed:
+                hint = did_you_mean(key, allowed) or f"; known keys: {', '.join(allowed)}"
+                self.fail((*keys, key), f"unknown key{hint}")
+
+    def table(self, value: Any, keys: tuple[str, ...]) -> dict[str, Any]:
+        if not isinstance(value, dict):
+            self.fail(keys, "must be a table")
+        return value
+
+    def number(self, value: Any, keys: tuple[str, ...]) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            self.fail(keys, f"must be a finite number, not {value!r}")
+        return float(value)
+
+    def string(self, value: Any, keys: tuple[str, ...]) -> str:
+        if not isinstance(value, str):
+            self.fail(keys, f"must be text in quotes, not {value!r}")
+        return value
+
+    def pair(self, value: Any, keys: tuple[str, ...]) -> tuple[float, float]:
+        if not isinstance(value, list) or len(value) != 2:
+            self.fail(keys, "must be a list of two numbers, [lower, upper]")
+        low, high = (self.number(v, keys) for v in value)
+        if not low < high:
+            self.fail(keys, f"the first number must be below the second, got [{low:g}, {high:g}]")
+        return low, high
+
+    def network(self, data: dict[str, Any]) -> Network:
+        self.known(data, TOP, ())
+        if data.get("format") != FORMAT:
+            self.fail(("format",), f"must be {FORMAT}, got {data.get('format')!r}; this is the format of the file")
+        for key in ("name", "inputs", "elements"):
+            if key not in data:
+                self.fail((), f"the key {key!r} is missing; add it")
+        inputs = {
+            column: self.input(column, spec) for column, spec in self.table(data["inputs"], ("inputs",)).items()
+        }
+        parameters: dict[str, Parameter] = {}
+        elements: list[Element] = []
+        for name, spec in self.table(data["elements"], ("elements",)).items():
+            element, own = self.element(name, self.table(spec, ("elements", name)), inputs)
+            elements.append(element)
+            parameters.update({p.id: p for p in own})
+        elements.sort(key=lambda e: e.kind != "node")
+        parameters = {
+            p.id: p for e in elements for p in parameters.values() if p.element == e.name
+        }
+        check_topology(tuple(elements), MOST_NODES, lambda name, what: self.fail(("elements", name), what))
+        sets = {
+            name: self.tunable_set(name, self.table(spec, ("sets", name)), parameters)
+            for name, spec in self.table(data.get("sets", {}), ("sets",)).items()
+        }
+        return Network(
+            name=self.string(data["name"], ("name",)),
+            title=self.string(data.get("title", ""), ("title",)),
+            elements=tuple(elements),
+            parameters=frozen_mapping(parameters),
+            inputs=frozen_mapping(inputs),
+            sets=frozen_mapping(sets),
+            rules=self.windows(self.table(data.get("windows", {}), ("windows",))),
+            revision=self.revision(self.table(data.get("revision", {}), ("revision",))),
+            digest=digest(self.text),
+        )
+
+    def input(self, column: str, spec: Any) -> InputSpec:
+        keys = ("inputs", column)
+        table = self.table(spec, keys)
+        self.known(table, ("nominal", "lower", "upper", "unit", "source"), keys)
+        values = {}
+        for key, default in (("nominal", None), ("lower", -math.inf), ("upper", math.inf)):
+            if key in table:
+                values[key] = self.number(table[key], (*keys, key))
+            elif default is None:
+                self.fail(keys, "nominal is missing; give the value to assume until the first good sample")
+            else:
+                values[key] = default
+        if not values["lower"] <= values["nominal"] <= values["upper"]:
+            self.fail(keys, f"nominal {values['nominal']:g} is outside [{values['lower']:g}, {values['upper']:g}]")
+        unit = self.string(table.get("unit", ""), (*keys, "unit"))
+        return InputSpec(column=column, unit=unit, source=str(table.get("source", "")), **values)
+
+    def element(
+        self, name: str, table: dict[str, Any], inputs: Mapping[str, InputSpec]
+    ) -> tuple[Element, list[Parameter]]:
+        keys = ("elements", name)
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            self.fail(keys, "a name must be letters, digits and underscores, starting with a letter")
+        kind = table.get("kind")
+        if kind not in KINDS:
+            hint = did_you_mean(str(kind), KINDS) or f"; known kinds: {', '.join(sorted(KINDS))}"
+            self.fail((*keys, "kind") if kind is not None else keys, f"unknown kind {kind!r}{hint}")
+        cls = KINDS[kind]
+        fields: dict[str, Any] = {}
+        for key, field in cls.places().items():
+            if key in table:
+                fields[field.name] = self.place(table[key], field.metadata, (*keys, key), inputs)
+            elif not _has_default(field):
+                self.fail(keys, f"{key} is missing; give {field.metadata['about']}")
+            elif field.metadata["role"] == "input" and field.default and field.default not in inputs:
+                self.fail(keys, f"needs the input {field.default!r}; declare it under inputs or set {key}")
+        element = cls(name=name, **fields)
+        specs = {spec.name: spec for spec in element.parameter_specs()}
+        self.known(table, ("kind", *cls.places(), *specs), keys)
+        own = [self.parameter(element, spec, table.get(spec.name), keys) for spec in specs.values()]
+        problem = element.problem({p.name: p.value for p in own})
+        if problem:
+            self.fail(keys, problem)
+        return element, own
+
+    def place(
+        self, value: Any, meta: Mapping[str, Any], keys: tuple[str, ...], inputs: Mapping[str, InputSpec]
+    ) -> str | tuple[str, ...]:
+        if meta["role"] in ("nodes", "columns"):
+            if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
+                self.fail(keys, f"must be a list of names: {meta['about']}")
+            return tuple(value)
+        text = self.string(value, keys)
+        if meta["role"] == "input" and text not in inputs:
+            hint = did_you_mean(text, inputs) or "; declare it under inputs"
+            self.fail(keys, f"no such input {text!r}{hint}")
+        if meta["role"] == "choice" and text not in meta["choices"]:
+            self.fail(keys, f"{text!r} is not one of {', '.join(meta['choices'])}")
+        return text
+
+    def parameter(self, element: Element, spec: ParameterSpec, given: Any, keys: tuple[str, ...]) -> Parameter:
+        keys = (*keys, spec.name)
+        table = given if isinstance(given, dict) else {} if given is None else {"value": given}
+        self.known(table, ("value", "lower", "upper", "unit", "status", "source"), keys)
+        if "value" in table:
+            value = self.number(table["value"], keys)
+        elif spec.default is not None:
+            value = spec.default
+        else:
+            self.fail(keys[:-1], f"{spec.name} is missing; give a value in {spec.unit}")
+        unit = self.string(table.get("unit", spec.unit), keys)
+        if unit != spec.unit:
+            self.fail(keys, f"unit {unit!r} is not {spec.unit!r}; convert the value")
+        lower = self.number(table.get("lower", spec.lower), keys)
+        upper = self.number(table.get("upper", spec.upper), keys)
+        if lower < spec.lower or upper > spec.upper or lower > upper:
+            self.fail(
+                keys,
+                f"bounds [{lower:g}, {upper:g}] {unit} must lie in order inside [{spec.lower:g}, {spec.upper:g}]",
+            )
+        if not lower <= value <= upper:
+            self.fail(keys, f"{value:g} {unit} is outside its bounds [{lower:g}, {upper:g}]; correct one of them")
+        status = table.get("status", spec.status)
+        if status not in STATUSES:
+            self.fail(keys, f"status {status!r} is not one of {', '.join(STATUSES)}")
+        return Parameter(
+            id=f"{element.name}.{spec.name}",
+            element=element.name,
+            name=spec.name,
+            value=value,
+            unit=unit,
+            lower=lower,
+            upper=upper,
+            status=status,
+            source=self.string(table.get("source", spec.source), keys),
+        )
+
+    def tunable_set(self, name: str, table: dict[str, Any], parameters: Mapping[str, Parameter]) -> TunableSet:
+        keys = ("sets", name)
+        self.known(table, ("members", "bounds", "source"), keys)
+        members = table.get("members")
+        if not isinstance(members, list) or not members:
+            self.fail(keys, "members is missing; list the parameters of the set")
+        ids: list[str] = []
+        scale: list[float] = []
+        initial: list[tuple[float, float]] = []
+        for member in members:
+            entry = {"parameter": member} if isinstance(member, str) else self.table(member, keys)
+            self.known(entry, ("parameter", "scale", "initial"), keys)
+            wanted = entry.get("parameter")
+            if wanted not in parameters:
+                self.fail(keys, f"no parameter {wanted!r}{did_you_mean(str(wanted), parameters)}")
+            if wanted in ids:
+                self.fail(keys, f"{wanted} is listed twice")
+            p = parameters[wanted]
+            ids.append(wanted)
+            scale.append(self.number(entry.get("scale", 1.0), keys))
+            if scale[-1] <= 0.0:
+                self.fail(keys, f"scale of {wanted} must be positive")
+            default = [p.lower / scale[-1], p.upper / scale[-1]]
+            initial.append(self.pair(entry.get("initial", default), keys))
+        bounds = self.pair(table["bounds"], keys) if "bounds" in table else None
+        source = self.string(table.get("source", ""), keys)
+        return TunableSet(name, tuple(ids), tuple(scale), tuple(initial), bounds, source)
+
+    def windows(self, table: dict[str, Any]) -> WindowRules:
+        allowed = tuple(WindowRules.__dataclass_fields__)
+        self.known(table, allowed, ("windows",))
+        values = {key: self.number(value, ("windows", key)) for key, value in table.items()}
+        for key, value in values.items():
+            if value <= 0.0:
+                self.fail(("windows", key), f"must be positive, got {value:g}")
+        rules = WindowRules(**values)
+        if rules.first_s >= rules.window_s or rules.calibrated_K > rules.large_K:
+            self.fail(("windows",), "first_s must be below window_s, and calibrated_K not above large_K")
+        return rules
+
+    def revision(self, table: dict[str, Any]) -> Revision:
+        keys = ("revision",)
+        allowed = ("number", "parent", "made_by", "window_s", "error_before_K", "error_after_K", "notes")
+        self.known(table, allowed, keys)
+        number = table.get("number", 0)
+        if not isinstance(number, int) or number < 0:
+            self.fail((*keys, "number"), f"must be a whole number from 0 on, not {number!r}")
+        notes = table.get("notes", [])
+        if not isinstance(notes, list) or not all(isinstance(n, str) for n in notes):
+            self.fail((*keys, "notes"), "must be a list of sentences in quotes")
+        errors = {
+            key: {s: self.number(v, (*keys, key)) for s, v in self.table(table.get(key, {}), (*keys, key)).items()}
+            for key in ("error_before_K", "error_after_K")
+        }
+        return Revision(
+            number=number,
+            parent=self.string(table.get("parent", ""), (*keys, "parent")),
+            made_by=self.string(table.get("made_by", ""), (*keys, "made_by")),
+            window_s=self.pair(table["window_s"], (*keys, "window_s")) if "window_s" in table else None,
+            error_before_K=frozen_mapping(errors["error_before_K"]),
+            error_after_K=frozen_mapping(errors["error_after_K"]),
+            notes=tuple(notes),
+        )
+
+
+def _has_default(field: Any) -> bool:
+    import dataclasses
+
+    return field.default is not dataclasses.MISSING
+
+
+def _line_of(text: str, keys: tuple[str, ...]) -> int | None:
+    """Line (from 1) of the deepest of `keys` that can be found, or None. A guess good enough to point at."""
+    best: int | None = None
+    table: tuple[str, ...] = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        header = re.match(r"\s*\[+\s*([^\]]+?)\s*\]+\s*(#.*)?$", line)
+        if header:
+            table = tuple(part.strip().strip("\"'") for part in header.group(1).split("."))
+            path = table
+        else:
+            pair = re.match(r"\s*([A-Za-z0-9_.\"'-]+)\s*=", line)
+            if not pair:
+                continue
+            path = (*table, *(part.strip("\"'") for part in pair.group(1).split(".")))
+        if path == keys:
+            return number
+        if path == keys[: len(path)] and len(path) == len(keys) - 1:
+            best = number
+    return best
+
+
+def save(network: Network, path: str | Path) -> Path:
+    """Write a network as a new twin file; an existing file is never overwritten.
+
+    Raises:
+        TwinFileError: the path exists or cannot be written.
+    """
+    path = Path(path)
+    try:
+        with path.open("x", encoding="utf-8") as handle:
+            handle.write(dump(network))
+    except FileExistsError:
+        raise TwinFileError(f"{path}: exists already; a twin is never overwritten, give a new name") from None
+    except OSError as error:
+        raise TwinFileError(f"{path}: cannot be written ({error.strerror})") from None
+    return path
+
+
+def dump(network: Network) -> str:
+    """Text of a twin file that `parse` turns into the same network."""
+    lines = [f"format = {FORMAT}", f"name = {_toml(network.name)}", f"title = {_toml(network.title)}"]
+    lines += ["", "[inputs]"]
+    for column, spec in network.inputs.items():
+        entry = {"nominal": spec.nominal, "lower": spec.lower, "upper": spec.upper}
+        kept: dict[str, Any] = {k: v for k, v in entry.items() if math.isfinite(v)}
+        kept |= {k: v for k, v in (("unit", spec.unit), ("source", spec.source)) if v}
+        lines.append(f"{column} = {_toml(kept)}")
+    for element in network.elements:
+        lines += ["", f"[elements.{element.name}]", f"kind = {_toml(element.kind)}"]
+        for key, field in element.places().items():
+            value = getattr(element, field.name)
+            if value != "":
+                lines.append(f"{key} = {_toml(value)}")
+        for spec in element.parameter_specs():
+            p = network.parameters[f"{element.name}.{spec.name}"]
+            keys = ("value", "lower", "upper", "unit", "status", "source")
+            lines.append(f"{spec.name} = {_toml({k: getattr(p, k) for k in keys})}")
+    rules = network.rules
+    lines += ["", "[windows]"]
+    lines += [f"{key} = {_toml(getattr(rules, key))}" for key in rules.__dataclass_fields__]
+    for chosen in network.sets.values():
+        lines += ["", f"[sets.{chosen.name}]"]
+        if chosen.source:
+            lines.append(f"source = {_toml(chosen.source)}")
+        if chosen.bounds:
+            lines.append(f"bounds = {_toml(chosen.bounds)}")
+        lines.append("members = [")
+        for name, scale, initial in zip(chosen.members, chosen.scale, chosen.initial, strict=True):
+            lines.append(f"    {_toml({'parameter': name, 'scale': scale, 'initial': initial})},")
+        lines.append("]")
+    revision = network.revision
+    lines += ["", "[revision]", f"number = {revision.number}"]
+    for key in ("parent", "made_by", "window_s", "error_before_K", "error_after_K", "notes"):
+        value = getattr(revision, key)
+        if value:
+            lines.append(f"{key} = {_toml(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return repr(value)
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return '"' + "".join(c if c >= " " else f"\\u{ord(c):04x}" for c in escaped) + '"'
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
+    return "[" + ", ".join(_toml(v) for v in value) + "]"
