@@ -193,7 +193,7 @@ class Engine:
                     self._journal.write(self._tick, time_s, name, value, "profile")
                 if time_s < profile.duration_s:
                     clock.release()
-            self._record(snapshot, time_s, began)
+            self._record(snapshot, time_s, now, began)
             await self._publish_if_due()
             if trip is not None:
                 return trip
@@ -207,11 +207,11 @@ class Engine:
         except LinkError as error:
             self._journal.event(self._tick, self._tick * self._clock.period_s, "WARN", str(error))
 
-    def _record(self, snapshot: Snapshot, time_s: float, began: float) -> None:
+    def _record(self, snapshot: Snapshot, time_s: float, now_s: float, began: float) -> None:
         commanded = [self._setpoints.values[point.name] for point in self._rig.setpoints]
         values = snapshot.values + commanded
         quality = snapshot.quality + [int(Quality.GOOD)] * len(commanded)
-        source = snapshot.source_time_s + [self._clock.now()] * len(commanded)
+        source = snapshot.source_time_s + [now_s] * len(commanded)
         latency = time.perf_counter() - began
         self._journal.sample(self._tick, time_s, time.time(), latency, values, quality, source)
         self._journal.commit_if_due()

@@ -1,0 +1,200 @@
+"""The report of a run: one HTML file that needs nothing else, made from the journal and `run.json`."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.points import Quality
+from hil.atomic import replacing
+from hil.journal import JournalReader, Samples
+from hil.run_folder import RunFolder
+
+COLOURS = {"measured": "#30343a", "static": "#e07b1f"}
+_TRACKED = ("#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b")
+_STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
+h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem } img { width: 100% }
+table { border-collapse: collapse } td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: right }
+td:first-child, th:first-child { text-align: left } .ERROR { color: #b3261e } .WARN { color: #9a6700 }
+p.note { color: #5b636b; font-size: .9rem }
+"""
+
+
+def measured_sensors(reader: JournalReader, samples: Samples) -> dict[str, NDArray[np.float64]]:
+    """Each twin sensor's measured value in degC, shape (n,): mean of its good columns, NaN where none is good."""
+    index = {signal.column: position for position, signal in enumerate(reader.header.signals)}
+    good = np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
+    found = {}
+    for sensor, columns in reader.header.twin_sensors.items():
+        block = good[:, [index[column] for column in columns]]
+        count = np.isfinite(block).sum(axis=1)
+        total = np.nansum(block, axis=1)
+        found[sensor] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return found
+
+
+def write_report(folder: RunFolder) -> None:
+    """Write `report.html` of a finished run; raises JournalError or RunFolderError where there is none."""
+    manifest = folder.read_manifest()
+    reader = JournalReader(folder.journal)
+    try:
+        samples = reader.samples()
+        twins = {name: reader.twin_outputs(name).values for name in reader.header.twin_names}
+        twins = {name: values for name, values in twins.items() if len(values) == len(samples.tick)}
+        body = [
+            _summary(manifest),
+            _error_table(manifest),
+            _pictures(reader, samples, twins),
+            _calibrations(reader),
+            _timing(manifest, reader),
+            _events(reader),
+            _provenance(manifest),
+        ]
+    finally:
+        reader.close()
+    title = html.escape(folder.path.name)
+    page = f"<!doctype html><meta charset=utf-8><title>{title}</title><style>{_STYLE}</style><h1>{title}</h1>"
+    with replacing(folder.report) as temporary:
+        temporary.write_text(page + "\n".join(body), encoding="utf-8")
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
+    lines = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<table><tr>{top}</tr>{lines}</table>"
+
+
+def _summary(manifest: dict[str, Any]) -> str:
+    reason = f": {html.escape(manifest['reason'])}" if manifest["reason"] else ""
+    safe = "The heater was left at its safe value, read back." if manifest.get("safe") else "NOT confirmed safe."
+    problems = "".join(f"<p class=WARN>{html.escape(problem)}</p>" for problem in manifest.get("problems", []))
+    return f"<p><b>{manifest['exit_status']}</b>{reason}. {safe}</p>{problems}"
+
+
+def _error_table(manifest: dict[str, Any]) -> str:
+    errors = manifest.get("errors_K")
+    if not errors:
+        return ""
+    rows = [
+        [sensor, *(f"{cell:.3f}" for cell in cells), f"{errors['noise_K'].get(sensor, float('nan')):.3f}"]
+        for sensor, cells in errors["rows"].items()
+    ]
+    note = (
+        "static: as commissioned. ahead: predicted with the parameters of earlier windows, before the data came. "
+        "fitted: the same window after its calibration."
+    )
+    head = ["sensor", *errors["columns"], "noise"]
+    return f"<h2>RMSE in K</h2>{_table(head, rows)}<p class=note>{note}</p>"
+
+
+def _pictures(reader: JournalReader, samples: Samples, twins: dict[str, NDArray[np.float64]]) -> str:
+    if not reader.header.twin_sensors or len(samples.tick) < 2:
+        return ""
+    from matplotlib.figure import Figure
+
+    measured = measured_sensors(reader, samples)
+    hours = samples.time_s / 3600
+    step = max(1, len(hours) // 4000)
+    figure = Figure(figsize=(11, 2.6 * len(measured) + 2.2), layout="constrained")
+    rows = figure.subplots(len(measured) + 1, 1, sharex=True)
+    for position, (sensor, values) in enumerate(measured.items()):
+        axes = rows[position]
+        axes.plot(hours[::step], values[::step], color=COLOURS["measured"], linewidth=0.8, label="measured")
+        for number, (name, outputs) in enumerate(twins.items()):
+            colour = COLOURS.get(name, _TRACKED[(number - 1) % len(_TRACKED)])
+            axes.plot(hours[::step], outputs[::step, position], color=colour, linewidth=1.0, label=name)
+        axes.set_ylabel(f"{sensor.removesuffix('_C')} / °C")
+        axes.grid(alpha=0.25)
+    rows[0].legend(loc="upper right", ncols=4, frameon=False)
+    power = next((i for i, s in enumerate(reader.header.signals) if s.role == "heater_power"), None)
+    if power is not None:
+        rows[-1].plot(hours[::step], samples.values[::step, power], color="#a8322a", linewidth=0.8)
+        rows[-1].set_ylabel("heater / W")
+    rows[-1].set_xlabel("time / h")
+    rows[-1].grid(alpha=0.25)
+    residual = _residuals(hours, measured, twins)
+    return f"<h2>Measured against twin</h2>{_embedded(figure)}<h2>Residual, means of five minutes</h2>{residual}"
+
+
+def _residuals(
+    hours: NDArray[np.float64], measured: dict[str, NDArray[np.float64]], twins: dict[str, NDArray[np.float64]]
+) -> str:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 1.7 * len(measured) + 0.5), layout="constrained")
+    rows = np.atleast_1d(figure.subplots(len(measured), 1, sharex=True))
+    width = max(1, round(300 / (3600 * (hours[1] - hours[0]))))
+    count = len(hours) // width * width
+    middle = hours[:count].reshape(-1, width).mean(axis=1)
+    for position, (sensor, values) in enumerate(measured.items()):
+        axes = rows[position]
+        for number, (name, outputs) in enumerate(twins.items()):
+            difference = (values - outputs[:, position])[:count].reshape(-1, width)
+            finite = np.isfinite(difference)
+            mean = np.where(finite, difference, 0.0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
+            colour = COLOURS.get(name, _TRACKED[(number - 1) % len(_TRACKED)])
+            axes.plot(middle, np.where(finite.any(axis=1), mean, np.nan), color=colour, linewidth=0.9, label=name)
+        axes.axhline(0, color="#30343a", linewidth=0.6)
+        axes.set_ylabel(f"{sensor.removesuffix('_C')} / K")
+        axes.grid(alpha=0.25)
+    rows[0].legend(loc="upper right", ncols=4, frameon=False)
+    rows[-1].set_xlabel("time / h")
+    return _embedded(figure)
+
+
+def _embedded(figure: Any) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'
+
+
+def _calibrations(reader: JournalReader) -> str:
+    kinds: dict[str, dict[str, int]] = {}
+    for row in reader.calibrations():
+        kind = str(row.document.get("kind", "window"))
+        counts = kinds.setdefault(row.calibrator, {})
+        counts[kind] = counts.get(kind, 0) + 1
+        counts["flagged calibrated"] = counts.get("flagged calibrated", 0) + bool(row.document.get("calibrated"))
+    if not kinds:
+        return ""
+    rows = [[name, ", ".join(f"{count} {kind}" for kind, count in counts.items())] for name, counts in kinds.items()]
+    return f"<h2>Windows</h2>{_table(['calibrator', 'windows'], rows)}"
+
+
+def _timing(manifest: dict[str, Any], reader: JournalReader) -> str:
+    latency = reader.latencies() * 1e3
+    if not len(latency):
+        return ""
+    p50, p99 = np.percentile(latency, [50, 99])
+    header = reader.header
+    factor = len(latency) * header.period_s / manifest["wall_s"] if manifest.get("wall_s") else float("nan")
+    rows = [
+        ["ticks", f"{len(latency)}"],
+        ["work in a tick, median / 99 % / longest", f"{p50:.2f} / {p99:.2f} / {latency.max():.2f} ms"],
+        ["ticks that began late", f"{manifest.get('overruns', 0)}"],
+        ["times real time", f"{factor:.1f}"],
+    ]
+    return f"<h2>Timing</h2>{_table(['', ''], rows)}"
+
+
+def _events(reader: JournalReader) -> str:
+    lines = [
+        f"<tr class={row.level}><td>{row.time_s / 3600:.3f} h</td><td>{row.level}</td>"
+        f"<td style='text-align:left'>{html.escape(row.text)}</td></tr>"
+        for row in reader.events()
+    ]
+    return f"<h2>Events</h2><table>{''.join(lines)}</table>"
+
+
+def _provenance(manifest: dict[str, Any]) -> str:
+    rows = [["run", manifest["uid"]], ["started", manifest["started"]], ["host", manifest["host"]]]
+    rows += [[name, f"{item['path']}  sha256 {item['sha256'][:16]}"] for name, item in manifest["files"].items()]
+    rows += [[name, version] for name, version in manifest["versions"].items()]
+    rows += [[name, str(value)] for name, value in manifest["settings"].items()]
+    return f"<h2>Provenance</h2>{_table(['', ''], rows)}"
