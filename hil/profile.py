@@ -273,6 +273,8 @@ def validate(
             "extend its last row or repeat it"
         )
     problems += _rows_between_ticks(profile, source, period_s)
+    if (profile.values[-1] != profile.values[-2]).any():
+        notes.append(f"{profile.place(len(profile.time_s) - 1)} is the end of {source}: its new values are not reached")
     units_of = {(split_column(column) or (column, "1"))[0]: column for column in limits}
     meant: set[str] = set()
     for index, column in enumerate(profile.columns):
@@ -338,7 +340,7 @@ def _check_column(
             )
     if limit.max_rate_per_s is None:
         return
-    change = np.flatnonzero(np.diff(values)) + 1
+    change = np.flatnonzero(np.diff(values[:-1])) + 1
     needed_s = np.abs(values[change] - values[change - 1]) / limit.max_rate_per_s
     held_s = np.diff(profile.time_s[np.append(change, len(values) - 1)])
     too_steep = np.flatnonzero(needed_s > held_s + EARLY_S)

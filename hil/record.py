@@ -214,7 +214,7 @@ def _describe_missing(
         count = int(missing.sum())
         if not count:
             continue
-        who = ", ".join(names)
+        who = ", ".join(names) if len(names) < 6 else f"{', '.join(names[:3])} and {len(names) - 3} others"
         if count == len(time_s):
             messages.append(f"{who}: no value at all")
             continue
