@@ -5,8 +5,8 @@ tank wall); every solid loses heat to the room. Sections follow the water:
 
     tank -> pipe_to_heater -> heater -> pipe_to_modules -> pm1 .. pm6 -> pipe_to_radiator -> radiator -> pipe_to_tank
 
-Units: L, kg, J/K, W/K, s. Scalar constants of the physics stand in `plant_kernel`. The rig is fictitious, scaled after Energies 2026, 19, 2452, section 2.2 (37.85 L tank,
-3.785 L/min, six cold plates in series, three-fan radiator).
+Units: L, kg, J/K, W/K, s. Scalar constants of the physics stand in `plant_kernel`. The rig is fictitious, scaled
+after Energies 2026, 19, 2452, section 2.2 (37.85 L tank, 3.785 L/min, six cold plates in series, three-fan radiator).
 """
 
 from typing import NamedTuple
@@ -127,8 +127,13 @@ def build_cells() -> Cells:
             column.extend((total * shares * relative).tolist())
         index.extend([number] * section.cells)
     first = np.cumsum([0] + [section.cells for section in SECTIONS[:-1]])
+    water, solid, film, film_floor, outer = (np.array(column) for column in columns)
     return Cells(
-        *(np.array(column) for column in columns),
+        water_kg=water,
+        solid_J_per_K=solid,
+        film=film,
+        film_floor=film_floor,
+        outer=outer,
         section=np.array(index, dtype=np.int64),
         film_exponent=np.array([section.film_exponent for section in SECTIONS]),
         first_cell=first.astype(np.int64),

@@ -161,7 +161,7 @@ class ModbusConnection(asyncio.Protocol):
         if self._rest:
             data = self._rest + data
         end, at = len(data), 0
-        answers = []
+        answers: list[bytes] = []
         while end - at >= 8:
             transaction, protocol, length, device, function = _HEAD.unpack_from(data, at)
             if not 2 <= length <= _PDU_LIMIT + 1 or protocol != 0:

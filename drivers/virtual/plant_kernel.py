@@ -30,7 +30,7 @@ ELEMENT_FILM_FLOOR = 9.0
 ELEMENT_FILM_EXPONENT = 0.45
 """The electric element, spread over the heater's cells."""
 HEATER_LAG_S = 1.8
-HEATER_DROOP = 0.012
+HEATER_DROOP = 0.004
 """Relative loss of power at 1000 W: the element's resistance rises."""
 
 NOMINAL_FLOW_L_PER_MIN = 3.785

@@ -168,7 +168,7 @@ async def start_virtual_rig(
         load_effects(effects)
     common = ["--seed", str(seed), "--host", host]
     if effects is not None:
-        common += ["--with", str(effects.resolve())]
+        common += ["--with", str(effects)]
     near, far = socket.socketpair()
     children: list[_Child] = []
     try:
