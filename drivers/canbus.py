@@ -183,7 +183,9 @@ class CanReceiver:
             assert self._bus is not None
             began = time.monotonic()
             try:
-                frame = self._bus.recv(RECEIVE_TIMEOUT_S)
+                # recv() itself spins through its whole time-out on a closed socketcand connection and hides the end;
+                # the one call that every interface implements comes back at once
+                frame, _ = self._bus._recv_internal(RECEIVE_TIMEOUT_S)
             except (can.CanError, OSError, ValueError) as error:
                 self._lost(f"{self._where}: {error}")
                 continue

@@ -29,6 +29,17 @@ SUFFIX_OF_UNIT: dict[str, str] = {
     "1": "",
 }
 _ALIASES = {"°C": "degC", "C": "degC", "l/min": "L/min", "LPM": "L/min", "pct": "%", "-": "1", "": "1"}
+_SPELT_OUT = {
+    "watt": "W",
+    "kilowatt": "kW",
+    "percent": "%",
+    "celsiu": "degC",
+    "kelvin": "K",
+    "lpm": "L/min",
+    "second": "s",
+    "volt": "V",
+    "amp": "A",
+}
 
 
 def canonical_unit(unit: str) -> str:
@@ -36,7 +47,8 @@ def canonical_unit(unit: str) -> str:
     symbol = _ALIASES.get(unit, unit)
     if symbol in SUFFIX_OF_UNIT:
         return symbol
-    near = difflib.get_close_matches(unit, SUFFIX_OF_UNIT, n=1, cutoff=0.3)
+    longhand = unit.lower().rstrip("s")
+    near = [_SPELT_OUT[longhand]] if longhand in _SPELT_OUT else difflib.get_close_matches(unit, SUFFIX_OF_UNIT, n=1)
     hint = f"did you mean {near[0]}?" if near else f"the known ones are {', '.join(SUFFIX_OF_UNIT)}"
     raise ValueError(f"unit {unit!r} is not known; {hint}")
 
