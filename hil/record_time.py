@@ -120,7 +120,7 @@ def _seconds(cells: Any, scale: float) -> tuple[NDArray[np.float64] | None, date
     if numbers is None:
         return None, None, ""
     if numbers.bad > numbers.present / 2:
-        micros = pa.array([_iso_microseconds(cell) for cell in cells.to_pylist()], pa.int64())
+        micros = pa.chunked_array([[_iso_microseconds(cell) for cell in cells.to_pylist()]], pa.int64())
         if micros.null_count == len(micros):
             return None, None, ""
         seconds, origin = _whole_numbers(micros, 1e-6)
