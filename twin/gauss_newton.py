@@ -191,3 +191,23 @@ def _bounded_step(
         step[out] = np.clip(step[out], low[out], high[out])
         free &= ~out
     return np.clip(step, low, high)
+
+
+def align(kernel: Kernel, base: Array, state: Array, data: Data, sd: Array | float, most: int = 3) -> Array:
+    """Initial state (k,) that fits `data` at fixed parameters, with a prior of `sd` K round `state`.
+
+    One step is exact for a linear network; the others are for elements that are not.
+    """
+    k = state.size
+    weight = np.broadcast_to(np.asarray(sd, dtype=np.float64), (k,)) ** -2.0
+    steps = np.full(k, 1e-2)
+    best = state.copy()
+    for _ in range(most):
+        rows = best + np.vstack([np.zeros(k), np.diag(steps)])
+        full = np.tile(base, (1 + k, 1))
+        out = kernel.linearise(full, rows, steps, data.time, data.inputs, data.measured, data.weight)
+        step = np.linalg.solve(out.jtj + np.diag(weight), -out.jtr - weight * (best - state))
+        best = best + step
+        if np.abs(step).max() < 1e-6:
+            break
+    return best

@@ -117,7 +117,7 @@ class Kernel:
         return GaussNewton(inner, gram[0, 0, 1:count] / steps, sse[0], end[0, :, 0].copy())
 
     def _base(self, parameters: Array) -> Array:
-        return np.ascontiguousarray(np.atleast_2d(parameters)[0])
+        return np.array(np.atleast_2d(parameters)[0])
 
     def _blocks(self, parameters: Array, state: Array) -> tuple[Array, Array, int]:
         """Particles laid out in blocks of lanes; a last partial block repeats its final particle."""

@@ -1,0 +1,31 @@
+"""Calibrators: each turns completed windows into parameters behind one interface (`base.Calibrator`)."""
+
+from __future__ import annotations
+
+from twin.calibrators.base import Calibration, Calibrator, Kind, Window
+from twin.network import Network, TwinFileError
+
+__all__ = ["NAMES", "Calibration", "Calibrator", "Kind", "Window", "make"]
+
+NAMES = ("pso", "pso_paper", "least_squares")
+
+
+def make(name: str, network: Network, tunables: str | None = None, seed: int = 0) -> Calibrator:
+    """Calibrator by name: ``pso`` (tuned swarm), ``pso_paper`` (Table 2 to the letter), ``least_squares``.
+
+    Args:
+        tunables: a set of the twin; each calibrator has its own default.
+
+    Raises:
+        TwinFileError: no such calibrator or set.
+    """
+    if name in ("pso", "pso_paper"):
+        from twin.calibrators.pso import Swarm
+
+        preset, usual = ("paper", "paper4") if name == "pso_paper" else ("tuned", "nine")
+        return Swarm(network, tunables or usual, preset, seed)
+    if name == "least_squares":
+        from twin.calibrators.least_squares import LeastSquares
+
+        return LeastSquares(network, tunables or "nine")
+    raise TwinFileError(f"no calibrator {name!r}; there are: {', '.join(NAMES)}")

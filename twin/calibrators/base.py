@@ -1,0 +1,103 @@
+"""What goes into a calibrator and what comes out: one completed window, one calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from twin.network import Array
+
+Kind = Literal["calibrated", "recovery", "stall", "skipped"]
+
+
+@dataclass(frozen=True)
+class Window:
+    """A completed window of samples, and what the live twin made of it.
+
+    Attributes:
+        number: from 0; windows without a sample are not made.
+        time: (n,) s. inputs: (n, c), without NaN. measured: (n, m) degC, NaN where masked.
+        state: (k,) state of the live twin at the first sample. parameters: (p,) full vector it ran with.
+        live: (n, m) its readings, made before the window was seen.
+        first: how many samples count as the beginning of the window.
+        initial_mismatch_K: root mean square over sensors of the mean mismatch in that beginning.
+        error_K: root mean square of the live twin's mismatch over the window and all sensors.
+        kind: which cost applies; "skipped" for a window with too little data to fit.
+    """
+
+    number: int
+    time: Array
+    inputs: Array
+    measured: Array
+    state: Array
+    parameters: Array
+    live: Array
+    first: int
+    initial_mismatch_K: float
+    error_K: float
+    kind: Kind
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a calibrator concluded from one window.
+
+    Attributes:
+        window, start_s, end_s: which window. kind: its cost.
+        values: parameter id -> value, for the calibrated tunables.
+        covariance: (q, q) of `values` in their own units, or None where the method gives none.
+        cost: dimensionless value of the window's cost at these values.
+        rmse: sensor -> K over the window after calibration (NaN without a measurement); the values were
+            fitted on these very samples.
+        error_before_K: of the live twin over the window and all sensors, a prediction.
+        error_K: the same after calibration.
+        calibrated: error_K below the twin's threshold.
+        fitted: (n, m) degC, readings after calibration. state: (k,) fitted or carried state at the first
+            sample. end: (k,) state at the last sample, from which the live twin goes on.
+        flags: plain words on anything unusual. evaluations: simulations of the window.
+    """
+
+    window: int
+    start_s: float
+    end_s: float
+    kind: Kind
+    values: Mapping[str, float]
+    covariance: Array | None
+    cost: float
+    rmse: Mapping[str, float]
+    error_before_K: float
+    error_K: float
+    calibrated: bool
+    fitted: Array
+    state: Array
+    end: Array
+    flags: tuple[str, ...]
+    evaluations: int
+
+
+class Calibrator(Protocol):
+    """Turns completed windows into parameters, one after the other, and remembers what it needs to."""
+
+    name: str
+    ids: tuple[str, ...]
+
+    def calibrate(self, window: Window) -> Calibration:
+        """Values for the tunables `ids` from a window of kind calibrated, recovery or stall."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on, as plain JSON-able data, random generator included."""
+        ...
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state` gave."""
+        ...
+
+
+def total_rmse(residual: Array) -> float:
+    """Root mean square over all finite entries, K; 0 if there is none."""
+    good = residual[np.isfinite(residual)]
+    return float(np.sqrt(np.mean(good**2))) if good.size else 0.0

@@ -1,0 +1,248 @@
+"""Particle swarm over the tunables, window by window.
+
+`PAPER` is Table 2 of Energies 2026, 19, 2452 to the letter; `TUNED` adds the two remedies that its authors name
+(perturbation scaled with the previous error, restart near the best), estimates the initial state instead of
+carrying a wrong one over, and searches each parameter in its own range. What the paper leaves open is settled
+in docs/decisions/0003-swarm-window-logic.md. A whole swarm is one call of the kernel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from twin.calibrators.base import Calibration, Window
+from twin.calibrators.outcome import conclude
+from twin.gauss_newton import Data, Scaling, align
+from twin.kernel import Kernel, masked
+from twin.network import Array, Network, TunableSet, TwinFileError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Hyper-parameters of a swarm. Lengths are in normalised units, or shares of a range where `own_range`.
+
+    Attributes:
+        particles, iterations, inertia, damping, cognitive, social: as Table 2.
+        velocity: limit per component.
+        perturbation: half width of the uniform perturbation of every position when a window changes.
+        own_range: positions are shares of each parameter's own range, in its logarithm where that spans a
+            decade; else the file's normalised units in its common bounds.
+        scaled: the perturbation shrinks with the error of the previous window's parameters on this window,
+            and the swarm restarts that near the best position.
+        realign: recovery and stall windows estimate the initial state.
+        per_component: random factors per component rather than per particle.
+    """
+
+    particles: int = 5
+    iterations: int = 5
+    inertia: float = 1.0
+    damping: float = 0.99
+    cognitive: float = 0.5
+    social: float = 0.7
+    velocity: float = 1.6
+    perturbation: float = 1.0
+    own_range: bool = False
+    scaled: bool = False
+    realign: bool = False
+    per_component: bool = False
+
+
+PAPER = Settings()
+TUNED = Settings(
+    particles=32,
+    iterations=20,
+    inertia=0.73,
+    damping=1.0,
+    cognitive=1.49,
+    social=1.49,
+    velocity=0.2,
+    perturbation=0.1,
+    own_range=True,
+    scaled=True,
+    realign=True,
+    per_component=True,
+)
+PRESETS: Mapping[str, Settings] = {"paper": PAPER, "tuned": TUNED}
+LEAST_PERTURBATION = 0.02
+"""Share of the full perturbation that is left when the live twin errs by nothing but noise."""
+
+
+class Swarm:
+    """The swarm calibrator; satisfies `Calibrator`.
+
+    Args:
+        network: the commissioned twin; its values are the first global best.
+        tunables: name of a set of the twin that has scales and bounds.
+        settings: a preset's name or `Settings`.
+        seed: of the generator.
+    """
+
+    name = "pso"
+
+    def __init__(
+        self, network: Network, tunables: str = "paper4", settings: str | Settings = "tuned", seed: int = 0
+    ) -> None:
+        if isinstance(settings, str):
+            if settings not in PRESETS:
+                raise TwinFileError(f"no swarm preset {settings!r}; there are: {', '.join(PRESETS)}")
+            settings = PRESETS[settings]
+        self.network, self.settings = network, settings
+        self.ids = network.tunables(tunables)
+        self.kernel = Kernel(network, self.ids)
+        self._space = _OwnRange(network, self.ids) if settings.own_range else _Normalised(network, tunables)
+        self._rng = np.random.default_rng(seed)
+        self._best = self._space.positions(network.values[network.index(self.ids)])
+        self._positions: Array | None = None
+        self._velocities = np.zeros((0, 0))
+
+    def calibrate(self, window: Window) -> Calibration:
+        settings, space = self.settings, self._space
+        cost = _Cost(self, window)
+        self._gather(window)
+        assert self._positions is not None
+        positions, velocities = self._positions, self._velocities
+        costs = cost(np.vstack([self._best, positions]))
+        own, own_cost = positions.copy(), costs[1:]
+        best, best_cost = self._best, float(costs[0])
+        inertia = settings.inertia
+        for _ in range(settings.iterations):
+            leader = int(np.argmin(own_cost))
+            if own_cost[leader] < best_cost:
+                best, best_cost = own[leader].copy(), float(own_cost[leader])
+            shape = positions.shape if settings.per_component else (len(positions), 1)
+            r1, r2 = self._rng.random(shape), self._rng.random(shape)
+            velocities = (
+                inertia * velocities
+                + settings.cognitive * r1 * (own - positions)
+                + settings.social * r2 * (best - positions)
+            )
+            velocities = np.clip(velocities, -settings.velocity, settings.velocity)
+            positions = np.clip(positions + velocities, space.lower, space.upper)
+            inertia *= settings.damping
+            costs = cost(positions)
+            better = costs < own_cost
+            own = np.where(better[:, None], positions, own)
+            own_cost = np.where(better, costs, own_cost)
+        leader = int(np.argmin(own_cost))
+        if own_cost[leader] < best_cost:
+            best, best_cost = own[leader].copy(), float(own_cost[leader])
+        self._best, self._positions, self._velocities = best, positions, velocities
+        flags = ("initial state estimated",) if cost.realigned else ()
+        return conclude(
+            self.network, self.kernel, window, self.ids, space.values(best), cost.start,
+            cost=best_cost, covariance=None, flags=flags, evaluations=cost.evaluations,
+        )  # fmt: skip
+
+    def _gather(self, window: Window) -> None:
+        """Positions and velocities at the start of a window."""
+        settings, space, q = self.settings, self._space, len(self.ids)
+        if settings.scaled:
+            excess = (window.error_K / self.network.rules.large_K) if window.error_K else 0.0
+            share = float(np.clip(excess, LEAST_PERTURBATION, 1.0))
+            near = self._rng.uniform(-1.0, 1.0, (settings.particles, q)) * settings.perturbation * share
+            self._positions = np.clip(self._best + near, space.lower, space.upper)
+            self._velocities = np.zeros((settings.particles, q))
+        elif self._positions is None:
+            self._positions = self._rng.uniform(space.initial[0], space.initial[1], (settings.particles, q))
+            self._velocities = self._rng.uniform(-1.0, 1.0, (settings.particles, q)) * settings.velocity
+        else:
+            nudge = self._rng.uniform(-1.0, 1.0, (settings.particles, q)) * settings.perturbation
+            self._positions = np.clip(self._positions + nudge, space.lower, space.upper)
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "rng": self._rng.bit_generator.state,
+            "best": self._best.tolist(),
+            "positions": None if self._positions is None else self._positions.tolist(),
+            "velocities": self._velocities.tolist(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self._rng.bit_generator.state = state["rng"]
+        self._best = np.array(state["best"], dtype=np.float64)
+        positions = state["positions"]
+        self._positions = None if positions is None else np.array(positions, dtype=np.float64)
+        self._velocities = np.array(state["velocities"], dtype=np.float64)
+
+
+class _Cost:
+    """Cost of positions (P, q) -> (P,) on one window, in units of the calibrated threshold."""
+
+    def __init__(self, swarm: Swarm, window: Window) -> None:
+        self.swarm, self.window = swarm, window
+        self.y, self.weight = masked(window.measured)
+        self.count = max(float(self.weight.sum()), 1.0)
+        self.threshold = swarm.network.rules.calibrated_K
+        self.evaluations = 0
+        self.start = window.state
+        self.realigned = swarm.settings.realign and window.kind in ("recovery", "stall")
+        if self.realigned:
+            n = window.first
+            y, weight = masked(window.measured[:n], swarm.network.sigma)
+            data = Data(window.time[:n], window.inputs[:n], y, weight)
+            sd = max(window.initial_mismatch_K, self.threshold)
+            self.start = align(swarm.kernel, window.parameters, window.state, data, sd)
+
+    def __call__(self, positions: Array) -> Array:
+        full = np.tile(self.window.parameters, (len(positions), 1))
+        full[:, self.swarm.network.index(self.swarm.ids)] = self.swarm._space.values(positions)
+        self.evaluations += len(positions)
+        kind = "calibrated" if self.realigned else self.window.kind
+        total = np.zeros(len(positions))
+        if kind in ("recovery", "stall"):
+            n = self.window.first
+            count = max(float(self.weight[:n].sum()), 1.0)
+            total += self._squares(full, n) / count / self.threshold**2
+        if kind != "recovery":
+            total += np.sqrt(self._squares(full, len(self.window.time)) / self.count) / self.threshold
+        return np.where(np.isfinite(total), total, 1e300)
+
+    def _squares(self, full: Array, n: int) -> Array:
+        w = self.window
+        sse, _ = self.swarm.kernel.cost(
+            full, self.start, w.time[:n], w.inputs[:n], self.y[:n], self.weight[:n]
+        )
+        total: Array = sse.sum(axis=1)
+        return total
+
+
+class _Normalised:
+    """The file's normalised units: physical = scale * position, held inside the parameter's bounds."""
+
+    def __init__(self, network: Network, tunables: str) -> None:
+        chosen: TunableSet = network.sets[tunables]
+        if chosen.bounds is None:
+            raise TwinFileError(f"set {tunables!r} of twin {network.name!r} has no bounds; give them to swarm it")
+        q = len(chosen.members)
+        self.scale = np.array(chosen.scale)
+        self.physical = network.bounds(chosen.members)
+        self.lower, self.upper = np.full(q, chosen.bounds[0]), np.full(q, chosen.bounds[1])
+        self.initial = np.array(chosen.initial).T
+
+    def values(self, positions: Array) -> Array:
+        return np.clip(self.scale * positions, *self.physical)
+
+    def positions(self, values: Array) -> Array:
+        return np.clip(values / self.scale, self.lower, self.upper)
+
+
+class _OwnRange:
+    """Shares of each parameter's own range, in its logarithm where the bounds span a decade."""
+
+    def __init__(self, network: Network, ids: tuple[str, ...]) -> None:
+        self.scaling = Scaling.of(network, ids)
+        self.low = self.scaling.to_z(self.scaling.lower)
+        self.width = self.scaling.to_z(self.scaling.upper) - self.low
+        q = len(ids)
+        self.lower, self.upper = np.zeros(q), np.ones(q)
+        self.initial = np.array([self.lower, self.upper])
+
+    def values(self, positions: Array) -> Array:
+        return self.scaling.to_values(self.low + self.width * positions)
+
+    def positions(self, values: Array) -> Array:
+        return np.clip((self.scaling.to_z(values) - self.low) / self.width, 0.0, 1.0)
