@@ -18,7 +18,6 @@ VERBS = {
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
     "track": "Replay the calibrators on a record",
-    "twin": "Write a twin file from a rig's datasheet",
 }
 
 

@@ -20,7 +20,8 @@ _TRACKED = ("#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b")
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem } img { width: 100% }
-table { border-collapse: collapse } td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: right }
+table { border-collapse: collapse }
+td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: right }
 td:first-child, th:first-child { text-align: left } .ERROR { color: #b3261e } .WARN { color: #9a6700 }
 p.note { color: #5b636b; font-size: .9rem }
 """

@@ -76,9 +76,9 @@ def prepare(request: RunRequest) -> Prepared:
     notes = validate(profile, setpoint_limits(rig), period_s=rig.period_s)
     network = None
     if request.twin is not None:
-        from twin.network import load_network
+        from twin.twinfile import load
 
-        network = load_network(request.twin)
+        network = load(request.twin)
         _check_twin_columns(request.twin, network, rig)
     if request.effects is not None and not request.virtual:
         raise ConfigurationError(
@@ -234,7 +234,7 @@ def _header(connection: RigConnection, ready: Prepared, calibrators: tuple[str, 
         profile=ready.profile.name,
         duration_s=ready.profile.duration_s,
         period_s=ready.rig.period_s,
-        noise_K={} if network is None else dict(network.sensor_noise),
+        noise_K={} if network is None else dict(zip(network.sensor_names, network.sigma.tolist(), strict=True)),
     )
 
 

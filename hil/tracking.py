@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import multiprocessing
 import signal
 from collections import deque
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -23,6 +25,7 @@ from numpy.typing import NDArray
 from hil.journal import JournalWriter
 
 if TYPE_CHECKING:
+    from twin.calibrators import Calibration
     from twin.tracking import TwinTracker
 
 MOST_OUTSTANDING = 4
@@ -63,32 +66,68 @@ class ErrorTable:
     noise_K: dict[str, float] = field(default_factory=dict)
 
 
-def track_block(
-    trackers: dict[str, TwinTracker], columns: tuple[str, ...], block: Block
+def push(
+    trackers: dict[str, TwinTracker], time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]
 ) -> tuple[dict[str, NDArray[np.float64]], list[tuple[str, float, float, dict[str, Any]]]]:
     """Push one block through every tracker: outputs by twin name (`static` first) and finished windows."""
-    _, time_s, rows = block
-    table = np.asarray(rows, dtype=np.float64).reshape(len(time_s), len(columns))
-    by_column = {column: table[:, index] for index, column in enumerate(columns)}
     outputs: dict[str, NDArray[np.float64]] = {}
     calibrations = []
     for name, tracker in trackers.items():
-        inputs, measured = tracker.network.select(by_column)
-        update = tracker.push(np.asarray(time_s), inputs, measured)
+        inputs, measured = tracker.network.select(columns)
+        update = tracker.push(time_s, inputs, measured)
         outputs.setdefault("static", update.static)
         outputs[name] = update.tracked
-        calibrations += [(name, c.start_s, c.end_s, c.document()) for c in update.calibrations]
+        calibrations += [(name, c.start_s, c.end_s, calibration_document(c)) for c in update.calibrations]
     return outputs, calibrations
+
+
+def calibration_document(calibration: Calibration) -> dict[str, Any]:
+    """A finished window as plain data for the journal: kind, cost, errors in K, parameters with standard errors."""
+    errors = None
+    if calibration.covariance is not None:
+        variances = np.diag(calibration.covariance)
+        spread = [math.sqrt(v) if v >= 0 else None for v in variances.tolist()]
+        errors = dict(zip(calibration.values, spread, strict=True))
+    return {
+        "window": calibration.window,
+        "kind": calibration.kind,
+        "cost": _finite(calibration.cost),
+        "rmse_K": _finite(calibration.error_K),
+        "rmse_before_K": _finite(calibration.error_before_K),
+        "sensors_K": {name: _finite(value) for name, value in calibration.rmse.items()},
+        "calibrated": bool(calibration.calibrated),
+        "parameters": dict(calibration.values),
+        "standard_errors": errors,
+        "flags": list(calibration.flags),
+        "evaluations": calibration.evaluations,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def make_trackers(config: TrackingConfig) -> dict[str, TwinTracker]:
     """One tracker a calibrator; raises what the twin file's reader raises."""
     from twin.tracking import TwinTracker
+    from twin.twinfile import load
 
-    from twin.network import load_network
-
-    network = load_network(config.twin)
+    network = load(config.twin)
     return {name: TwinTracker(network, calibrator=name, seed=config.seed) for name in config.calibrators}
+
+
+def track_arrays(
+    trackers: dict[str, TwinTracker],
+    time_s: NDArray[np.float64],
+    columns: Mapping[str, NDArray[np.float64]],
+    block_rows: int,
+) -> Iterator[tuple[int, dict[str, NDArray[np.float64]], list[tuple[str, float, float, dict[str, Any]]]]]:
+    """Push a whole record in blocks: yields how many samples are done, the block's outputs and finished windows."""
+    for start in range(0, len(time_s), block_rows):
+        rows = slice(start, min(start + block_rows, len(time_s)))
+        block = {name: values[rows] for name, values in columns.items()}
+        outputs, calibrations = push(trackers, time_s[rows], block)
+        yield rows.stop, outputs, calibrations
 
 
 def error_table(trackers: dict[str, TwinTracker]) -> ErrorTable:
@@ -115,8 +154,11 @@ def _serve(connection: Connection, config: TrackingConfig) -> None:
             tracker.warm_up()
         connection.send("ready")
         while (block := connection.recv()) is not None:
-            outputs, calibrations = track_block(trackers, config.columns, block)
-            connection.send(_Reply(block[0], block[1], outputs, calibrations))
+            ticks, time_s, rows = block
+            table = np.asarray(rows, dtype=np.float64)
+            columns = {name: table[:, index] for index, name in enumerate(config.columns)}
+            outputs, calibrations = push(trackers, np.asarray(time_s), columns)
+            connection.send(_Reply(ticks, time_s, outputs, calibrations))
         connection.send(error_table(trackers))
     except (EOFError, BrokenPipeError):
         return

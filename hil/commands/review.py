@@ -28,13 +28,17 @@ def command(run: Path, follow: bool, rebuild: bool, screenshot: Path | None) -> 
     finished = folder.read_manifest()["exit_status"] != "running"
     if follow:
         if not has_display():
-            raise click.UsageError("--follow opens a window and there is no display; use --screenshot on the finished run")
+            raise click.UsageError(
+                "--follow opens a window and there is no display; use --screenshot on the finished run"
+            )
         from hil.review import follow_review
 
         follow_review(folder.journal)
         return
     if rebuild or not folder.review.is_file():
-        click.echo(f"writing {folder.review}" + ("" if finished else " (the run goes on: what there is so far)"), err=True)
+        click.echo(
+            f"writing {folder.review}" + ("" if finished else " (the run goes on: what there is so far)"), err=True
+        )
         write_review(folder.journal, folder.review)
     if screenshot is not None:
         problems = screenshot_review(folder.review, screenshot)

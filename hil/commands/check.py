@@ -1,0 +1,157 @@
+"""`hil check`: say what a file holds and whether it can be used, before anything moves."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.commands.paths import INPUT_FILE, VIRTUAL_RIG
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@click.command()
+@click.argument("file", type=INPUT_FILE)
+@click.option("--rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig that a profile is meant for.")
+def command(file: Path, rig: Path) -> None:
+    """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
+
+    \b
+    Example:
+      hil check profiles/rigs/virtual.toml
+      hil check my_load.csv --rig my_rig.toml
+    """
+    from rich.console import Console
+
+    _checker(file)(file, rig, Console())
+
+
+def _checker(file: Path) -> Callable[[Path, Path, Console], None]:
+    if file.suffix == ".toml":
+        try:
+            keys = set(tomllib.loads(file.read_text(encoding="utf-8")))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise click.UsageError(f"{file}: is not valid TOML: {error}") from error
+        for key, checker in (("elements", _twin), ("effect", _effects), ("system", _scenario), ("systems", _scenario)):
+            if key in keys:
+                return checker
+        return _rig
+    if file.suffix == ".csv":
+        with file.open(encoding="utf-8", errors="replace") as lines:
+            header = next((line for line in lines if not line.startswith("#")), "")
+        return _record if ",T_" in header or ";T_" in header else _profile
+    if file.suffix in (".parquet", ".pq"):
+        return _record
+    raise click.UsageError(f"{file}: is no .toml, .csv or .parquet file; nothing here knows how to check it")
+
+
+def _rig(file: Path, _: Path, console: Console) -> None:
+    from rich.table import Table
+
+    from drivers.canbus import CanReceiver
+    from drivers.plan import plan_reads
+    from drivers.rigfile import CanBus, load_rig
+
+    rig = load_rig(file)
+    points = Table(title=f"{rig.name}: {len(rig.point)} points", title_justify="left")
+    for heading in ("point", "bus", "where", "type", "unit", "limits", "safe", "plausible"):
+        points.add_column(heading)
+    for point in rig.point:
+        where = f"{point.table} {point.address}" if point.table else f"{point.message}.{point.signal}"
+        kind = f"{point.type} {point.order}" if point.table and point.width > 1 else point.type if point.table else ""
+        limits = f"{point.limits[0]:g} to {point.limits[1]:g}" if point.limits else ""
+        safe = f"{point.safe_value:g}" if point.safe_value is not None else ""
+        plausible = f"{point.plausible[0]:g} to {point.plausible[1]:g}" if point.plausible else ""
+        points.add_row(point.name, point.bus, where, kind, point.unit, limits, safe, plausible)
+    console.print(points)
+    for name, bus in rig.bus.items():
+        mine = tuple(point for point in rig.point if point.bus == name)
+        if isinstance(bus, CanBus):
+            CanReceiver(name, bus, mine, lambda: 0.0)  # matches every point with the DBC
+            console.print(f"{name}: {bus.transport} {bus.channel}, {len(mine)} signals found in {bus.dbc.name}")
+            continue
+        blocks = plan_reads((p for p in mine if p.access == "r"), max_read=bus.max_read, max_gap=bus.max_gap)
+        console.print(f"{name}: Modbus/TCP {bus.host}:{bus.port}, {len(blocks)} reads a tick:")
+        for block in blocks:
+            gaps = block.count - sum(point.width for point in block.points)
+            console.print(f"  {block.table} {block.address} to {block.address + block.count - 1}, {gaps} unused")
+    console.print(f"{file}: no mistakes found", style="green")
+
+
+def _twin(file: Path, _: Path, console: Console) -> None:
+    from rich.table import Table
+
+    from twin.twinfile import load
+
+    network = load(file)
+    table = Table(title=f"{network.name}: {len(network.nodes)} volumes", title_justify="left")
+    for heading in ("parameter", "value", "bounds", "unit", "status", "source"):
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    for name, parameter in network.parameters.items():
+        bounds = f"{parameter.lower:g} to {parameter.upper:g}"
+        table.add_row(name, f"{parameter.value:.5g}", bounds, parameter.unit, parameter.status, parameter.source)
+    console.print(table)
+    console.print(f"needs {', '.join(network.input_columns)}")
+    for sensor, columns in network.sensor_columns.items():
+        console.print(f"predicts {sensor}" + (f" (mean of {', '.join(columns)})" if len(columns) > 1 else ""))
+    revision = network.revision
+    if revision.number:
+        console.print(f"revision {revision.number}, made by {revision.made_by}, parent {revision.parent[:12]}")
+    console.print(f"{file}: no mistakes found", style="green")
+
+
+def _effects(file: Path, _: Path, console: Console) -> None:
+    from drivers.virtual.effects import load_effects
+
+    for effect in load_effects(file):
+        console.print(str(effect), highlight=False)
+    console.print(f"{file}: no mistakes found", style="green")
+
+
+def _scenario(file: Path, _: Path, console: Console) -> None:
+    from hil.scenario import build, read_scenario
+
+    scenario = read_scenario(file)
+    profile = build(scenario, 1)
+    low, high = profile.values[:, 0].min(), profile.values[:, 0].max()
+    console.print(
+        f"{file}: {profile.duration_s / 3600:.1f} h, {len(profile.time_s)} breakpoints, {low:.0f} to {high:.0f} W; "
+        "no mistakes found",
+        style="green",
+    )
+
+
+def _profile(file: Path, rig: Path, console: Console) -> None:
+    from drivers.rigfile import load_rig
+    from hil.profile import read_profile, validate
+    from hil.session import setpoint_limits
+
+    target = load_rig(rig)
+    profile = read_profile(file)
+    for note in validate(profile, setpoint_limits(target), period_s=target.period_s):
+        console.print(f"  {note}", highlight=False)
+    for index, column in enumerate(profile.columns):
+        low, high = profile.values[:, index].min(), profile.values[:, index].max()
+        console.print(f"  {column}: {low:g} to {high:g}", highlight=False)
+    console.print(f"{file}: {profile.duration_s / 3600:.2f} h, runs on {target.name}", style="green")
+
+
+def _record(file: Path, _: Path, console: Console) -> None:
+    import numpy as np
+
+    from hil.record import read_record
+
+    record = read_record(file)
+    for message in record.messages:
+        console.print(f"  {message}", highlight=False)
+    for name, values in record.columns.items():
+        finite = values[np.isfinite(values)]
+        spread = f"{finite.min():g} to {finite.max():g}" if finite.size else "no value"
+        missing = f", {len(values) - finite.size} missing" if finite.size < len(values) else ""
+        console.print(f"  {name}: {spread}{missing}", highlight=False)
+    console.print(f"{file}: {len(record.time_s)} samples over {record.time_s[-1] / 3600:.2f} h", style="green")

@@ -1,0 +1,94 @@
+"""`hil commission`: fit a twin to a healthy record."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from hil.commands.paths import INPUT_FILE
+
+
+@click.command()
+@click.argument("record", type=INPUT_FILE)
+@click.option("--twin", type=INPUT_FILE, help="Twin file to start from; it is not changed.")
+@click.option("--datasheet", type=INPUT_FILE, help="Start from a rig's datasheet.json instead of a twin file.")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="New twin file to write.")
+@click.option("--seed", default=0, show_default=True, help="Seed of the fit's further starting points.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def command(record: Path, twin: Path | None, datasheet: Path | None, out: Path, seed: int, as_json: bool) -> None:
+    """Fit the tunables of a twin to RECORD, a healthy one, and write them as a new revision.
+
+    The last fifth of the record is kept out of the fit; errors before and after are of a free run over it.
+
+    \b
+    Example:
+      hil commission runs/<a healthy run>/record.parquet --twin profiles/twins/loop.toml --out my_twin.toml
+      hil commission commissioning.parquet --datasheet datasheet.json --out my_twin.toml
+    """
+    from hil.record import read_record
+    from twin.commission import commission
+    from twin.datasheet import network_from_datasheet
+    from twin.twinfile import load, save
+
+    if (twin is None) == (datasheet is None):
+        raise click.UsageError("give either --twin or --datasheet: what the fit starts from")
+    if out.exists():
+        raise click.UsageError(f"{out} exists already; a twin is never overwritten, give --out another name")
+    network = load(twin) if twin is not None else network_from_datasheet(datasheet)
+    data = read_record(record)
+    data.require(*network.input_columns)
+    inputs, measured = network.select(data.columns)
+    result = commission(network, data.time_s, inputs, measured, seed=seed, made_by=f"hil commission {record.name}")
+    save(result.network, out)
+    if as_json:
+        click.echo(json.dumps(_document(result, out), indent=1))
+        return
+    _show(result, data.messages, out)
+
+
+def _document(result, out: Path) -> dict[str, object]:
+    return {
+        "twin": str(out),
+        "values": dict(result.values),
+        "interval90": {name: list(interval) for name, interval in result.interval90.items()},
+        "cannot_tell": list(result.cannot_tell),
+        "at_bound": list(result.at_bound),
+        "held_out_s": list(result.held_out_s),
+        "rmse_before_K": dict(result.rmse_before),
+        "rmse_after_K": dict(result.rmse_after),
+        "notes": list(result.notes),
+    }
+
+
+def _show(result, messages: tuple[str, ...], out: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    for message in messages:
+        console.print(message, highlight=False)
+    parameters = Table(title="Parameters", title_justify="left")
+    for heading in ("parameter", "before", "after", "90 % interval", "unit", ""):
+        parameters.add_column(heading, justify="left" if heading in ("parameter", "unit", "") else "right")
+    for name, value in result.values.items():
+        low, high = result.interval90[name]
+        told = "the record cannot tell" if name in result.cannot_tell else ""
+        if name in result.at_bound:
+            told = "at its bound"
+        unit = result.network.parameters[name].unit
+        parameters.add_row(name, f"{result.start[name]:.4g}", f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit, told)
+    console.print(parameters)
+    held = result.held_out_s
+    title = f"RMSE in K, free run over {held[0] / 3600:.1f} to {held[1] / 3600:.1f} h, which the fit never saw"
+    errors = Table(title=title, title_justify="left")
+    for heading in ("sensor", "before", "after", "on the fitted part"):
+        errors.add_column(heading, justify="left" if heading == "sensor" else "right")
+    for sensor in result.rmse_after:
+        cells = (result.rmse_before[sensor], result.rmse_after[sensor], result.rmse_fitted[sensor])
+        errors.add_row(sensor, *(f"{cell:.3f}" for cell in cells))
+    console.print(errors)
+    for note in result.notes:
+        console.print(note, highlight=False)
+    console.print(f"written: {out}", highlight=False, soft_wrap=True)

@@ -1,0 +1,80 @@
+"""`hil track`: replay the calibrators on a record."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import click
+
+from hil.commands.paths import INPUT_FILE
+
+BLOCK_ROWS = 1200
+
+
+@click.command()
+@click.argument("record", type=INPUT_FILE)
+@click.option("--twin", type=INPUT_FILE, required=True, help="Twin file, usually one that `hil commission` wrote.")
+@click.option(
+    "--calibrator", "calibrators", multiple=True, default=("pso",), show_default=True, help="May be repeated."
+)
+@click.option("--seed", default=0, show_default=True, help="Seed of the calibrators.")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Write predictions to this Parquet file.")
+@click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
+def command(record: Path, twin: Path, calibrators: tuple[str, ...], seed: int, out: Path | None, as_json: bool) -> None:
+    """Replay RECORD (Parquet or CSV) past a static twin and tracked ones, and print their errors per sensor.
+
+    \b
+    Example:
+      hil commission commissioning.parquet --datasheet datasheet.json --out my_twin.toml
+      hil track campaign.parquet --twin my_twin.toml
+    """
+    import time
+
+    from rich.console import Console
+
+    from hil.record import read_record
+    from hil.terminal import Steps, error_table
+    from hil.tracking import TrackingConfig, error_table as errors_of, make_trackers, track_arrays
+
+    data = read_record(record)
+    trackers = make_trackers(TrackingConfig(twin, tuple(data.columns), calibrators, seed))
+    network = next(iter(trackers.values())).network
+    data.require(*network.input_columns)
+    began = time.monotonic()
+    outputs: dict[str, list] = {}
+    windows: dict[str, dict[str, int]] = {name: {} for name in trackers}
+    with Steps("tracking", len(data.time_s), quiet=as_json) as steps:
+        for message in data.messages:
+            steps.say(message)
+        for done, block_outputs, calibrations in track_arrays(trackers, data.time_s, data.columns, BLOCK_ROWS):
+            for name, values in block_outputs.items():
+                outputs.setdefault(name, []).append(values)
+            for name, _, _, document in calibrations:
+                windows[name][document["kind"]] = windows[name].get(document["kind"], 0) + 1
+            steps.update(done)
+    errors = errors_of(trackers)
+    if out is not None:
+        _write_predictions(out, data.time_s, network.sensor_names, outputs)
+    if as_json:
+        click.echo(json.dumps({"errors_K": dataclasses.asdict(errors), "windows": windows}, indent=1))
+        return
+    console = Console()
+    console.print(error_table(errors, f"RMSE in K over {data.time_s[-1] / 3600:.1f} h of {record}"))
+    for name, counts in windows.items():
+        listed = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none complete"
+        console.print(f"{name}: windows: {listed}", highlight=False)
+    console.print(f"{len(data.time_s)} samples in {time.monotonic() - began:.1f} s", highlight=False)
+
+
+def _write_predictions(out: Path, time_s: object, sensors: tuple[str, ...], outputs: dict[str, list]) -> None:
+    import numpy as np
+
+    from hil.record import write_record_columns
+
+    columns = {}
+    for name, blocks in outputs.items():
+        values = np.concatenate(blocks)
+        columns |= {f"{sensor.removesuffix('_C')}_{name}_C": values[:, i] for i, sensor in enumerate(sensors)}
+    write_record_columns(out, time_s, columns)
