@@ -250,7 +250,7 @@ def _row(place: str, raw: str, columns: tuple[str, ...]) -> list[float]:
             number = float(field.replace("_", "x"))
         except ValueError:
             remedy = "use a decimal point instead of the comma" if "," in field else "write a plain number"
-            raise ProfileError(f"{place} has '{field}' for {column}, which is not a number; {remedy}") from None
+            raise ProfileError(f"{place} has {field!r} for {column}, which is not a number; {remedy}") from None
         if not math.isfinite(number):
             raise ProfileError(f"{place} has {field} for {column}; write the value that holds from here on")
         numbers.append(number)

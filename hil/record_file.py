@@ -86,7 +86,7 @@ def read_raw(path: Path) -> RawRecord:
         raise RecordError(f"{path} is empty; give a record with a header and at least one row")
     digest = hashlib.sha256(content).hexdigest()
     if content.startswith(b"PAR1"):
-        return _parquet(path, content, digest)
+        return _with_rows(_parquet(path, content, digest))
     for magic, what in _FOREIGN:
         if content.startswith(magic):
             raise RecordError(f"{path} {what}")
@@ -94,7 +94,13 @@ def read_raw(path: Path) -> RawRecord:
         raise RecordError(f"{path} is not a Parquet file; if it is text, give it the suffix .csv")
     if b"\0" in content[:65536]:
         raise RecordError(f"{path} is neither Parquet nor text; export the record as Parquet or CSV")
-    return _csv(path, content, digest)
+    return _with_rows(_csv(path, content, digest))
+
+
+def _with_rows(raw: RawRecord) -> RawRecord:
+    if not raw.cells or not len(raw.cells[0]):
+        raise RecordError(f"{raw.path} holds no samples, only a header; give a record with at least one row")
+    return raw
 
 
 def _parquet(path: Path, content: bytes, digest: str) -> RawRecord:
@@ -107,7 +113,8 @@ def _parquet(path: Path, content: bytes, digest: str) -> RawRecord:
         )
     try:
         table = pq.read_table(pa.BufferReader(content))
-    except (pa.ArrowException, OSError) as error:
+        given = table.column_names
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise RecordError(f"{path} is a damaged Parquet file ({str(error).splitlines()[0]}); copy it again") from error
     units = {
         field.name: field.metadata[b"unit"].decode() for field in table.schema if b"unit" in (field.metadata or {})
@@ -116,7 +123,7 @@ def _parquet(path: Path, content: bytes, digest: str) -> RawRecord:
         key.decode(errors="replace"): value.decode(errors="replace")
         for key, value in (table.schema.metadata or {}).items()
     }
-    names, messages = _unique(table.column_names)
+    names, messages = _unique(given)
     return RawRecord(path, digest, names, tuple(table.columns), messages, metadata, units)
 
 
@@ -126,6 +133,8 @@ def _csv(path: Path, content: bytes, digest: str) -> RawRecord:
 
     messages = []
     encoding = "utf-8"
+    if b"\n" not in content:
+        content = content.replace(b"\r", b"\n")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -134,7 +143,11 @@ def _csv(path: Path, content: bytes, digest: str) -> RawRecord:
         messages.append(f"line {content.count(bytes([10]), 0, error.start) + 1} is not UTF-8; read as Latin-1")
     header_line, header, rows_from = _find_header(path, text)
     delimiter = max(",;\t", key=header.count)
-    names, repeated = _unique([name.strip() for name in next(csv.reader([header], delimiter=delimiter))])
+    try:
+        given = next(csv.reader([header], delimiter=delimiter, strict=True))
+    except csv.Error as error:
+        raise RecordError(f"{path} line {header_line} is no header ({error}); name the columns there") from error
+    names, repeated = _unique([name.strip() for name in given])
     messages += repeated
     if all(_is_number(name) for name in names):
         raise RecordError(f"{path} line {header_line} holds numbers where column names should stand; add a header line")
@@ -158,7 +171,7 @@ def _csv(path: Path, content: bytes, digest: str) -> RawRecord:
             ),
         )
     except pa.ArrowInvalid as error:
-        if "Empty CSV" not in str(error):
+        if "Empty CSV" not in str(error) and "Could not skip" not in str(error):
             raise RecordError(f"{path} cannot be read as CSV ({error}); check its quotes and separators") from error
         table = pa.table({name: pa.array([], pa.string()) for name in names})
     if skipped:

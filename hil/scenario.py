@@ -2,16 +2,14 @@
 
 A scenario is a TOML file of systems with an electrical load, a schedule and the fraction of the load that ends as
 heat. Only water-cooled systems heat the loop; air-cooled ones are carried electrically and shown apart. `build`
-turns it into a `Profile`, `picture` draws it.
-
-`python -m hil.scenario profiles/loads/battle.toml` writes the profiles and the picture next to the file.
+turns it into a `Profile`, `hil.scenario_picture` draws it, and `write_scenario` writes both next to the file
+(`hil profile build`).
 """
 
 from __future__ import annotations
 
 import itertools
 import re
-import sys
 import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
@@ -164,10 +162,16 @@ def read_scenario(path: Path) -> Scenario:
     except ValidationError as error:
         systems = document.get("system", [])
         raise ScenarioError(
-            "\n".join(_sentence(path, text, systems, part["loc"], part["msg"]) for part in error.errors())
+            "\n".join(
+                _sentence(path, text, systems, part["loc"], _PLAIN.get(part["type"], part["msg"]))
+                for part in error.errors()
+            )
         ) from error
     except TypeError as error:
         raise ScenarioError(f"{path} has a key that no scenario has ({error})") from error
+
+
+_PLAIN = {"missing": "is missing; add it", "extra_forbidden": "is no key here; correct its spelling or remove it"}
 
 
 def _sentence(path: Path, text: str, systems: object, location: tuple[int | str, ...], message: str) -> str:
@@ -267,23 +271,3 @@ def write_scenario(path: Path) -> list[Path]:
     with replacing(target) as unfinished:
         picture(scenario, unfinished, "svg")
     return [*written, target]
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Build the scenarios named on the command line."""
-    paths = sys.argv[1:] if arguments is None else arguments
-    if not paths or any(path.startswith("-") for path in paths):
-        print(__doc__)
-        return 2
-    for path in paths:
-        try:
-            for target in write_scenario(Path(path)):
-                print(target)
-        except (ScenarioError, OSError) as error:
-            print(error, file=sys.stderr)
-            return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

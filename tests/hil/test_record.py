@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from drivers.points import Quality, Signal
 from hil.journal import Header, JournalWriter
-from hil.record import Record, RecordError, export_record, read_record, write_record
+from hil.record import SENTINELS, Record, RecordError, export_record, read_record, write_record
 
 DATA = Path(os.environ.get("HIL_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no records at {DATA}; set HIL_DATA to have them read")
@@ -53,7 +53,10 @@ def test_a_clean_record_has_no_messages(tmp_path: Path) -> None:
     [
         ("r.csv", b"", "is empty", "at least one row"),
         ("r.csv", b"# nothing\n\n", "holds nothing but comments", "give a record"),
-        ("r.csv", b"time_s,T_tank_C\n", "no readable time in column 'time_s'", "write seconds"),
+        ("r.csv", b"time_s,T_tank_C\n", "holds no samples, only a header", "at least one row"),
+        ("r.csv", b"time_s,T_tank_C", "holds no samples, only a header", "at least one row"),
+        ("r.csv", b'time_s,"T_tank_C\n0,1\n', "line 1 is no header", "name the columns"),
+        ("r.csv", b"time_s,T_tank_C\n?,1\n", "no readable time in column 'time_s'", "write seconds"),
         ("r.csv", b"T_tank_C,T_heater_C\n1,2\n", "line 1 has no column time_s (it has T_tank_C", "name the column"),
         ("r.csv", b"# rig\nT_tank_C,T_heater_C\n1,2\n", "line 2 has no column time_s", "name the column"),
         ("r.csv", b"0,20\n1,21\n2,22\n", "line 1 holds numbers where column names", "add a header line"),
@@ -217,6 +220,8 @@ def test_a_byte_order_mark_windows_lines_and_latin_1_are_read(tmp_path: Path) ->
     record = read_record(_csv(tmp_path, b"\xef\xbb\xbftime_s,T_tank_C\r\n0,20\r\n1,21\r\n"))
     assert record.columns["T_tank_C"].tolist() == [20, 21]
     assert record.messages == ()
+    record = read_record(_csv(tmp_path, b"time_s,T_tank_C\r0,20\r1,21\r"))
+    assert record.columns["T_tank_C"].tolist() == [20, 21]
     record = read_record(_csv(tmp_path, b"time_s,T_tank_C,\xb0\n0,20,1\n1,21,1\n"))
     assert "line 1 is not UTF-8; read as Latin-1" in record.messages
     assert "°" in record.columns
@@ -242,7 +247,7 @@ names = st.lists(
     min_size=1,
     unique=True,
 )
-cells = st.one_of(st.just(float("nan")), st.floats(-1e6, 1e6).filter(lambda x: x not in (-9999, -999, 32767, -32768)))
+cells = st.one_of(st.just(float("nan")), st.floats(-1e6, 1e6).filter(lambda x: x not in SENTINELS))
 
 
 @st.composite
@@ -348,7 +353,7 @@ def test_a_run_that_never_ticked_exports_an_empty_record(tmp_path: Path) -> None
     header = Header(SIGNALS, {}, (), "p", 0.0, 1.0, {})
     JournalWriter(tmp_path / "journal.sqlite", header).close()
     assert export_record(tmp_path / "journal.sqlite", tmp_path / "record.parquet").rows == 0
-    with pytest.raises(RecordError, match="no readable time"):
+    with pytest.raises(RecordError, match="holds no samples"):
         read_record(tmp_path / "record.parquet")
 
 
