@@ -1,0 +1,27 @@
+"""A run in Rerun: measured against twins, residuals, set-points, calibrations, quality and events.
+
+The review follows the journal and never the engine, so a live run is not delayed, a second terminal can watch it, and
+the file can be made again at any time. Only `hil.review.rerun_io` imports rerun.
+"""
+
+from hil.review.follow import follow, write_review
+from hil.review.rerun_io import read_columns, read_words
+from hil.review.show import Follower, follow_review, screenshot, screenshot_review, show_review, start_follower
+from hil.review.viewer import Viewer, ViewerError, has_display, open_viewer
+
+__all__ = [
+    "Follower",
+    "Viewer",
+    "ViewerError",
+    "follow",
+    "follow_review",
+    "has_display",
+    "open_viewer",
+    "read_columns",
+    "read_words",
+    "screenshot",
+    "screenshot_review",
+    "show_review",
+    "start_follower",
+    "write_review",
+]

@@ -1,0 +1,305 @@
+"""Follows a journal and turns its new rows into column batches for the review, in the order that they appear."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.points import Quality
+from hil.journal import CalibrationRow, JournalReader, Samples, TwinOutput
+from hil.review.plan import QUALITY_NAMES, Plan, make_plan, path, worst_state
+
+PAGE_TICKS = 36_000
+_ROUTINE_WRITES = ("profile", "slew")
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Values of an entity: `time_s (n,)`, `values (n, k)`, NaN where there is nothing good to draw."""
+
+    entity: str
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimates:
+    """A parameter's `values (n,)` and `variances (n,)` (NaN where unknown), in `unit`, from `time_s (n,)` on."""
+
+    entity: str
+    name: str
+    unit: str
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+    variances: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class States:
+    """State changes of a lane; None ends a state without a next one."""
+
+    entity: str
+    time_s: NDArray[np.float64]
+    states: list[str | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Texts:
+    """Log lines with their level, INFO, WARN or ERROR."""
+
+    entity: str
+    time_s: NDArray[np.float64]
+    texts: list[str]
+    levels: list[str]
+
+
+Batch = Rows | Estimates | States | Texts
+
+
+def merged(batches: list[Batch]) -> Batch:
+    """One batch of several of the same entity, in their order."""
+    first = batches[0]
+    if len(batches) == 1:
+        return first
+    time_s = np.concatenate([batch.time_s for batch in batches])
+    match first:
+        case Rows():
+            return replace(
+                first, time_s=time_s, values=np.concatenate([b.values for b in batches if isinstance(b, Rows)])
+            )
+        case Estimates():
+            same = [batch for batch in batches if isinstance(batch, Estimates)]
+            return replace(
+                first,
+                time_s=time_s,
+                values=np.concatenate([batch.values for batch in same]),
+                variances=np.concatenate([batch.variances for batch in same]),
+            )
+        case States():
+            return replace(first, time_s=time_s, states=[s for b in batches if isinstance(b, States) for s in b.states])
+        case Texts():
+            same_texts = [batch for batch in batches if isinstance(batch, Texts)]
+            return replace(
+                first,
+                time_s=time_s,
+                texts=[text for batch in same_texts for text in batch.texts],
+                levels=[level for batch in same_texts for level in batch.levels],
+            )
+
+
+class _Ticks:
+    """Growing table of each tick's sensor means, so that a twin may answer late: `tick (n,)`, `means (n, m)`."""
+
+    def __init__(self, width: int) -> None:
+        self._tick = np.empty(1024, dtype=np.int64)
+        self._means = np.empty((1024, width))
+        self._count = 0
+
+    @property
+    def last(self) -> int:
+        return int(self._tick[self._count - 1]) if self._count else -1
+
+    def append(self, tick: NDArray[np.int64], means: NDArray[np.float64]) -> None:
+        count = self._count + len(tick)
+        if count > len(self._tick):
+            room = max(count, 2 * len(self._tick))
+            self._tick = np.resize(self._tick, room)
+            self._means = np.resize(self._means, (room, self._means.shape[1]))
+        self._tick[self._count : count], self._means[self._count : count] = tick, means
+        self._count = count
+
+    def at(self, tick: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Means at `tick (n,)`, shape (n, m); NaN for ticks without a sample."""
+        known = self._tick[: self._count]
+        where = np.minimum(np.searchsorted(known, tick), self._count - 1)
+        means = self._means[where].copy()
+        means[known[where] != tick] = np.nan
+        return means
+
+
+class Collector:
+    """Reads what is new in a journal. Not thread-safe."""
+
+    def __init__(self, reader: JournalReader) -> None:
+        self._reader = reader
+        header = reader.header
+        self._columns = {signal.column: i for i, signal in enumerate(header.signals)}
+        self._watched = [i for i, signal in enumerate(header.signals) if signal.kind != "status"]
+        self.plan: Plan = make_plan(header)
+        self._ticks = _Ticks(len(header.twin_sensors))
+        self._twin_tick = dict.fromkeys(header.twin_names, -1)
+        self._states: dict[str, str] = {}
+        self._units: dict[str, str] = {}
+        self._commissioned: dict[str, float] = {}
+        self._ids = {"calibrations": 0, "writes": 0, "events": 0}
+        self._started = False
+        self.end_s = 0.0
+
+    def finished(self) -> bool:
+        """Whether the run has ended; ask before `poll`, then everything is in what `poll` reads until it is empty."""
+        return self._reader.meta("exit_status") is not None
+
+    def poll(self) -> Iterator[Batch]:
+        """Everything committed since the last call, at most `PAGE_TICKS` ticks of a table at a time."""
+        if not self._started:
+            self._started = True
+            yield from self._noise()
+        read = PAGE_TICKS
+        while read == PAGE_TICKS:
+            samples = self._reader.samples(self._ticks.last, PAGE_TICKS)
+            read = len(samples.tick)
+            if read:
+                yield from self._samples(samples)
+        for twin in self._reader.header.twin_names:
+            read = PAGE_TICKS
+            while read == PAGE_TICKS:
+                output = self._reader.twin_outputs(twin, self._twin_tick[twin], PAGE_TICKS)
+                read = len(output.tick)
+                # A commit between the two queries may bring answers to samples that are not read yet.
+                known = int(np.searchsorted(output.tick, self._ticks.last, side="right"))
+                if known:
+                    yield from self._twin(output, known)
+                if known < read:
+                    break
+        yield from self._calibrations(self._reader.calibrations(self._ids["calibrations"]))
+        yield from self._texts()
+
+    def _noise(self) -> Iterator[Batch]:
+        header = self._reader.header
+        for sensor in header.twin_sensors:
+            sigma = header.noise_K.get(sensor)
+            levels = [0.0] if sigma is None else [0.0, 2 * sigma, -2 * sigma]
+            ends = np.array([0.0, header.duration_s])
+            yield Rows(path("sensors", sensor, "noise"), ends, np.array([levels, levels]))
+
+    def _samples(self, samples: Samples) -> Iterator[Batch]:
+        good = np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
+        for entity, columns in self.plan.columns_of.items():
+            yield Rows(entity, samples.time_s, good[:, [self._columns[column] for column in columns]])
+        means = np.empty((len(samples.tick), len(self._reader.header.twin_sensors)))
+        for k, (sensor, columns) in enumerate(self._reader.header.twin_sensors.items()):
+            parts = good[:, [self._columns[column] for column in columns]]
+            present = np.isfinite(parts).sum(axis=1)
+            total = np.nansum(parts, axis=1)
+            # One column is passed on untouched: a sum would turn -0.0 into 0.0 and a mean may round.
+            means[:, k] = (
+                parts[:, 0] if len(columns) == 1 else np.where(present > 0, total / np.maximum(present, 1), np.nan)
+            )
+            yield Rows(path("sensors", sensor, "measured"), samples.time_s, means[:, k : k + 1])
+        self._ticks.append(samples.tick, means)
+        self.end_s = float(samples.time_s.max())
+        for column, k in self._columns.items():
+            states = samples.quality[:, k : k + 1]
+            yield from self._lane(path("quality", column), samples.time_s, states, _quality_name)
+        watched = samples.quality[:, self._watched]
+        names = [signal.column for signal in self._reader.header.signals]
+
+        def worst(row: NDArray[np.uint8]) -> str:
+            bad = np.flatnonzero(row)
+            return worst_state([names[self._watched[i]] for i in bad], row[bad].tolist())
+
+        yield from self._lane("/quality", samples.time_s, watched, worst)
+
+    def _lane(
+        self,
+        entity: str,
+        time_s: NDArray[np.float64],
+        rows: NDArray[np.uint8],
+        name: Callable[[NDArray[np.uint8]], str],
+    ) -> Iterator[Batch]:
+        """Changes of state along `rows (n, k)`, told apart by value and named by `name`."""
+        changed = np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1)) + 1
+        times, states = [], []
+        last = self._states.get(entity)
+        for i in (0, *changed.tolist()):
+            state = name(rows[i])
+            if state != last:
+                times.append(float(time_s[i]))
+                states.append(state)
+                last = state
+        if states:
+            self._states[entity] = states[-1]
+            yield States(entity, np.array(times), list(states))
+
+    def _twin(self, output: TwinOutput, count: int) -> Iterator[Batch]:
+        time_s, values = output.time_s[:count], output.values[:count]
+        residual = self._ticks.at(output.tick[:count]) - values
+        for k, sensor in enumerate(self._reader.header.twin_sensors):
+            yield Rows(path("sensors", sensor, "twin", output.twin), time_s, values[:, k : k + 1])
+            yield Rows(path("sensors", sensor, "residual", output.twin), time_s, residual[:, k : k + 1])
+        self._twin_tick[output.twin] = int(output.tick[count - 1])
+
+    def _calibrations(self, windows: list[CalibrationRow]) -> Iterator[Batch]:
+        if not windows:
+            return
+        self._ids["calibrations"] = windows[-1].id
+        self._learn_parameters(windows)
+        for calibrator in dict.fromkeys(window.calibrator for window in windows):
+            mine = [window for window in windows if window.calibrator == calibrator]
+            end_s = np.array([window.end_s for window in mine])
+            yield from _window_lanes(calibrator, mine)
+            errors = [[_number(window.document.get(key)) for key in ("rmse_before_K", "rmse_K")] for window in mine]
+            yield Rows(path("fit", calibrator), end_s, np.array(errors))
+            yield from self._parameters(calibrator, mine)
+
+    def _learn_parameters(self, windows: list[CalibrationRow]) -> None:
+        """Panels for parameters that are seen for the first time."""
+        names = [name for window in windows for name in window.document.get("parameters", {})]
+        if set(names) <= set(self._units):
+            return
+        self._commissioned = self._reader.meta("commissioned") or {}
+        units = self._reader.meta("parameter_units") or {}
+        self._units |= {name: units.get(name, "1") for name in names}
+        self.plan = make_plan(self._reader.header, self._units, bool(self._commissioned))
+
+    def _parameters(self, calibrator: str, windows: list[CalibrationRow]) -> Iterator[Batch]:
+        for name, unit in self._units.items():
+            with_it = [window for window in windows if name in window.document.get("parameters", {})]
+            if not with_it:
+                continue
+            end_s = np.array([window.end_s for window in with_it])
+            values = np.array([_number(window.document["parameters"][name]) for window in with_it])
+            errors = np.array([_number((window.document.get("standard_errors") or {}).get(name)) for window in with_it])
+            yield Estimates(path("parameters", name, calibrator), calibrator, unit, end_s, values, errors**2)
+            commissioned = self._commissioned.get(name)
+            if commissioned:
+                relative = 100.0 * (values / commissioned - 1.0)
+                yield Rows(path("relative", calibrator, name), end_s, relative[:, None])
+
+    def _texts(self) -> Iterator[Batch]:
+        events = self._reader.events(self._ids["events"])
+        if events:
+            self._ids["events"] = events[-1].id
+            time_s = np.array([event.time_s for event in events])
+            yield Texts("/events", time_s, [event.text for event in events], [event.level for event in events])
+        writes = self._reader.writes(self._ids["writes"])
+        if writes:
+            self._ids["writes"] = writes[-1].id
+        told = [write for write in writes if write.reason not in _ROUTINE_WRITES]
+        if told:
+            texts = [f"{write.signal} = {write.value:g} ({write.reason})" for write in told]
+            levels = ["WARN" if write.reason.startswith("safe") else "INFO" for write in told]
+            yield Texts("/writes", np.array([write.time_s for write in told]), texts, levels)
+
+
+def _quality_name(row: NDArray[np.uint8]) -> str:
+    return QUALITY_NAMES[Quality(int(row[0]))]
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _window_lanes(calibrator: str, windows: list[CalibrationRow]) -> Iterator[Batch]:
+    """Each window from its start; an end counts only where no other window begins there, hence it is sent first."""
+    times = np.array([time for window in windows for time in (window.start_s, window.end_s)])
+    kinds: list[str | None] = []
+    flags: list[str | None] = []
+    for window in windows:
+        kinds += [str(window.document.get("kind", "window")), None]
+        flags += ["calibrated" if window.document.get("calibrated") else "not calibrated", None]
+    yield States(path("windows", calibrator), times, kinds)
+    yield States(path("calibrated", calibrator), times, flags)

@@ -1,0 +1,148 @@
+"""From a journal, finished or growing, to a review file and a viewer."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from hil.atomic import replacing
+from hil.journal import JournalError, JournalReader
+from hil.review.collect import Batch, Collector, merged
+from hil.review.rerun_io import Recording
+from hil.review.viewer import listens
+
+POLL_S = 0.25
+FILE_ROWS = 3600
+"""Rows of an entity that are gathered before they go to the file: a chunk costs over a kilobyte however few."""
+_VIEWER_TIMEOUT_S = 10.0
+_JOURNAL_TIMEOUT_S = 10.0
+
+_log = logging.getLogger(__name__)
+
+
+class _File:
+    """The file's side: gathers batches so that a slow run does not make a large file."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._pending: dict[str, list[Batch]] = {}
+        self._rows: dict[str, int] = {}
+
+    def send(self, batch: Batch) -> None:
+        self._pending.setdefault(batch.entity, []).append(batch)
+        self._rows[batch.entity] = self._rows.get(batch.entity, 0) + len(batch.time_s)
+        if self._rows[batch.entity] >= FILE_ROWS:
+            self._write(batch.entity)
+
+    def _write(self, entity: str) -> None:
+        self._recording.send(merged(self._pending.pop(entity)))
+        del self._rows[entity]
+
+    def close(self) -> None:
+        for entity in list(self._pending):
+            self._write(entity)
+        self._recording.close()
+
+
+class _Screen:
+    """The viewer's side: everything at once, until the viewer is gone."""
+
+    def __init__(self, collector: Collector, name: str, url: str) -> None:
+        self._recording: Recording | None = None
+        port = urlsplit(url.removeprefix("rerun+")).port
+        # Connecting to nobody would block for seconds.
+        if port is None or not listens(port):
+            _log.warning("no viewer listens at %s; the review goes to its file only", url)
+            return
+        self._recording = Recording(collector.plan, name, url=url)
+
+    def send(self, batch: Batch) -> None:
+        if self._recording is not None:
+            self._recording.send(batch)
+
+    def settle(self, collector: Collector) -> None:
+        """Bring the layout up to date and see whether the viewer still takes data."""
+        if self._recording is None:
+            return
+        if self._recording.plan is not collector.plan:
+            self._recording.layout(collector.plan, collector.plan.header.duration_s)
+        if not self._recording.flush(_VIEWER_TIMEOUT_S):
+            _log.warning("the viewer is gone; `hil review RUN --follow` opens another one")
+            self._recording = None
+
+    @property
+    def open(self) -> bool:
+        return self._recording is not None
+
+    def close(self) -> None:
+        if self._recording is not None:
+            self._recording.close()
+
+
+@contextlib.contextmanager
+def _reader(journal: Path, stop: Callable[[], bool]) -> Iterator[JournalReader]:
+    """The journal, also when its writer has only just begun; raises JournalError."""
+    deadline = time.monotonic() + _JOURNAL_TIMEOUT_S
+    while True:
+        try:
+            reader = JournalReader(journal)
+            break
+        except JournalError:
+            if stop() or time.monotonic() > deadline:
+                raise
+        time.sleep(0.05)
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def write_review(journal: Path, rrd: Path) -> None:
+    """Write what `journal` holds by now to `rrd`, whole or not at all; raises JournalError or OSError."""
+    follow(journal, rrd=rrd, viewer=None, stop=lambda: True)
+
+
+def follow(
+    journal: Path,
+    *,
+    rrd: Path | None,
+    viewer: str | None,
+    stop: Callable[[], bool],
+    poll_s: float = POLL_S,
+) -> None:
+    """Send `journal` to the file `rrd` and to the viewer at the URL `viewer` as it grows.
+
+    Ends when the run has ended, when `stop()` is true, or without a file when the viewer is gone, in each case after
+    everything committed by then has been sent. `rrd` appears when it is complete. Raises JournalError or OSError.
+    """
+    with contextlib.ExitStack() as stack:
+        reader = stack.enter_context(_reader(journal, stop))
+        collector = Collector(reader)
+        name = journal.resolve().parent.name
+        path = None if rrd is None else stack.enter_context(replacing(rrd))
+        recording = None if path is None else Recording(collector.plan, name, path=path)
+        file = None if recording is None else _File(recording)
+        screen = None if viewer is None else _Screen(collector, name, viewer)
+        try:
+            while True:
+                last = stop() or collector.finished()
+                for batch in collector.poll():
+                    if file is not None:
+                        file.send(batch)
+                    if screen is not None:
+                        screen.send(batch)
+                if screen is not None:
+                    screen.settle(collector)
+                if last or (file is None and screen is not None and not screen.open):
+                    break
+                time.sleep(poll_s)
+        finally:
+            if recording is not None and file is not None:
+                recording.layout(collector.plan, collector.end_s or collector.plan.header.duration_s)
+                file.close()
+            if screen is not None:
+                screen.close()

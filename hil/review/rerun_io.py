@@ -1,0 +1,202 @@
+"""The only module that imports rerun: writes batches to a file or a viewer, reads them back, takes pictures."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rerun.chunk import RrdReader
+from rerun.experimental import ViewerClient
+
+from hil.review.collect import Batch, Estimates, Rows, States, Texts
+from hil.review.plan import Panel, Plan, Stack
+
+TIMELINE = "test_time"
+_SETTLED = 3
+
+
+class Recording:
+    """One stream of a run to Rerun, to a file (`path`) or to a viewer (`url`), never both: each batches its own way."""
+
+    def __init__(self, plan: Plan, name: str, *, path: Path | None = None, url: str | None = None) -> None:
+        # An id of its own: a viewer that shows the live stream must not merge the file into it when asked to open it.
+        self._stream = rr.RecordingStream(f"hil {plan.header.profile}", recording_id=str(uuid.uuid4()))
+        if path is not None:
+            self._stream.save(path)
+        if url is not None:
+            self._stream.connect_grpc(url)
+        self._stream.send_recording_name(name)
+        self._live = url is not None
+        self._looks(plan)
+        self._plan: Plan | None = None
+        self._units: set[str] = set()
+
+    def layout(self, plan: Plan, end_s: float) -> None:
+        """Send the blueprint, time axes from 0 to `end_s`, s."""
+        self._plan = plan
+        self._stream.send_blueprint(_blueprint(plan, end_s, self._live))
+
+    @property
+    def plan(self) -> Plan | None:
+        """The plan whose layout was sent last."""
+        return self._plan
+
+    def _looks(self, plan: Plan) -> None:
+        for lines in plan.lines:
+            looks = rr.SeriesLines(
+                names=lines.names,
+                colors=lines.colours or None,
+                widths=[lines.width] * len(lines.names),
+                aggregation_policy="MinMax" if lines.extremes else "Average",
+                interpolation_mode="StepAfter" if lines.steps else "Linear",
+            )
+            self._stream.log(lines.entity, looks, static=True)
+        for lane in plan.lanes:
+            states = list(lane.colours)
+            colours = rr.StateConfiguration(values=states, labels=states, colors=list(lane.colours.values()))
+            self._stream.log(lane.entity, colours, static=True)
+
+    def send(self, batch: Batch) -> None:
+        """Send one batch as one chunk."""
+        times = [rr.TimeColumn(TIMELINE, duration=_nanoseconds(batch.time_s))]
+        match batch:
+            case Rows(entity, time_s, values):
+                columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values).ravel())
+                self._stream.send_columns(entity, times, columns.partition([values.shape[1]] * len(time_s)))
+            case Estimates(entity, name, unit, _, values, variances):
+                if entity not in self._units:
+                    looks = rr.Measurements.from_fields(names=[name], units=[unit])
+                    self._stream.log(entity, looks, static=True)
+                    self._units.add(entity)
+                self._stream.send_columns(entity, times, rr.Measurements.columns(values=values, variances=variances))
+            case States(entity, _, states):
+                self._stream.send_columns(entity, times, rr.StateChange.columns(state=pa.array(states)))
+            case Texts(entity, _, texts, levels):
+                self._stream.send_columns(entity, times, rr.TextLog.columns(text=texts, level=levels))
+
+    def flush(self, timeout_s: float) -> bool:
+        """Whether all that was sent has arrived within `timeout_s`."""
+        try:
+            self._stream.flush(timeout_sec=timeout_s)
+        except (RuntimeError, ValueError, OSError):
+            return False
+        return True
+
+    def close(self) -> None:
+        """Finish: a file gets its index and can be opened."""
+        self._stream.disconnect()
+
+
+def _nanoseconds(time_s: NDArray[np.float64]) -> NDArray[Any]:
+    return np.round(time_s * 1e9).astype("timedelta64[ns]")
+
+
+def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
+    whole = rrb.TimeRange(
+        start=rrb.TimeRangeBoundary.absolute(seconds=0.0), end=rrb.TimeRangeBoundary.absolute(seconds=end_s)
+    )
+    axis = rrb.TimeAxis(view_range=whole)
+
+    def view(panel: Panel) -> Any:
+        contents = list(panel.contents)
+        match panel.kind:
+            case "lines":
+                legend = rrb.PlotLegend(visible=panel.legend)
+                return rrb.TimeSeriesView(name=panel.title, contents=contents, axis_x=axis, plot_legend=legend)
+            case "lanes":
+                return rrb.StateTimelineView(name=panel.title, contents=contents, time_view=axis)
+            case "texts":
+                return rrb.TextLogView(name=panel.title, contents=contents)
+
+    def part(item: Panel | Stack) -> Any:
+        if isinstance(item, Panel):
+            return view(item)
+        parts = [part(inner) for inner in item.parts]
+        shares = [inner.share for inner in item.parts]
+        name = item.title or None
+        match item.arrange:
+            case "rows":
+                return rrb.Vertical(*parts, row_shares=shares, name=name)
+            case "columns":
+                return rrb.Horizontal(*parts, column_shares=shares, name=name)
+            case "grid":
+                return rrb.Grid(*parts, name=name)
+
+    return rrb.Blueprint(
+        rrb.Tabs(*(part(tab) for tab in plan.tabs), active_tab=0),
+        rrb.TimePanel(timeline=TIMELINE, play_state="following" if live else "paused", state="collapsed"),
+        auto_layout=False,
+        auto_views=False,
+        collapse_panels=True,
+    )
+
+
+def read_columns(rrd: Path, entity: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`time_s (n,)` and `values (n, k)` of an entity that holds scalars or measurements, in the order of sending.
+
+    Raises KeyError where the file has no such entity.
+    """
+    times, blocks = [], []
+    for batch in _record_batches(rrd, entity):
+        for name in ("Scalars:scalars", "Measurements:values"):
+            if name in batch.schema.names and TIMELINE in batch.schema.names:
+                nanoseconds = batch.column(TIMELINE).cast(pa.int64()).to_numpy()
+                values = batch.column(name).flatten().to_numpy(zero_copy_only=False)
+                times.append(nanoseconds / 1e9)
+                blocks.append(values.reshape(len(nanoseconds), -1))
+    if not times:
+        raise KeyError(f"{rrd} holds no values of {entity}")
+    return np.concatenate(times), np.concatenate(blocks)
+
+
+def read_words(rrd: Path, entity: str) -> list[tuple[float, str | None]]:
+    """Time in s and text of each log line, or each new state of a lane, of `entity`."""
+    rows: list[tuple[float, str | None]] = []
+    for batch in _record_batches(rrd, entity):
+        for name in ("TextLog:text", "StateChange:state"):
+            if name in batch.schema.names and TIMELINE in batch.schema.names:
+                nanoseconds = batch.column(TIMELINE).cast(pa.int64()).to_pylist()
+                words = [None if not cell else cell[0] for cell in batch.column(name).to_pylist()]
+                rows += [(stamp / 1e9, word) for stamp, word in zip(nanoseconds, words, strict=True)]
+    return rows
+
+
+def _record_batches(rrd: Path, entity: str) -> list[Any]:
+    # Not through the store: a file whose writer was killed has no index, yet all rows up to its last flush.
+    chunks = RrdReader(rrd).stream().filter(content=entity, has_timeline=TIMELINE).to_chunks()
+    return [chunk.to_record_batch() for chunk in chunks]
+
+
+class Camera:
+    """Drives a running viewer at `url` to take pictures of a recording."""
+
+    def __init__(self, url: str) -> None:
+        self._client = ViewerClient.connect(url)
+
+    def open(self, rrd: Path, tab: int = 0) -> None:
+        """Load a recording and wait until the viewer lists its views; raises TimeoutError."""
+        self._client.open(str(rrd.resolve()))
+
+    def picture(self, timeout_s: float) -> bytes:
+        """A PNG of the whole viewer once it no longer changes; raises TimeoutError when it never settles."""
+        deadline = time.monotonic() + timeout_s
+        last, equal = b"", 0
+        while equal < _SETTLED:
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"the picture was still changing after {timeout_s:g} s")
+            now = self._client.take_screenshot()
+            equal = equal + 1 if now == last else 1
+            last = now
+        return last
+
+    def complaints(self) -> list[str]:
+        """What the views on screen report: `view: severity: summary`."""
+        views = self._client.get_state().views
+        return [f"{view.name}: {report.severity}: {report.summary}" for view in views for report in view.reports]

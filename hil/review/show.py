@@ -1,0 +1,98 @@
+"""What a command does with a review: open a window, follow a live run, take a picture."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.atomic import replacing
+from hil.review.follow import follow, write_review
+from hil.review.rerun_io import Camera
+from hil.review.viewer import Viewer, ViewerError, open_viewer
+
+_FINISH_TIMEOUT_S = 120.0
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class Follower:
+    """A process that follows a journal into `rrd` and, where one opened, a viewer."""
+
+    process: subprocess.Popen[bytes]
+    journal: Path
+    rrd: Path
+    viewer: Viewer | None
+
+    def finish(self) -> None:
+        """Have it send what is committed and close the file; the viewer stays open for the operator."""
+        if self.process.poll() is None:
+            self.process.terminate()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            if self.process.wait(timeout=_FINISH_TIMEOUT_S) == 0:
+                return
+        self.process.kill()
+        self.process.wait()
+        _log.warning("the live review did not end well; %s is written anew from the journal", self.rrd)
+        write_review(self.journal, self.rrd)
+
+
+def start_follower(journal: Path, rrd: Path) -> Follower:
+    """Open a viewer and start the process that feeds it; without a viewer only the file is written."""
+    viewer = None
+    try:
+        viewer = open_viewer()
+    except ViewerError as error:
+        _log.warning("%s; the review goes to %s only", error, rrd)
+    command = [sys.executable, "-m", "hil.review", "follow", str(journal), "--rrd", str(rrd)]
+    command += ["--viewer", viewer.url] if viewer is not None else []
+    # In a session of its own: Ctrl-C belongs to the engine, whose last ticks must still be seen.
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+    return Follower(process, journal, rrd, viewer)
+
+
+def follow_review(journal: Path) -> None:
+    """Show a run in a window while it goes on; returns when the window is closed. Raises ViewerError, JournalError."""
+    viewer = open_viewer()
+    with contextlib.suppress(KeyboardInterrupt):
+        follow(journal, rrd=None, viewer=viewer.url, stop=lambda: not viewer.alive)
+        viewer.wait()
+    viewer.close()
+
+
+def show_review(rrd: Path) -> None:
+    """Show a finished review in a window; returns when it is closed. Raises ViewerError."""
+    viewer = open_viewer(files=(rrd,))
+    with contextlib.suppress(KeyboardInterrupt):
+        viewer.wait()
+    viewer.close()
+
+
+def screenshot(rrd: Path, png: Path, *, size: tuple[int, int] = (1600, 1000), timeout_s: float = 60.0) -> list[str]:
+    """Picture of `rrd` without a display; returns what its views complain about (empty when all is well).
+
+    Raises ViewerError where no headless viewer can run or the picture never settles.
+    """
+    viewer = open_viewer(headless=True, size=size)
+    try:
+        camera = Camera(viewer.url)
+        camera.open(rrd)
+        picture = camera.picture(timeout_s)
+        complaints = camera.complaints()
+    except (ConnectionError, RuntimeError, TimeoutError) as error:
+        why = viewer.last_words() if not viewer.alive else str(error)
+        raise ViewerError(
+            f"no picture of {rrd}: {why}; a headless viewer needs a Vulkan driver (Debian: mesa-vulkan-drivers)"
+        ) from error
+    finally:
+        viewer.close()
+    with replacing(png) as temporary:
+        temporary.write_bytes(picture)
+    return complaints
+
+
+screenshot_review = screenshot

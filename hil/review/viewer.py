@@ -1,0 +1,131 @@
+"""The native Rerun viewer as a process of its own, on the loopback interface only."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+HOST = "127.0.0.1"
+_START_TIMEOUT_S = 30.0
+
+
+class ViewerError(RuntimeError):
+    """The viewer did not start or gave no picture; the message says why and what to do."""
+
+
+@dataclass(slots=True)
+class Viewer:
+    """A running viewer: `url` takes a recording, `port` is its listener on 127.0.0.1."""
+
+    process: subprocess.Popen[bytes]
+    port: int
+    _log: IO[bytes]
+
+    @property
+    def url(self) -> str:
+        """Where a recording connects to."""
+        return f"rerun+http://{HOST}:{self.port}/proxy"
+
+    @property
+    def alive(self) -> bool:
+        """Whether its window (or its headless process) is still there."""
+        return self.process.poll() is None
+
+    def wait(self) -> None:
+        """Until the window is closed."""
+        self.process.wait()
+        self._log.close()
+
+    def close(self) -> None:
+        """End the viewer; harmless when it has ended by itself."""
+        if self.alive:
+            self.process.terminate()
+        try:
+            self.process.wait(timeout=5.0)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self._log.close()
+
+    def last_words(self) -> str:
+        """The line of its log that says why it ended, or nothing."""
+        self._log.seek(0)
+        lines = self._log.read().decode(errors="replace").splitlines()
+        telling = [line.strip() for line in lines if "panicked" in line or "rror" in line or "adapter" in line]
+        return telling[-1] if telling else ""
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    if sys.platform in ("win32", "darwin"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def binary() -> Path:
+    """The viewer's own executable.
+
+    Not the `rerun` command of the environment, a Python wrapper: ending that one leaves the viewer behind.
+    """
+    spec = importlib.util.find_spec("rerun_cli")
+    if spec is None or spec.origin is None:
+        raise ViewerError("the Rerun viewer is not installed; install rerun-sdk")
+    return Path(spec.origin).with_name("rerun.exe" if sys.platform == "win32" else "rerun")
+
+
+def open_viewer(
+    *,
+    headless: bool = False,
+    port: int | None = None,
+    files: Sequence[Path] = (),
+    size: tuple[int, int] = (1600, 1000),
+) -> Viewer:
+    """Start a viewer on a free port (or `port`) and wait until it listens; raises ViewerError.
+
+    The viewer outlives this process unless it is closed.
+    """
+    chosen = _free_port() if port is None else port
+    command = [str(binary()), "--bind", HOST, "--port", str(chosen), "--hide-welcome-screen"]
+    command += ["--window-size", f"{size[0]}x{size[1]}", *(["--headless"] if headless else []), *map(str, files)]
+    # Taken over by Viewer, which closes it. CI=true keeps the viewer from reporting its use over the network.
+    log = tempfile.TemporaryFile()  # noqa: SIM115
+    process = subprocess.Popen(
+        command,
+        env={**os.environ, "CI": "true"},
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=log,
+        start_new_session=True,
+    )
+    viewer = Viewer(process, chosen, log)
+    deadline = time.monotonic() + _START_TIMEOUT_S
+    while not listens(chosen):
+        if not viewer.alive or time.monotonic() > deadline:
+            why = viewer.last_words()
+            viewer.close()
+            raise ViewerError(f"the Rerun viewer did not start ({why or 'no reason given'})")
+        time.sleep(0.05)
+    return viewer
+
+
+def listens(port: int) -> bool:
+    """Whether something accepts connections on `port` of the loopback interface."""
+    with contextlib.suppress(OSError), socket.create_connection((HOST, port), timeout=1.0):
+        return True
+    return False
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
