@@ -195,6 +195,10 @@ def _number(table: dict[str, Any], key: str, place: str, default: float) -> floa
     value = table.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise EffectFileError(f"{place}: key '{key}' is {value!r}; give a number.")
-    if key in table and not isfinite(value):
-        raise EffectFileError(f"{place}: key '{key}' is {value}; give a finite number.")
-    return float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = inf
+    if key in table and not isfinite(number):
+        raise EffectFileError(f"{place}: key '{key}' is {number}; give a finite number.")
+    return number

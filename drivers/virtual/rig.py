@@ -67,6 +67,12 @@ class _Child:
             raise PortInUseError(line["errno"], line["message"])
         return line
 
+    async def until_end(self) -> None:
+        """Read to the end of stdout and collect the exit code."""
+        while await self.read_line() is not None:
+            pass
+        await self.process.wait()
+
     async def end(self) -> None:
         """End of stdin asks; SIGTERM and SIGKILL insist."""
         if self.process.stdin is not None:
@@ -94,7 +100,7 @@ class VirtualRig:
         self._children = children
         self._stopping = False
         self._ended = asyncio.Event()
-        self._watchers = [asyncio.create_task(self._watch(child)) for child in children]
+        self._watcher = asyncio.create_task(self._watch(), name="virtual rig")
 
     @property
     def pids(self) -> dict[str, int]:
@@ -115,8 +121,7 @@ class VirtualRig:
         """End both processes and wait for them; harmless when repeated."""
         self._stopping = True
         await asyncio.gather(*(child.end() for child in self._children))
-        await asyncio.gather(*self._watchers)
-        self._ended.set()
+        await self._watcher
 
     async def __aenter__(self) -> Self:
         return self
@@ -126,19 +131,19 @@ class VirtualRig:
     ) -> None:
         await self.stop()
 
-    async def _watch(self, child: _Child) -> None:
-        """Read the process to its end; an end that nobody asked for takes the other process down too."""
-        while await child.read_line() is not None:
-            pass
-        code = await child.process.wait()
-        if not self._stopping and not self._ended.is_set():
-            if child.last.get("reason") != "quit":
-                what = f"by signal {-code}" if code < 0 else f"with exit code {code}"
-                self.failure = f"The virtual rig's process '{child.name}' ended {what}; start the rig again."
-            self._ended.set()
-            for other in self._children:
-                if other is not child and other.process.stdin is not None:
-                    other.process.stdin.close()
+    async def _watch(self) -> None:
+        """Follow both processes to their end. The first to go takes the other with it; then judge who is to blame."""
+        follow = [asyncio.create_task(child.until_end()) for child in self._children]
+        await asyncio.wait(follow, return_when=asyncio.FIRST_COMPLETED)
+        asked = self._stopping
+        await asyncio.gather(*(child.end() for child in self._children))
+        await asyncio.gather(*follow)
+        if not asked and not any(child.last.get("reason") == "quit" for child in self._children):
+            blame = max(self._children, key=lambda child: child.process.returncode != 0)
+            code = blame.process.returncode or 0
+            how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
+            self.failure = f"The virtual rig's process '{blame.name}' ended {how}; start the rig again."
+        self._ended.set()
 
 
 async def start_virtual_rig(
