@@ -373,10 +373,15 @@ async def test_a_port_in_use_is_one_sentence(which: str) -> None:
     assert isinstance(caught.value, VirtualRigError)
 
 
-@pytest.mark.parametrize("options", [{"mode": "warp"}, {"period_s": 0.0}, {"speed": -1.0}])
+@pytest.mark.parametrize("options", [{"mode": "warp"}, {"period_s": 0.0}, {"speed": -1.0}, {"can_port": 70000}])
 async def test_arguments_that_make_no_rig(options: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=r"use|give"):
         await start_virtual_rig(**options)
+
+
+async def test_a_host_that_is_not_here_is_one_sentence() -> None:
+    with pytest.raises(PortInUseError, match=r"192\.0\.2\.1:0 cannot be opened"):
+        await start_virtual_rig(host="192.0.2.1")
 
 
 async def test_bad_effect_file_starts_nothing(tmp_path: Path) -> None:
