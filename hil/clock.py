@@ -32,6 +32,9 @@ class Clock(Protocol):
     async def next_tick(self) -> int:
         """Wait for the next tick and return its index; missed ticks are left out, never caught up in a burst."""
 
+    async def advance(self) -> None:
+        """Let one period of rig time pass, outside the grid."""
+
     async def close(self) -> None:
         """Let go of the rig's time."""
 
@@ -69,6 +72,10 @@ class MonotonicClock:
         await asyncio.sleep(max(wait, 0.0))
         self._tick = due
         return due - self._first
+
+    async def advance(self) -> None:
+        """Sleep for one period."""
+        await asyncio.sleep(self.period_s / self._speed)
 
     async def close(self) -> None:
         """Nothing is held."""
@@ -169,6 +176,10 @@ class LockstepClock:
         self._granted = False
         self._tick += 1
         return self._tick
+
+    async def advance(self) -> None:
+        """Grant one step and wait for it."""
+        await self.next_tick()
 
     async def close(self) -> None:
         """Let go of the rig's time; the rig goes on in real time."""

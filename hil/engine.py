@@ -99,6 +99,11 @@ class Engine:
         else:
             self._stop_reason = reason
 
+    @property
+    def tick(self) -> int:
+        """Index of the tick under way."""
+        return self._tick
+
     async def run(self) -> Outcome:
         """Run to the end; whatever happens, the rig is made safe before this returns."""
         outcome = Outcome("faulted", "")
@@ -156,7 +161,7 @@ class Engine:
             await self._connection.write(self._heartbeat())
             if heartbeat.arm is not None:
                 await self._connection.write({heartbeat.arm: 1.0})
-            await self._advance()
+            await self._clock.advance()
             tripped = self._interlocks.tripped(await self._connection.read())
             if tripped is None:
                 return
@@ -250,7 +255,7 @@ class Engine:
             self._connection,
             safe,
             heartbeat=self._heartbeat,
-            advance=self._advance,
+            advance=self._clock.advance,
             period_s=self._clock.period_s,
             hurried=lambda: self._hurry,
         )
@@ -268,10 +273,3 @@ class Engine:
         else:
             self._event("INFO", f"safe: {listed}; read back, and the measured values have followed")
         return result.written
-
-    async def _advance(self) -> None:
-        """Let one period of rig time pass."""
-        if self._lockstep:
-            await self._clock.next_tick()
-        else:
-            await asyncio.sleep(min(self._clock.period_s, 0.5))

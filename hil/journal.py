@@ -302,7 +302,7 @@ class JournalReader:
     def calibrations(self, after_id: int = 0) -> list[CalibrationRow]:
         """Finished windows with an id above `after_id`."""
         rows = self._database.execute("SELECT * FROM calibrations WHERE id > ? ORDER BY id", (after_id,))
-        return [CalibrationRow(*row[:4], document=json.loads(row[4])) for row in rows]
+        return [CalibrationRow(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in rows]
 
     def writes(self, after_id: int = 0) -> list[WriteRow]:
         """Set-point changes with an id above `after_id`."""

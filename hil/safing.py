@@ -13,6 +13,7 @@ from drivers.rig import RigConnection
 
 WRITE_DEADLINE_S = 30.0
 HURRIED_WRITE_DEADLINE_S = 5.0
+RETRY_EVERY_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ async def make_safe(
             break
         if time.monotonic() - began > (HURRIED_WRITE_DEADLINE_S if hurried() else WRITE_DEADLINE_S):
             return Safed(False, False, problem)
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(RETRY_EVERY_S)
     waits = [connection.rig.get(name).readback_within_s for name in safe_values]
     for _ in range(math.ceil(max(waits, default=0.0) / period_s)):
         try:
@@ -56,7 +57,7 @@ async def make_safe(
             await advance()
         except DriverError as error:
             problem = str(error)
-            await asyncio.sleep(min(period_s, 0.5))
+            await asyncio.sleep(RETRY_EVERY_S)
     return Safed(True, not problem, problem)
 
 

@@ -80,6 +80,11 @@ def prepare(request: RunRequest) -> Prepared:
 
         network = load(request.twin)
         _check_twin_columns(request.twin, network, rig)
+        from twin.calibrators import NAMES
+
+        unknown = [name for name in request.calibrators if name not in NAMES]
+        if unknown:
+            raise ConfigurationError(f"no calibrator {', '.join(unknown)}; there are {', '.join(NAMES)}")
     if request.effects is not None and not request.virtual:
         raise ConfigurationError(
             "--with switches on effects in the virtual rig; give --virtual too, or take --with out"

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hil.commands.paths import INPUT_FILE
+
+if TYPE_CHECKING:
+    from twin.commission import Commission
 
 
 @click.command()
@@ -48,7 +52,7 @@ def command(record: Path, twin: Path | None, datasheet: Path | None, out: Path, 
     _show(result, data.messages, out)
 
 
-def _document(result, out: Path) -> dict[str, object]:
+def _document(result: Commission, out: Path) -> dict[str, object]:
     return {
         "twin": str(out),
         "values": dict(result.values),
@@ -62,7 +66,7 @@ def _document(result, out: Path) -> dict[str, object]:
     }
 
 
-def _show(result, messages: tuple[str, ...], out: Path) -> None:
+def _show(result: Commission, messages: tuple[str, ...], out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 

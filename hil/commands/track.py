@@ -5,10 +5,15 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hil.commands.paths import INPUT_FILE
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 BLOCK_ROWS = 1200
 
@@ -43,7 +48,7 @@ def command(record: Path, twin: Path, calibrators: tuple[str, ...], seed: int, o
     network = next(iter(trackers.values())).network
     data.require(*network.input_columns)
     began = time.monotonic()
-    outputs: dict[str, list] = {}
+    outputs: dict[str, list[NDArray[np.float64]]] = {}
     windows: dict[str, dict[str, int]] = {name: {} for name in trackers}
     with Steps("tracking", len(data.time_s), quiet=as_json) as steps:
         for message in data.messages:
@@ -68,13 +73,15 @@ def command(record: Path, twin: Path, calibrators: tuple[str, ...], seed: int, o
     console.print(f"{len(data.time_s)} samples in {time.monotonic() - began:.1f} s", highlight=False)
 
 
-def _write_predictions(out: Path, time_s: object, sensors: tuple[str, ...], outputs: dict[str, list]) -> None:
+def _write_predictions(
+    out: Path, time_s: NDArray[np.float64], sensors: tuple[str, ...], outputs: dict[str, list[NDArray[np.float64]]]
+) -> None:
     import numpy as np
 
-    from hil.record import write_record_columns
+    from hil.record import Record, write_record
 
     columns = {}
     for name, blocks in outputs.items():
         values = np.concatenate(blocks)
         columns |= {f"{sensor.removesuffix('_C')}_{name}_C": values[:, i] for i, sensor in enumerate(sensors)}
-    write_record_columns(out, time_s, columns)
+    write_record(Record(time_s, columns), out)
