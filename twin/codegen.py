@@ -1,18 +1,20 @@
-"""Network to source text: one fused Runge-Kutta kernel over lanes, in three variants.
+"""Network to source text: one fused kernel over lanes, in three variants.
 
 ``cost``   squared, noise-weighted residuals summed per sensor: nothing is stored but the sums
 ``trace``  readings of every sensor at every sample, for plots, oracles and the live twin
 ``gram``   Gram matrix of lane differences: J'J and J'r of a least-squares fit without storing trajectories
 
+A linear network is integrated by the Taylor series of its exact solution, any other by classical Runge-Kutta.
+
 Layout: particles come in blocks of LANES. A block's state, parameters and per-interval coefficients live in one
-flat work array, row r of lane l at ``W[r * LANES + l]``; the only inner loop runs over l and holds all four
+flat work array, row r of lane l at ``W[r * LANES + l]``; the only inner loop runs over l and holds all
 stages, so that the compiler turns it into vector instructions. The row offsets are literals, which is what
 lets it prove that rows do not overlap.
 
 Inputs are held from one sample to the next (zero-order hold). Each interval is cut into as many equal substeps
 as keep  substep * (largest conductance at a node / its capacitance)  below STEP_LIMIT, with the largest taken
-over the lanes of the block: classical RK4 then errs by well under 1e-6 K on a cooling loop and stays stable in
-every corner of the declared bounds.
+over the lanes of the block: that keeps the error of a cooling loop below 1e-6 K, and every corner of the
+declared bounds stable.
 """
 
 from __future__ import annotations
@@ -25,7 +27,11 @@ from twin.elements import Fragment, Names
 from twin.network import Network
 
 LANES = 32
-STEP_LIMIT = 0.3
+ORDER = 5
+"""Order of the Taylor series for linear networks."""
+STEP_LIMIT = 0.2
+MOST_STEPS = 1.0e6
+"""Substeps in one sample interval, at most."""
 Mode = Literal["cost", "trace", "gram"]
 MODES: tuple[Mode, ...] = ("cost", "trace", "gram")
 
@@ -198,26 +204,42 @@ class _Kernel:
         return [line for line in self.loads(body) if line.split(" = ")[0] not in names] + lines
 
     def stages(self) -> list[str]:
-        """Four stages of classical RK4 in scalars of one lane; the new state ends in the state rows."""
-        k = range(self.k)
-        lines: list[str] = []
-        for stage, (state, weight) in enumerate((("", ""), ("a", "hh"), ("b", "hh"), ("c", "h"))):
-            here, last = "abcd"[stage], state
-            if stage:
-                lines += [f"x{j}{here} = x{j} + {weight} * k{j}{last}" for j in k]
-            else:
-                lines += [f"x{j}{here} = x{j}" for j in k]
-            text = self.text(here)
-            for _, f in self.parts.parts:
-                lines += [f"{text(name)} = {text(value)}" for name, value in f.stage]
-            for j, node in enumerate(self.network.nodes):
-                lines.append(f"k{j}{here} = ({text(self.parts.heat(node))}) * c{j}")
-        for j in k:
-            lines.append(f"{self.at(j)} = x{j} + h6 * (k{j}a + 2.0 * (k{j}b + k{j}c) + k{j}d)")
+        """One substep in scalars of one lane; the new state ends in the state rows."""
+        lines = self.horner() if all(e.linear for e in self.network.elements) else self.runge_kutta()
         body = "\n".join(lines)
-        state = [f"x{j} = {self.at(j)}" for j in k]
-        inverse = [f"c{j} = {self.at(self.capacity_row + j)}" for j in k]
-        return state + inverse + self.loads(body) + lines
+        loaded = [f"x{j} = {self.at(j)}" for j in range(self.k)]
+        loaded += [f"c{j} = {self.at(self.capacity_row + j)}" for j in range(self.k)]
+        return loaded + self.loads(body) + lines
+
+    def slopes(self, stage: str) -> list[str]:
+        """dT/dt of every node at the temperatures x0, x1, .. of a stage, as k0, k1, .. of that stage."""
+        text = self.text(stage)
+        lines = [f"{text(name)} = {text(value)}" for _, f in self.parts.parts for name, value in f.stage]
+        for j, node in enumerate(self.network.nodes):
+            lines.append(f"k{j}{stage} = ({text(self.parts.heat(node))}) * c{j}")
+        return lines
+
+    def horner(self) -> list[str]:
+        """Taylor series of the exact solution, for a right side that is affine and constant in the step.
+
+        x_i = x + h/(s + 1 - i) f(x_(i-1)), i = 1 .. s: of order s, as Horner's scheme of exp.
+        """
+        k = range(self.k)
+        lines = [f"x{j}a = x{j}" for j in k]
+        for i in range(ORDER):
+            here, then = "abcdefghijkl"[i : i + 2]
+            lines += self.slopes(here)
+            share = "h" if i == ORDER - 1 else f"h{ORDER - i}"
+            lines += [f"x{j}{then} = x{j} + {share} * k{j}{here}" for j in k]
+        return lines + [f"{self.at(j)} = x{j}{then}" for j in k]
+
+    def runge_kutta(self) -> list[str]:
+        """Classical fourth order."""
+        k = range(self.k)
+        lines = [f"x{j}a = x{j}" for j in k] + self.slopes("a")
+        for last, here, share in (("a", "b", "h2"), ("b", "c", "h2"), ("c", "d", "h")):
+            lines += [f"x{j}{here} = x{j} + {share} * k{j}{last}" for j in k] + self.slopes(here)
+        return lines + [f"{self.at(j)} = x{j} + h6 * (k{j}a + 2.0 * (k{j}b + k{j}c) + k{j}d)" for j in k]
 
     def observe(self, i: str) -> list[str]:
         """Lines that compare the state at sample `i` with the measurement."""
@@ -229,15 +251,15 @@ class _Kernel:
         lines: list[str] = []
         if self.mode == "trace":
             lines = [f"Y[b, {i}, {j}, l] = {reading}" for j, reading in enumerate(readings)]
-            return ["for l in range(LANES):", *_indent(head + lines)]
+            return _lanes(head + lines)
         weights = [f"w{j} = weight[{i}, {j}]" for j in range(self.m)]
         if self.mode == "cost":
             for j, reading in enumerate(readings):
                 lines += [f"r{j} = (({reading}) - y[{i}, {j}]) * w{j}"]
                 lines += [f"{self.at(self.sum_row + j)} += r{j} * r{j}"]
-            return weights + ["for l in range(LANES):", *_indent(head + lines)]
+            return weights + _lanes(head + lines)
         lines = [f"E[{j * LANES} + l] = {reading}" for j, reading in enumerate(readings)]
-        block = weights + ["for l in range(LANES):", *_indent(head + lines)]
+        block = weights + _lanes(head + lines)
         for j in range(self.m):
             inner = [
                 f"centre = E[{j * LANES}]",
@@ -253,76 +275,55 @@ class _Kernel:
             block += [f"if w{j} != 0.0:", *_indent(inner)]
         return block
 
-    def source(self) -> str:
+    def refresh(self) -> list[str]:
+        """Per-interval coefficients and the largest rate, when an input they use has changed."""
         n = self.network
+        text = self.text("")
+        columns = [n.input_columns.index(c) for c in self.parts.slow_inputs()]
+        changed = " or ".join(f"u{c} != inputs[i - 1, {c}]" for c in columns) or "False"
+        uniform = [f"{text(name)} = {text(value)}" for _, f in self.parts.parts for name, value in f.uniform]
+        largest = ["limit = 0.0", *_lanes(["limit = max(limit, R[l])"])]
+        return [f"if i == 0 or {changed}:", *_indent([*uniform, *_lanes(self.prelude()), *largest])]
+
+    def block(self) -> list[str]:
+        """One block of lanes from the first sample to the last."""
+        gram, cost = self.mode == "gram", self.mode == "cost"
+        enter = [f"{self.at(j)} = start[b, {j}, l]" for j in range(self.k)]
+        enter += [f"{self.at(row)} = lanes[b, {r}, l]" for r, row in enumerate(self.parameter_row.values())]
+        enter += [f"{self.at(self.sum_row + j)} = 0.0" for j in range(self.m)]
+        leave = [f"end[b, {j}, l] = {self.at(j)}" for j in range(self.k)]
+        if cost:
+            leave += [f"sse[b, {j}, l] = {self.at(self.sum_row + j)}" for j in range(self.m)]
+        interval = [f"u{c} = inputs[i, {c}]" for c in range(len(self.network.input_columns))]
+        interval += self.refresh()
+        interval += self.observe("i")
+        interval += [
+            # Beyond LONGEST / limit the inputs have been constant for so many time constants that more of
+            # the same changes nothing; without the cut a gap of months would take minutes.
+            "dt = min(time[i + 1] - time[i], LONGEST / max(limit, 1e-30))",
+            "steps = int(dt * limit * PER_STEP) + 1",
+            "h = dt / steps",
+            *[f"h{i} = h / {i}.0" for i in range(2, 9)],
+            "for step in range(steps):",
+            *_indent(_lanes(self.stages())),
+        ]
+        lines = _lanes(enter)
+        lines += ["G[:] = 0.0"] if gram else []
+        lines += ["limit = 0.0", "for i in range(n - 1):", *_indent(interval)]
+        lines += [*self.observe("n - 1"), *_lanes(leave)]
+        if gram:
+            lines += ["for a in range(used):", *_indent(_lanes(["gram[b, a, l] = G[a * LANES + l]"]))]
+        return lines
+
+    def source(self) -> str:
         measured = "" if self.mode == "trace" else "y, weight, "
         used = "used, " if self.mode == "gram" else ""
         out = {"cost": "sse", "trace": "Y", "gram": "gram, sse"}[self.mode]
-        scalars = [f"p{i} = base[{i}]" for i in range(len(n.ids)) if i not in self.lane]
-        slow = [n.input_columns.index(c) for c in self.parts.slow_inputs()]
-        changed = " or ".join(f"u{c} != inputs[i - 1, {c}]" for c in slow) or "False"
-        text = self.text("")
-        uniform = [f"{text(name)} = {text(value)}" for _, f in self.parts.parts for name, value in f.uniform]
-        body = [
-            "for b in range(start.shape[0]):",
-            *_indent(
-                [
-                    "for l in range(LANES):",
-                    *_indent(
-                        [f"{self.at(j)} = start[b, {j}, l]" for j in range(self.k)]
-                        + [f"{self.at(row)} = lanes[b, {r}, l]" for r, row in enumerate(self.parameter_row.values())]
-                        + [f"{self.at(self.sum_row + j)} = 0.0" for j in range(self.m)]
-                    ),
-                    *(["G[:] = 0.0"] if self.mode == "gram" else []),
-                    "limit = 0.0",
-                    "for i in range(n - 1):",
-                    *_indent(
-                        [f"u{c} = inputs[i, {c}]" for c in range(len(n.input_columns))]
-                        + [f"if i == 0 or {changed}:"]
-                        + _indent(
-                            uniform
-                            + ["for l in range(LANES):", *_indent(self.prelude())]
-                            + ["limit = 0.0", "for l in range(LANES):", "    limit = max(limit, R[l])"]
-                        )
-                        + self.observe("i")
-                        + [
-                            "dt = time[i + 1] - time[i]",
-                            "steps = int(min(dt * limit * PER_STEP, MOST_STEPS)) + 1",
-                            "h = dt / steps",
-                            "hh = 0.5 * h",
-                            "h6 = h / 6.0",
-                            "for step in range(steps):",
-                            "    for l in range(LANES):",
-                            *_indent(self.stages(), 2),
-                        ]
-                    ),
-                    *self.observe("n - 1"),
-                    "for l in range(LANES):",
-                    *_indent(
-                        [f"end[b, {j}, l] = {self.at(j)}" for j in range(self.k)]
-                        + (
-                            [f"sse[b, {j}, l] = {self.at(self.sum_row + j)}" for j in range(self.m)]
-                            if self.mode == "cost"
-                            else []
-                        )
-                    ),
-                    *(
-                        ["for a in range(used):", "    for l in range(LANES):",
-                         "        gram[b, a, l] = G[a * LANES + l]"]
-                        if self.mode == "gram"
-                        else []
-                    ),
-                ]
-            ),
-        ]
-        head = [
-            "n = time.shape[0]",
-            f"W = np.empty({self.rows * LANES})",
-            "R = np.empty(LANES)",
-            *([f"E = np.empty({self.m * LANES})", "G = np.empty(LANES * LANES)"] if self.mode == "gram" else []),
-            *scalars,
-        ]
-        signature = f"def kernel(base, lanes, start, time, inputs, {measured}{used}{out}, end):"
+        head = ["n = time.shape[0]", f"W = np.empty({self.rows * LANES})", "R = np.empty(LANES)"]
+        if self.mode == "gram":
+            head += [f"E = np.empty({self.m * LANES})", "G = np.empty(LANES * LANES)"]
+        head += [f"p{i} = base[{i}]" for i in range(len(self.network.ids)) if i not in self.lane]
+        jit = f"{_SIGNATURE[self.mode]!r}, cache=True, fastmath=FAST, nogil=True, error_model='numpy'"
         return "\n".join(
             [
                 f'"""Generated: {self.mode} kernel of a network of {self.k} nodes. Changes here are lost."""',
@@ -334,7 +335,7 @@ class _Kernel:
                 "",
                 f"LANES = {LANES}",
                 f"PER_STEP = {1.0 / STEP_LIMIT!r}",
-                "MOST_STEPS = 1.0e6",
+                f"LONGEST = {MOST_STEPS * STEP_LIMIT!r}",
                 "FAST = {'contract', 'nsz', 'arcp'}",
                 "",
                 "",
@@ -342,9 +343,9 @@ class _Kernel:
                 _EXP.strip(),
                 "",
                 "",
-                f"@nb.njit({_SIGNATURE[self.mode]!r}, cache=True, fastmath=FAST, nogil=True, error_model='numpy')",
-                signature,
-                *_indent(head + body),
+                f"@nb.njit({jit})",
+                f"def kernel(base, lanes, start, time, inputs, {measured}{used}{out}, end):",
+                *_indent([*head, "for b in range(start.shape[0]):", *_indent(self.block())]),
                 "",
             ]
         )
@@ -359,5 +360,9 @@ _SIGNATURE: dict[Mode, str] = {
 }
 
 
-def _indent(lines: list[str], levels: int = 1) -> list[str]:
-    return ["    " * levels + line for line in lines]
+def _lanes(lines: list[str]) -> list[str]:
+    return ["for l in range(LANES):", *_indent(lines)]
+
+
+def _indent(lines: list[str]) -> list[str]:
+    return ["    " + line for line in lines]

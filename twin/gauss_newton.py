@@ -46,8 +46,7 @@ class Scaling:
             raise TwinFileError(f"{name} has no room between its bounds; take it out of the tunables")
         log = (low > 0.0) & (high >= 10.0 * np.maximum(low, 1e-300))
         offset, width = np.where(log, 0.0, low), np.where(log, 1.0, high - low)
-        self = cls(ids, network.index(ids), log, offset, width, low, high)
-        return self
+        return cls(ids, network.index(ids), log, offset, width, low, high)
 
     def to_z(self, values: Array) -> Array:
         """Physical (..., q) to z."""
@@ -167,14 +166,10 @@ def descend(
             if damping > 1e12:
                 break
     at_bound = (v[:q] <= low[:q] + 1e-9) | (v[:q] >= high[:q] - 1e-9)
-    return Fit(
-        scaling.to_values(v[:q]), v[q:].copy(), out.end, out.jtj, cost, out.sse, at_bound, evaluations
-    )
+    return Fit(scaling.to_values(v[:q]), v[q:].copy(), out.end, out.jtj, cost, out.sse, at_bound, evaluations)
 
 
-def _bounded_step(
-    hessian: Array, gradient: Array, free: np.ndarray, damping: float, low: Array, high: Array
-) -> Array:
+def _bounded_step(hessian: Array, gradient: Array, free: np.ndarray, damping: float, low: Array, high: Array) -> Array:
     """Damped step inside [low, high]; variables that would leave are put on the bound and solved around."""
     step = np.zeros_like(gradient)
     free = free.copy()

@@ -183,9 +183,10 @@ def _laid_out(rows: Array, count: int) -> Array:
     """(P or 1, q) -> (blocks, q, LANES)."""
     blocks = -(-count // LANES)
     if rows.shape[0] == 1:
-        return np.ascontiguousarray(np.broadcast_to(rows[0][None, :, None], (blocks, rows.shape[1], LANES)))
+        laid: Array = np.repeat(rows[0][None, :], blocks * LANES, axis=0).reshape(blocks, LANES, -1)
+        return np.array(laid.transpose(0, 2, 1), order="C")
     take = np.minimum(np.arange(blocks * LANES), count - 1).reshape(blocks, LANES)
-    return np.ascontiguousarray(rows[take].transpose(0, 2, 1))
+    return np.array(rows[take].transpose(0, 2, 1), order="C")
 
 
 def _particles(lanes: Array, count: int) -> Array:
@@ -205,8 +206,8 @@ def compiled(source: str) -> Callable[..., None]:
     key = hashlib.sha256(f"{numba.__version__}\n{sys.version}\n{source}".encode()).hexdigest()[:24]
     root = _cache_root()
     if root is None:
-        with tempfile.TemporaryDirectory(prefix="hil-twin-") as folder:
-            return _import(Path(folder), key, source)
+        with tempfile.TemporaryDirectory(prefix="hil-twin-") as temporary:
+            return _import(Path(temporary), key, source)
     folder = root / key
     with _locked(root / f"{key}.lock"):
         try:

@@ -123,9 +123,7 @@ class Network:
     @cached_property
     def sigma(self) -> Array:
         """Noise of each sensor (m,), K: that of one thermometer over the root of how many are averaged."""
-        return np.array(
-            [self.parameters[f"{s.name}.sigma"].value / np.sqrt(len(s.measured)) for s in self.sensors]
-        )
+        return np.array([self.parameters[f"{s.name}.sigma"].value / np.sqrt(len(s.measured)) for s in self.sensors])
 
     @cached_property
     def ids(self) -> tuple[str, ...]:
@@ -193,9 +191,7 @@ class Network:
                     f"{name} = {value:g} {p.unit} is outside [{p.lower:g}, {p.upper:g}] of twin {self.name!r}"
                 )
             changed[name] = replace(p, value=float(value))
-        return replace(
-            self, parameters=MappingProxyType(changed), revision=revision or self.revision, digest=""
-        )
+        return replace(self, parameters=MappingProxyType(changed), revision=revision or self.revision, digest="")
 
     def select(self, columns: Mapping[str, ArrayLike]) -> tuple[Array, Array]:
         """Inputs (N, k) and measured (N, m) out of a record's columns.

@@ -11,9 +11,7 @@ from twin.elements.sensor import Sensor
 from twin.network import did_you_mean
 
 
-def check_topology(
-    elements: tuple[Element, ...], most_nodes: int, fail: Callable[[str, str], object]
-) -> None:
+def check_topology(elements: tuple[Element, ...], most_nodes: int, fail: Callable[[str, str], object]) -> None:
     """Check how elements hang together; `fail(element name, sentence)` is called for the first problem."""
     nodes = [e.name for e in elements if isinstance(e, Node)]
     if not nodes:
@@ -43,9 +41,7 @@ def check_topology(
             read[column] = sensor.name
 
 
-def _all_reachable(
-    elements: tuple[Element, ...], nodes: list[str], fail: Callable[[str, str], object]
-) -> None:
+def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callable[[str, str], object]) -> None:
     neighbours: dict[str, set[str]] = {node: set() for node in nodes}
     for element in elements:
         if not isinstance(element, Sensor):

@@ -74,9 +74,7 @@ class TwinTracker:
         tunables: str | None = None,
     ) -> None:
         self.network = network
-        self.calibrator = (
-            make(calibrator, network, tunables, seed) if isinstance(calibrator, str) else calibrator
-        )
+        self.calibrator = make(calibrator, network, tunables, seed) if isinstance(calibrator, str) else calibrator
         self._kernel = Kernel(network, self.calibrator.ids)
         k, m, c = len(network.nodes), len(network.sensors), len(network.inputs)
         self._parameters = network.values.copy()
@@ -157,9 +155,7 @@ class TwinTracker:
         latest = np.maximum.accumulate(np.concatenate([[-np.inf if self._origin is None else self._time], stamps]))
         return np.flatnonzero(stamps > latest[:-1])
 
-    def _some(
-        self, t: Array, u: Array, y: Array, out: Array, calibrations: list[Calibration]
-    ) -> int:
+    def _some(self, t: Array, u: Array, y: Array, out: Array, calibrations: list[Calibration]) -> int:
         """Work off some of the advancing samples, at least one; their number is returned."""
         rules = self.network.rules
         if self._origin is None:
@@ -308,7 +304,9 @@ _BUFFERED = ("time", "inputs", "measured", "live")
 
 
 def _plain(a: Array) -> Any:
-    return np.where(np.isfinite(a), a.astype(object), None).tolist()
+    plain = a.astype(object)
+    plain[~np.isfinite(a)] = None
+    return plain.tolist()
 
 
 def _array(data: Any) -> Array:

@@ -106,9 +106,7 @@ class _Reader:
         for key in ("name", "inputs", "elements"):
             if key not in data:
                 self.fail((), f"the key {key!r} is missing; add it")
-        inputs = {
-            column: self.input(column, spec) for column, spec in self.table(data["inputs"], ("inputs",)).items()
-        }
+        inputs = {column: self.input(column, spec) for column, spec in self.table(data["inputs"], ("inputs",)).items()}
         parameters: dict[str, Parameter] = {}
         elements: list[Element] = []
         for name, spec in self.table(data["elements"], ("elements",)).items():
@@ -116,9 +114,7 @@ class _Reader:
             elements.append(element)
             parameters.update({p.id: p for p in own})
         elements.sort(key=lambda e: e.kind != "node")
-        parameters = {
-            p.id: p for e in elements for p in parameters.values() if p.element == e.name
-        }
+        parameters = {p.id: p for e in elements for p in parameters.values() if p.element == e.name}
         check_topology(tuple(elements), MOST_NODES, lambda name, what: self.fail(("elements", name), what))
         sets = {
             name: self.tunable_set(name, self.table(spec, ("sets", name)), parameters)
@@ -246,7 +242,7 @@ class _Reader:
             entry = {"parameter": member} if isinstance(member, str) else self.table(member, keys)
             self.known(entry, ("parameter", "scale", "initial"), keys)
             wanted = entry.get("parameter")
-            if wanted not in parameters:
+            if not isinstance(wanted, str) or wanted not in parameters:
                 self.fail(keys, f"no parameter {wanted!r}{did_you_mean(str(wanted), parameters)}")
             if wanted in ids:
                 self.fail(keys, f"{wanted} is listed twice")
@@ -346,10 +342,10 @@ def dump(network: Network) -> str:
     """Text of a twin file that `parse` turns into the same network."""
     lines = [f"format = {FORMAT}", f"name = {_toml(network.name)}", f"title = {_toml(network.title)}"]
     lines += ["", "[inputs]"]
-    for column, spec in network.inputs.items():
-        entry = {"nominal": spec.nominal, "lower": spec.lower, "upper": spec.upper}
+    for column, driver in network.inputs.items():
+        entry = {"nominal": driver.nominal, "lower": driver.lower, "upper": driver.upper}
         kept: dict[str, Any] = {k: v for k, v in entry.items() if math.isfinite(v)}
-        kept |= {k: v for k, v in (("unit", spec.unit), ("source", spec.source)) if v}
+        kept |= {k: v for k, v in (("unit", driver.unit), ("source", driver.source)) if v}
         lines.append(f"{column} = {_toml(kept)}")
     for element in network.elements:
         lines += ["", f"[elements.{element.name}]", f"kind = {_toml(element.kind)}"]

@@ -53,7 +53,7 @@ class LeastSquares:
         state_sd = max(window.error_K, 0.02)
         prior = Prior(
             np.concatenate([self._mean, window.state]),
-            _blocks(np.linalg.inv(covariance), np.eye(k) / state_sd**2),
+            _blocks(np.asarray(np.linalg.inv(covariance)), np.eye(k) / state_sd**2),
         )
         start = self._scaling.to_values(self._mean)
         fit = descend(self.kernel, self._scaling, window.parameters, data, start, window.state, prior, most=25)
@@ -63,9 +63,7 @@ class LeastSquares:
         self._covariance = _no_wider(0.5 * (posterior + posterior.T), wide)
         spread = np.sqrt(np.diag(posterior))
         flags = [
-            f"cannot tell {name}"
-            for name, s, w in zip(self.ids, spread, wide, strict=True)
-            if s > CANNOT_TELL * w
+            f"cannot tell {name}" for name, s, w in zip(self.ids, spread, wide, strict=True) if s > CANNOT_TELL * w
         ]
         flags += [f"{name} at its bound" for name, hit in zip(self.ids, fit.at_bound, strict=True) if hit]
         slope = self._scaling.slope(fit.values)

@@ -33,7 +33,8 @@ class Settings:
             decade; else the file's normalised units in its common bounds.
         scaled: the perturbation shrinks with the error of the previous window's parameters on this window,
             and the swarm restarts that near the best position.
-        realign: recovery and stall windows estimate the initial state.
+        run_up: recovery and stall windows are simulated from the start of the window before.
+        realign: recovery and stall windows estimate the initial state instead.
         per_component: random factors per component rather than per particle.
     """
 
@@ -47,6 +48,7 @@ class Settings:
     perturbation: float = 1.0
     own_range: bool = False
     scaled: bool = False
+    run_up: bool = True
     realign: bool = False
     per_component: bool = False
 
@@ -95,6 +97,8 @@ class Swarm:
         self.kernel = Kernel(network, self.ids)
         self._space = _OwnRange(network, self.ids) if settings.own_range else _Normalised(network, tunables)
         self._rng = np.random.default_rng(seed)
+        self.last: tuple[Array, Array, Array] = (np.zeros(0), np.zeros((0, 0)), np.zeros(0))
+        self._last_number = -2
         self._best = self._space.positions(network.values[network.index(self.ids)])
         self._positions: Array | None = None
         self._velocities = np.zeros((0, 0))
@@ -130,10 +134,12 @@ class Swarm:
         leader = int(np.argmin(own_cost))
         if own_cost[leader] < best_cost:
             best, best_cost = own[leader].copy(), float(own_cost[leader])
+        self.last = (window.time, window.inputs, cost.start(best))
+        self._last_number = window.number
         self._best, self._positions, self._velocities = best, positions, velocities
         flags = ("initial state estimated",) if cost.realigned else ()
         return conclude(
-            self.network, self.kernel, window, self.ids, space.values(best), cost.start,
+            self.network, self.kernel, window, self.ids, space.values(best), cost.start(best),
             cost=best_cost, covariance=None, flags=flags, evaluations=cost.evaluations,
         )  # fmt: skip
 
@@ -153,12 +159,17 @@ class Swarm:
             nudge = self._rng.uniform(-1.0, 1.0, (settings.particles, q)) * settings.perturbation
             self._positions = np.clip(self._positions + nudge, space.lower, space.upper)
 
+    def follows(self, window: Window) -> bool:
+        """Whether `last` (time, inputs, state at its first sample) is the window just before this one."""
+        return self._last_number == window.number - 1
+
     def state(self) -> dict[str, Any]:
         return {
             "rng": self._rng.bit_generator.state,
             "best": self._best.tolist(),
             "positions": None if self._positions is None else self._positions.tolist(),
             "velocities": self._velocities.tolist(),
+            "last": [self._last_number, *(a.tolist() for a in self.last)],
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -167,47 +178,72 @@ class Swarm:
         positions = state["positions"]
         self._positions = None if positions is None else np.array(positions, dtype=np.float64)
         self._velocities = np.array(state["velocities"], dtype=np.float64)
+        self._last_number, *last = state["last"]
+        time, inputs, start = (np.array(a, dtype=np.float64) for a in last)
+        self.last = (time, inputs, start)
 
 
 class _Cost:
-    """Cost of positions (P, q) -> (P,) on one window, in units of the calibrated threshold."""
+    """Cost of positions (P, q) -> (P,) on one window, in units of the calibrated threshold.
+
+    Where the beginning of the window counts, the simulation starts with the window before it (the run-up), so
+    that the state at the beginning follows from the parameters; or, if the swarm re-aligns, from an estimate.
+    """
 
     def __init__(self, swarm: Swarm, window: Window) -> None:
         self.swarm, self.window = swarm, window
-        self.y, self.weight = masked(window.measured)
-        self.count = max(float(self.weight.sum()), 1.0)
         self.threshold = swarm.network.rules.calibrated_K
+        self.index = swarm.network.index(swarm.ids)
         self.evaluations = 0
-        self.start = window.state
-        self.realigned = swarm.settings.realign and window.kind in ("recovery", "stall")
+        self.state = window.state
+        self.time, self.inputs = window.time, window.inputs
+        self.y, self.weight = masked(window.measured)
+        self.before = 0
+        mismatched = window.kind in ("recovery", "stall")
+        self.realigned = swarm.settings.realign and mismatched
         if self.realigned:
             n = window.first
             y, weight = masked(window.measured[:n], swarm.network.sigma)
             data = Data(window.time[:n], window.inputs[:n], y, weight)
             sd = max(window.initial_mismatch_K, self.threshold)
-            self.start = align(swarm.kernel, window.parameters, window.state, data, sd)
+            self.state = align(swarm.kernel, window.parameters, window.state, data, sd)
+        elif swarm.settings.run_up and mismatched and swarm.follows(window):
+            time, inputs, self.state = swarm.last
+            self.before = len(time)
+            self.time = np.concatenate([time, window.time])
+            self.inputs = np.concatenate([inputs, window.inputs])
+            nothing = np.zeros((self.before, self.y.shape[1]))
+            self.y = np.vstack([nothing, self.y])
+            self.weight = np.vstack([nothing, self.weight])
 
     def __call__(self, positions: Array) -> Array:
-        full = np.tile(self.window.parameters, (len(positions), 1))
-        full[:, self.swarm.network.index(self.swarm.ids)] = self.swarm._space.values(positions)
+        full = self.full(positions)
         self.evaluations += len(positions)
         kind = "calibrated" if self.realigned else self.window.kind
         total = np.zeros(len(positions))
         if kind in ("recovery", "stall"):
-            n = self.window.first
-            count = max(float(self.weight[:n].sum()), 1.0)
-            total += self._squares(full, n) / count / self.threshold**2
+            total += self._mean_square(full, self.before + self.window.first) / self.threshold**2
         if kind != "recovery":
-            total += np.sqrt(self._squares(full, len(self.window.time)) / self.count) / self.threshold
+            total += np.sqrt(self._mean_square(full, len(self.time))) / self.threshold
         return np.where(np.isfinite(total), total, 1e300)
 
-    def _squares(self, full: Array, n: int) -> Array:
-        w = self.window
-        sse, _ = self.swarm.kernel.cost(
-            full, self.start, w.time[:n], w.inputs[:n], self.y[:n], self.weight[:n]
-        )
-        total: Array = sse.sum(axis=1)
-        return total
+    def full(self, positions: Array) -> Array:
+        """Full parameter vectors (P, p) of positions (P, q)."""
+        full = np.tile(self.window.parameters, (len(positions), 1))
+        full[:, self.index] = self.swarm._space.values(positions)
+        return full
+
+    def start(self, position: Array) -> Array:
+        """State (k,) at the first sample of the window, at one position (q,)."""
+        if not self.before:
+            return self.state
+        n = self.before + 1
+        return self.swarm.kernel.trace(self.full(position[None]), self.state, self.time[:n], self.inputs[:n])[1][0]
+
+    def _mean_square(self, full: Array, n: int) -> Array:
+        sse, _ = self.swarm.kernel.cost(full, self.state, self.time[:n], self.inputs[:n], self.y[:n], self.weight[:n])
+        mean: Array = sse.sum(axis=1) / max(float(self.weight[:n].sum()), 1.0)
+        return mean
 
 
 class _Normalised:

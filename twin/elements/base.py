@@ -8,7 +8,7 @@ The levels of an expression, cheapest first:
 
 ``uniform``  once per sample interval, the same for every lane: inputs only (``log(fan/100)``)
 ``sample``   once per sample interval and lane, only when an input it uses has changed: parameters and inputs
-``stage``    in each of the four Runge-Kutta stages: temperatures too
+``stage``    in each stage of the integrator: temperatures too
 ``heat``     the result, W into each node
 """
 
@@ -63,7 +63,7 @@ class Fragment:
     Attributes:
         uniform: (local name, expression) evaluated once per sample interval.
         sample: (local name, expression) evaluated per interval and lane when an input has changed.
-        stage: (local name, expression) evaluated in every Runge-Kutta stage.
+        stage: (local name, expression) evaluated in every stage of the integrator.
         heat: node -> expression, W into the node.
         conductance: node -> expression of `uniform`, `sample` and parameters only: an upper bound on how
             strongly the heat depends on the node's own temperature, W/K. It sets the substeps.
@@ -128,6 +128,8 @@ class Element(ABC):
 
     kind: ClassVar[str]
     parameters: ClassVar[tuple[ParameterSpec, ...]] = ()
+    linear: ClassVar[bool] = True
+    """Whether the heat is affine in the temperatures; decides how the kernel integrates."""
 
     name: str
 

@@ -31,9 +31,7 @@ class HeatSource(Element):
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:
         if not self.driver:
             return self.parameters
-        return (
-            ParameterSpec("factor", "1", 1.0, 0.0, 8.0, "tunable", "heat that arrives over power measured"),
-        )
+        return (ParameterSpec("factor", "1", 1.0, 0.0, 8.0, "tunable", "heat that arrives over power measured"),)
 
     def problem(self, values: Mapping[str, float]) -> str | None:
         if self.driver and not self.driver.endswith("_W"):
