@@ -132,6 +132,7 @@ class Collector:
         self._ticks = _Ticks(len(header.twin_sensors))
         self._twin_tick = dict.fromkeys(header.twin_names, -1)
         self._states: dict[str, str] = {}
+        self._spans_so_far: dict[str, tuple[str | None, float]] = {}
         self._units: dict[str, str] = {}
         self._commissioned: dict[str, float] = {}
         self._ids = {"calibrations": 0, "writes": 0, "events": 0}
@@ -240,10 +241,31 @@ class Collector:
         for calibrator in dict.fromkeys(window.calibrator for window in windows):
             mine = [window for window in windows if window.calibrator == calibrator]
             end_s = np.array([window.end_s for window in mine])
-            yield from _window_lanes(calibrator, mine)
+            kinds = [str(window.document.get("kind", "window")) for window in mine]
+            yield from self._spans(path("windows", calibrator), mine, kinds)
+            flags = ["calibrated" if window.document.get("calibrated") else "not calibrated" for window in mine]
+            yield from self._spans(path("calibrated", calibrator), mine, flags)
             errors = [[_number(window.document.get(key)) for key in ("rmse_before_K", "rmse_K")] for window in mine]
             yield Rows(path("fit", calibrator), end_s, np.array(errors))
             yield from self._parameters(calibrator, mine)
+
+    def _spans(self, entity: str, windows: list[CalibrationRow], states: list[str]) -> Iterator[Batch]:
+        """A lane of windows: like neighbours are one span, time between windows is empty."""
+        times: list[float] = []
+        changes: list[str | None] = []
+        last, last_end_s = self._spans_so_far.get(entity, (None, -np.inf))
+        for window, state in zip(windows, states, strict=True):
+            if last is not None and window.start_s > last_end_s:
+                times.append(last_end_s)
+                changes.append(None)
+                last = None
+            if state != last:
+                times.append(window.start_s)
+                changes.append(state)
+            last, last_end_s = state, window.end_s
+        self._spans_so_far[entity] = (last, last_end_s)
+        if times:
+            yield States(entity, np.array(times), changes)
 
     def _learn_parameters(self, windows: list[CalibrationRow]) -> None:
         """Panels for parameters that are seen for the first time."""
@@ -291,15 +313,3 @@ def _quality_name(row: NDArray[np.uint8]) -> str:
 
 def _number(value: float | None) -> float:
     return float("nan") if value is None else float(value)
-
-
-def _window_lanes(calibrator: str, windows: list[CalibrationRow]) -> Iterator[Batch]:
-    """Each window from its start; an end counts only where no other window begins there, hence it is sent first."""
-    times = np.array([time for window in windows for time in (window.start_s, window.end_s)])
-    kinds: list[str | None] = []
-    flags: list[str | None] = []
-    for window in windows:
-        kinds += [str(window.document.get("kind", "window")), None]
-        flags += ["calibrated" if window.document.get("calibrated") else "not calibrated", None]
-    yield States(path("windows", calibrator), times, kinds)
-    yield States(path("calibrated", calibrator), times, flags)

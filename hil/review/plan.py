@@ -17,10 +17,12 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
     /parameters/<parameter>/<calibrator> physical value with its variance
     /relative/<calibrator>/<parameter>   per cent off the commissioned value, (n, 1)
     /events, /writes                     text
+    /key                                 which colour is what
 """
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import dataclass, field
 from typing import Literal
@@ -32,7 +34,13 @@ Colour = tuple[int, int, int]
 NEUTRAL: Colour = (158, 163, 170)
 FAINT: Colour = (96, 100, 108)
 ORANGE: Colour = (245, 140, 30)
-TRACKED: tuple[Colour, ...] = ((45, 150, 255), (60, 200, 120), (180, 120, 255), (20, 200, 210))
+TRACKED: dict[str, Colour] = {
+    "blue": (45, 150, 255),
+    "green": (60, 200, 120),
+    "violet": (180, 120, 255),
+    "cyan": (20, 200, 210),
+}
+ACTUATORS: tuple[Colour, ...] = ((240, 110, 90), (90, 170, 250), (110, 210, 140), (220, 180, 90), (190, 140, 240))
 RED: Colour = (235, 70, 70)
 GREEN: Colour = (60, 140, 90)
 YELLOW: Colour = (230, 200, 60)
@@ -49,6 +57,8 @@ QUALITY_COLOURS = {
 WINDOW_COLOURS = {"calibrated": GREEN, "recovery": ORANGE, "stall": RED}
 FLAG_COLOURS = {"calibrated": GREEN, "not calibrated": RED}
 _SETPOINT_SUFFIX = re.compile(r"_(set|setpoint|sp|cmd|command|target|demand)$")
+_MOST_BESIDE = 4
+_MARGIN = 0.13
 _UNIT_SYMBOLS = {"degC": "°C", "1": "", "m3/h": "m³/h"}
 
 
@@ -59,7 +69,7 @@ class Lines:
     entity: str
     names: tuple[str, ...]
     colours: tuple[Colour, ...] = ()
-    width: float = 1.5
+    widths: tuple[float, ...] = (1.5,)
     extremes: bool = False
     steps: bool = False
 
@@ -76,7 +86,7 @@ class Lane:
 class Panel:
     """One view: `kind` of content, the entities (Rerun query expressions) and the share of room it gets."""
 
-    kind: Literal["lines", "lanes", "texts"]
+    kind: Literal["lines", "lanes", "texts", "note"]
     title: str
     contents: tuple[str, ...]
     share: float = 1.0
@@ -85,12 +95,16 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """Panels above one another (`rows`), beside one another (`columns`), or in a grid."""
+    """Panels above one another (`rows`), beside one another (`columns`), or in a grid.
+
+    `margin` is the part of the time axis that is left free before the run, where legends cover no curve.
+    """
 
     arrange: Literal["rows", "columns", "grid"]
     parts: tuple[Panel | Stack, ...]
     share: float = 1.0
     title: str = ""
+    margin: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +136,19 @@ def titled(name: str, unit: str) -> str:
 def twin_colours(twins: tuple[str, ...]) -> dict[str, Colour]:
     """Orange for the twin that is never updated, blue, green .. for those that are."""
     tracked = [twin for twin in twins if twin != "static"]
-    return {"static": ORANGE} | {twin: TRACKED[i % len(TRACKED)] for i, twin in enumerate(tracked)}
+    return {"static": ORANGE} | dict(zip(tracked, itertools.cycle(TRACKED.values()), strict=False))
+
+
+def colour_key(twins: tuple[str, ...]) -> str:
+    """What the colours of the curves mean, in one line."""
+    tracked = [twin for twin in twins if twin != "static"]
+    parts = ["grey: measured", *(["orange: static twin"] if "static" in twins else [])]
+    parts += [f"{name}: tracked by {twin}" for twin, name in zip(tracked, itertools.cycle(TRACKED), strict=False)]
+    return " · ".join([*parts, "thin lines: zero and ±2σ of the sensor's noise", "gap: no good value"])
+
+
+def _dimmed(colour: Colour) -> Colour:
+    return (colour[0] // 2, colour[1] // 2, colour[2] // 2)
 
 
 def _sensor_lines(header: Header) -> list[Lines]:
@@ -131,21 +157,21 @@ def _sensor_lines(header: Header) -> list[Lines]:
     for sensor, columns in header.twin_sensors.items():
         several = len(columns) > 1
         name = f"measured, mean of {len(columns)}" if several else "measured"
-        lines.append(Lines(path("sensors", sensor, "measured"), (name,), (NEUTRAL,), 2.0, extremes=True))
+        lines.append(Lines(path("sensors", sensor, "measured"), (name,), (NEUTRAL,), (2.0,), extremes=True))
         if several:
             names = tuple(column.removesuffix("_C") for column in columns)
             faint = (FAINT,) * len(columns)
-            lines.append(Lines(path("sensors", sensor, "columns"), names, faint, 1.0, extremes=True))
+            lines.append(Lines(path("sensors", sensor, "columns"), names, faint, (1.0,), extremes=True))
         for twin in header.twin_names:
             for what in ("twin", "residual"):
                 entity = path("sensors", sensor, what, twin)
                 lines.append(Lines(entity, (twin,), (colours[twin],)))
         sigma = header.noise_K.get(sensor)
         if sigma is None:
-            lines.append(Lines(path("sensors", sensor, "noise"), ("zero",), (NEUTRAL,), 1.0))
+            lines.append(Lines(path("sensors", sensor, "noise"), ("zero",), (NEUTRAL,), (1.0,)))
         else:
             names = ("zero", f"+2σ noise ({2 * sigma:.3g} K)", "-2σ noise")
-            lines.append(Lines(path("sensors", sensor, "noise"), names, (NEUTRAL, FAINT, FAINT), 1.0))
+            lines.append(Lines(path("sensors", sensor, "noise"), names, (NEUTRAL, FAINT, FAINT), (1.0,)))
     return lines
 
 
@@ -179,10 +205,10 @@ def _unit_panels(entities: dict[str, tuple[str, str]]) -> tuple[Panel, ...]:
     )
 
 
-def _temperature(sensor: str, *, share: float) -> Panel:
+def _temperature(sensor: str, *, share: float, columns: bool, legend: bool) -> Panel:
     root = path("sensors", sensor)
-    contents = (f"{root}/columns", f"{root}/measured", f"{root}/twin/**")
-    return Panel("lines", titled(sensor.removesuffix("_C"), "degC"), contents, share)
+    contents = (f"{root}/measured", f"{root}/twin/**", *((f"{root}/columns",) if columns else ()))
+    return Panel("lines", titled(sensor.removesuffix("_C"), "degC"), contents, share, legend)
 
 
 def _residual(sensor: str, *, share: float, legend: bool) -> Panel:
@@ -200,7 +226,8 @@ def make_plan(header: Header, units: dict[str, str] | None = None, commissioned:
     for stem, signals in pair_actuators(header.signals).items():
         entity = path("actuators", stem)
         names = tuple(f"{stem} {'set' if signal.kind == 'setpoint' else 'read back'}" for signal in signals)
-        lines.append(Lines(entity, names, steps=True) if len(names) == 1 else Lines(entity, names))
+        colour = ACTUATORS[len(actuators) % len(ACTUATORS)]
+        lines.append(Lines(entity, names, (_dimmed(colour), colour)[: len(names)], (3.0, 1.2)))
         columns_of[entity] = tuple(signal.column for signal in signals)
         actuators[entity] = (stem, signals[0].unit)
     paired = {column for columns in columns_of.values() for column in columns}
@@ -208,7 +235,8 @@ def make_plan(header: Header, units: dict[str, str] | None = None, commissioned:
     for signal in header.signals:
         if signal.kind == "measured" and signal.column not in sensor_columns | paired:
             entity = path("measured", signal.column)
-            lines.append(Lines(entity, (signal.name,), extremes=True))
+            colour = ACTUATORS[len(others) % len(ACTUATORS)]
+            lines.append(Lines(entity, (signal.name,), (colour,), extremes=True))
             columns_of[entity] = (signal.column,)
             others[entity] = (signal.name, signal.unit)
     status = tuple(signal.column for signal in header.signals if signal.kind == "status")
@@ -230,8 +258,8 @@ def make_plan(header: Header, units: dict[str, str] | None = None, commissioned:
     lanes += [Lane(path("calibrated", name), FLAG_COLOURS) for name in calibrators]
     tabs = [
         _overview(header, actuators),
-        *(_sensor_tab(sensor, columns) for sensor, columns in header.twin_sensors.items()),
-        Stack("rows", (*_unit_panels(actuators), *_unit_panels(others)), title="Rig"),
+        *(_sensor_tab(sensor, columns, len(calibrators)) for sensor, columns in header.twin_sensors.items()),
+        Stack("rows", (*_unit_panels(actuators), *_unit_panels(others)), title="Rig", margin=_MARGIN),
         *_calibration_tab(calibrators, units or {}, commissioned),
         _quality_tab(bool(status)),
     ]
@@ -258,13 +286,21 @@ def _worst_colours(header: Header) -> dict[str, Colour]:
 
 
 def _overview(header: Header, actuators: dict[str, tuple[str, str]]) -> Stack:
-    cells: list[Panel | Stack] = [
-        Stack("rows", (_temperature(sensor, share=3.0), _residual(sensor, share=2.0, legend=False)))
+    """Sensors beside one another, each above its residual; a line of text is the legend of them all."""
+    cells = [
+        Stack(
+            "rows",
+            (
+                _temperature(sensor, share=5.0, columns=False, legend=False),
+                _residual(sensor, share=4.0, legend=False),
+            ),
+        )
         for sensor in header.twin_sensors
     ]
-    half = (len(cells) + 1) // 2
-    rows: list[Panel | Stack] = [
-        Stack("columns", tuple(cells[start : start + half]), share=5.0) for start in range(0, len(cells), half or 1)
+    rows: list[Panel | Stack] = [Panel("note", "Colours", ("/key",), 0.3)] if cells else []
+    rows += [
+        Stack("columns", tuple(cells[start : start + _MOST_BESIDE]), share=6.0)
+        for start in range(0, len(cells), _MOST_BESIDE)
     ]
     lanes = Panel("lanes", "Calibration windows and quality", ("/windows/**", "/quality"))
     events = Panel("texts", "Events", ("/events",))
@@ -272,33 +308,34 @@ def _overview(header: Header, actuators: dict[str, tuple[str, str]]) -> Stack:
     return Stack("rows", tuple(rows), title="Overview")
 
 
-def _sensor_tab(sensor: str, columns: tuple[str, ...]) -> Stack:
+def _sensor_tab(sensor: str, columns: tuple[str, ...], calibrators: int) -> Stack:
     lanes = ("/windows/**", *(path("quality", column) for column in columns))
+    height = 50.0 + 35.0 * (min(len(columns), 6) + calibrators)  # of the lanes, in a window of a usual 800 points
     panels = (
-        _temperature(sensor, share=5.0),
-        _residual(sensor, share=3.0, legend=True),
-        Panel("lanes", "Calibration windows and quality", lanes, 1.2 + 0.2 * len(columns)),
+        _temperature(sensor, share=5.0, columns=True, legend=True),
+        _residual(sensor, share=4.0, legend=True),
+        Panel("lanes", "Calibration windows and quality", lanes, 8.0 * height / (800.0 - height)),
     )
-    return Stack("rows", panels, title=sensor.removesuffix("_C"))
+    return Stack("rows", panels, title=sensor.removesuffix("_C"), margin=_MARGIN)
 
 
 def _calibration_tab(calibrators: tuple[str, ...], units: dict[str, str], commissioned: bool) -> tuple[Stack, ...]:
     if not calibrators:
         return ()
-    lanes = Panel("lanes", "Windows: kind, and whether the fit was accepted", ("/windows/**", "/calibrated/**"), 1.5)
+    lanes = Panel("lanes", "Windows: kind, and whether the fit was accepted", ("/windows/**", "/calibrated/**"), 2.0)
     fit = Panel("lines", "RMSE within the window [K]", ("/fit/**",), 1.5)
     relative = tuple(
         Panel("lines", f"{name}: parameters against commissioning [%]", (path("relative", name) + "/**",))
         for name in calibrators
     )
     shifts = (Stack("columns", relative, share=4.0),) if commissioned else ()
-    tracking = Stack("rows", (lanes, fit, *shifts), title="Calibration")
+    tracking = Stack("rows", (lanes, fit, *shifts), title="Calibration", margin=_MARGIN)
     if not units:
         return (tracking,)
     each = tuple(
         Panel("lines", titled(name, unit), (path("parameters", name) + "/**",)) for name, unit in units.items()
     )
-    return (tracking, Stack("grid", each, title="Parameters"))
+    return (tracking, Stack("grid", each, title="Parameters", margin=2 * _MARGIN))
 
 
 def _quality_tab(status: bool) -> Stack:
@@ -309,4 +346,5 @@ def _quality_tab(status: bool) -> Stack:
         "rows",
         (lanes, *counters, Stack("columns", (Panel("texts", "Events", ("/events",)), writes), 2.0)),
         title="Quality",
+        margin=_MARGIN,
     )

@@ -16,7 +16,7 @@ from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from hil.review.collect import Batch, Estimates, Rows, States, Texts
-from hil.review.plan import Panel, Plan, Stack
+from hil.review.plan import NEUTRAL, Panel, Plan, Stack, colour_key, symbol, twin_colours
 
 TIMELINE = "test_time"
 _SETTLED = 3
@@ -33,6 +33,7 @@ class Recording:
         if url is not None:
             self._stream.connect_grpc(url)
         self._stream.send_recording_name(name)
+        self._header = plan.header
         self._live = url is not None
         self._looks(plan)
         self._plan: Plan | None = None
@@ -53,11 +54,12 @@ class Recording:
             looks = rr.SeriesLines(
                 names=lines.names,
                 colors=lines.colours or None,
-                widths=[lines.width] * len(lines.names),
+                widths=(lines.widths * len(lines.names))[: len(lines.names)],
                 aggregation_policy="MinMax" if lines.extremes else "Average",
                 interpolation_mode="StepAfter" if lines.steps else "Linear",
             )
             self._stream.log(lines.entity, looks, static=True)
+        self._stream.log("/key", rr.TextDocument(colour_key(plan.header.twin_names)), static=True)
         for lane in plan.lanes:
             states = list(lane.colours)
             colours = rr.StateConfiguration(values=states, labels=states, colors=list(lane.colours.values()))
@@ -72,7 +74,8 @@ class Recording:
                 self._stream.send_columns(entity, times, columns.partition([values.shape[1]] * len(time_s)))
             case Estimates(entity, name, unit, _, values, variances):
                 if entity not in self._units:
-                    looks = rr.Measurements.from_fields(names=[name], units=[unit])
+                    colour = twin_colours(self._header.twin_names).get(name, NEUTRAL)
+                    looks = rr.Measurements.from_fields(names=[name], units=[symbol(unit)], colors=[colour])
                     self._stream.log(entity, looks, static=True)
                     self._units.add(entity)
                 self._stream.send_columns(entity, times, rr.Measurements.columns(values=values, variances=variances))
@@ -98,13 +101,17 @@ def _nanoseconds(time_s: NDArray[np.float64]) -> NDArray[Any]:
     return np.round(time_s * 1e9).astype("timedelta64[ns]")
 
 
-def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
-    whole = rrb.TimeRange(
-        start=rrb.TimeRangeBoundary.absolute(seconds=0.0), end=rrb.TimeRangeBoundary.absolute(seconds=end_s)
-    )
-    axis = rrb.TimeAxis(view_range=whole)
+def _text_columns() -> rrb.TextLogColumns:
+    kinds = rrb.encodings.TextLogColumnKind
+    shown = [rrb.encodings.TextLogColumn(kind, visible=kind != kinds.EntityPath) for kind in kinds]
+    return rrb.TextLogColumns(timeline_columns=[rrb.encodings.TimelineColumn(TIMELINE)], text_log_columns=shown)
 
-    def view(panel: Panel) -> Any:
+
+def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
+    def view(panel: Panel, margin: float) -> Any:
+        start = rrb.TimeRangeBoundary.absolute(seconds=-margin * end_s)
+        whole = rrb.TimeRange(start=start, end=rrb.TimeRangeBoundary.absolute(seconds=end_s))
+        axis = rrb.TimeAxis(view_range=whole)
         contents = list(panel.contents)
         match panel.kind:
             case "lines":
@@ -113,12 +120,14 @@ def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
             case "lanes":
                 return rrb.StateTimelineView(name=panel.title, contents=contents, time_view=axis)
             case "texts":
-                return rrb.TextLogView(name=panel.title, contents=contents)
+                return rrb.TextLogView(name=panel.title, contents=contents, columns=_text_columns())
+            case "note":
+                return rrb.TextDocumentView(name=panel.title, contents=contents, titlebar=False)
 
-    def part(item: Panel | Stack) -> Any:
+    def part(item: Panel | Stack, margin: float) -> Any:
         if isinstance(item, Panel):
-            return view(item)
-        parts = [part(inner) for inner in item.parts]
+            return view(item, margin)
+        parts = [part(inner, margin) for inner in item.parts]
         shares = [inner.share for inner in item.parts]
         name = item.title or None
         match item.arrange:
@@ -130,7 +139,7 @@ def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
                 return rrb.Grid(*parts, name=name)
 
     return rrb.Blueprint(
-        rrb.Tabs(*(part(tab) for tab in plan.tabs), active_tab=0),
+        rrb.Tabs(*(part(tab, tab.margin) for tab in plan.tabs), active_tab=0),
         rrb.TimePanel(timeline=TIMELINE, play_state="following" if live else "paused", state="collapsed"),
         auto_layout=False,
         auto_views=False,
@@ -180,21 +189,28 @@ class Camera:
     def __init__(self, url: str) -> None:
         self._client = ViewerClient.connect(url)
 
-    def open(self, rrd: Path, tab: int = 0) -> None:
-        """Load a recording and wait until the viewer lists its views; raises TimeoutError."""
+    def open(self, rrd: Path, tab: str | None = None) -> None:
+        """Load a recording and show `tab` (by its title, else the first); raises KeyError where there is none."""
         self._client.open(str(rrd.resolve()))
+        if tab is not None:
+            layout = self._client.get_blueprint(of="recording").blueprint
+            containers = {name: part["ContainerBlueprint"] for name, part in layout.items() if "/container/" in name}
+            tabs = next(part for part in containers.values() if part["container_kind"] == "Tabs")
+            titles = {containers["/" + name].get("display_name"): name for name in tabs["contents"]}
+            if tab not in titles:
+                raise KeyError(f"the review has no tab {tab!r}; there are {', '.join(map(str, titles))}")
+            tabs["active_tab"] = titles[tab]
+            self._client.set_blueprint(layout, of="recording")
 
-    def picture(self, timeout_s: float) -> bytes:
-        """A PNG of the whole viewer once it no longer changes; raises TimeoutError when it never settles."""
+    def picture(self, timeout_s: float) -> tuple[bytes, bool]:
+        """A PNG of the whole viewer, and whether it had settled; curves that hide one another may never do so."""
         deadline = time.monotonic() + timeout_s
         last, equal = b"", 0
-        while equal < _SETTLED:
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"the picture was still changing after {timeout_s:g} s")
+        while equal < _SETTLED and time.monotonic() < deadline:
             now = self._client.take_screenshot()
             equal = equal + 1 if now == last else 1
             last = now
-        return last
+        return last, equal == _SETTLED
 
     def complaints(self) -> list[str]:
         """What the views on screen report: `view: severity: summary`."""

@@ -72,18 +72,21 @@ def show_review(rrd: Path) -> None:
     viewer.close()
 
 
-def screenshot(rrd: Path, png: Path, *, size: tuple[int, int] = (1600, 1000), timeout_s: float = 60.0) -> list[str]:
-    """Picture of `rrd` without a display; returns what its views complain about (empty when all is well).
+def screenshot(
+    rrd: Path, png: Path, *, size: tuple[int, int] = (1600, 1000), tab: str | None = None, timeout_s: float = 30.0
+) -> list[str]:
+    """Picture of `rrd`, or of its tab of that title, without a display.
 
-    Raises ViewerError where no headless viewer can run or the picture never settles.
+    Returns what its views complain about, empty when all is well. Raises ViewerError where no headless viewer can run,
+    KeyError where there is no such tab.
     """
     viewer = open_viewer(headless=True, size=size)
     try:
         camera = Camera(viewer.url)
-        camera.open(rrd)
-        picture = camera.picture(timeout_s)
+        camera.open(rrd, tab)
+        picture, settled = camera.picture(timeout_s)
         complaints = camera.complaints()
-    except (ConnectionError, RuntimeError, TimeoutError) as error:
+    except (ConnectionError, RuntimeError) as error:
         why = viewer.last_words() if not viewer.alive else str(error)
         raise ViewerError(
             f"no picture of {rrd}: {why}; a headless viewer needs a Vulkan driver (Debian: mesa-vulkan-drivers)"
@@ -92,7 +95,7 @@ def screenshot(rrd: Path, png: Path, *, size: tuple[int, int] = (1600, 1000), ti
         viewer.close()
     with replacing(png) as temporary:
         temporary.write_bytes(picture)
-    return complaints
+    return complaints if settled else [*complaints, f"the picture was still changing after {timeout_s:g} s"]
 
 
 screenshot_review = screenshot

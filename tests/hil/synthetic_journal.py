@@ -152,7 +152,8 @@ def put_ticks(writer: JournalWriter, truth: Truth, first: int, stop: int, twin_l
 def put_window(writer: JournalWriter, truth: Truth, calibrator: str, n: int, start_s: float, end_s: float) -> None:
     """Append window `n` of `calibrator`: recovery first, one stall, else calibrated."""
     kind = "recovery" if n < 3 else "stall" if n % 29 == 11 else "calibrated"
-    drift = 1 + 0.08 * np.sin(n / 15.0 + np.arange(len(COMMISSIONED)))
+    phase = len(calibrator) + np.arange(len(COMMISSIONED))
+    drift = 1 + 0.08 * np.sin(n / 40.0 + phase)
     values = {name: float(value * d) for (name, (value, _)), d in zip(COMMISSIONED.items(), drift, strict=True)}
     writer.calibration(
         calibrator,
@@ -161,6 +162,7 @@ def put_window(writer: JournalWriter, truth: Truth, calibrator: str, n: int, sta
         {
             "kind": kind,
             "cost": 0.02 if kind == "calibrated" else 0.4,
+            "rmse_before_K": 0.4,
             "rmse_K": 0.05 if kind == "calibrated" else 0.3,
             "calibrated": kind == "calibrated",
             "parameters": values,
