@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 from hil.journal import JournalError
-from hil.review.follow import POLL_S, follow
+from hil.review.follower import POLL_S, follow
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -13,6 +13,7 @@ from hil.journal import CalibrationRow, JournalReader, Samples, TwinOutput
 from hil.review.plan import QUALITY_NAMES, Plan, make_plan, path, worst_state
 
 PAGE_TICKS = 36_000
+_NOISE_POINTS = 500
 _ROUTINE_WRITES = ("profile", "slew")
 
 
@@ -136,7 +137,7 @@ class Collector:
         self._units: dict[str, str] = {}
         self._commissioned: dict[str, float] = {}
         self._ids = {"calibrations": 0, "writes": 0, "events": 0}
-        self._started = False
+        self._noise_mark = -1
         self.end_s = 0.0
 
     def finished(self) -> bool:
@@ -145,9 +146,6 @@ class Collector:
 
     def poll(self) -> Iterator[Batch]:
         """Everything committed since the last call, at most `PAGE_TICKS` ticks of a table at a time."""
-        if not self._started:
-            self._started = True
-            yield from self._noise()
         read = PAGE_TICKS
         while read == PAGE_TICKS:
             samples = self._reader.samples(self._ticks.last, PAGE_TICKS)
@@ -168,13 +166,19 @@ class Collector:
         yield from self._calibrations(self._reader.calibrations(self._ids["calibrations"]))
         yield from self._texts()
 
-    def _noise(self) -> Iterator[Batch]:
+    def _noise(self, time_s: NDArray[np.float64]) -> Iterator[Batch]:
+        """Zero and noise lines as far as the run has come, else a live view would follow them to the planned end."""
         header = self._reader.header
+        marks = np.floor(time_s * (_NOISE_POINTS / header.duration_s)).astype(np.int64)
+        before = np.concatenate([[self._noise_mark], marks[:-1]])
+        ends = time_s[marks != before]
+        self._noise_mark = int(marks[-1])
+        if not len(ends):
+            return
         for sensor in header.twin_sensors:
             sigma = header.noise_K.get(sensor)
             levels = [0.0] if sigma is None else [0.0, 2 * sigma, -2 * sigma]
-            ends = np.array([0.0, header.duration_s])
-            yield Rows(path("sensors", sensor, "noise"), ends, np.array([levels, levels]))
+            yield Rows(path("sensors", sensor, "noise"), ends, np.tile(levels, (len(ends), 1)))
 
     def _samples(self, samples: Samples) -> Iterator[Batch]:
         good = np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
@@ -190,6 +194,7 @@ class Collector:
                 parts[:, 0] if len(columns) == 1 else np.where(present > 0, total / np.maximum(present, 1), np.nan)
             )
             yield Rows(path("sensors", sensor, "measured"), samples.time_s, means[:, k : k + 1])
+        yield from self._noise(samples.time_s)
         self._ticks.append(samples.tick, means)
         self.end_s = float(samples.time_s.max())
         for column, k in self._columns.items():

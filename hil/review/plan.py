@@ -6,7 +6,7 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
     /sensors/<sensor>/columns            its columns one by one where there are several, (n, k)
     /sensors/<sensor>/twin/<twin>        prediction, (n, 1)
     /sensors/<sensor>/residual/<twin>    measured minus prediction, (n, 1)
-    /sensors/<sensor>/noise              zero and plus/minus two sigma, (2, 3)
+    /sensors/<sensor>/noise              zero and plus/minus two sigma of the noise, (n, 1 or 3)
     /actuators/<name>                    set-point and read-back, (n, 1 or 2)
     /measured/<column>                   what else the rig reports, (n, 1)
     /status                              counters and bit fields, (n, k)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.atomic import replacing
-from hil.review.follow import follow, write_review
+from hil.review.follower import follow, write_review
 from hil.review.rerun_io import Camera
 from hil.review.viewer import Viewer, ViewerError, open_viewer
 

@@ -196,16 +196,25 @@ def test_a_viewer_that_dies_leaves_the_file_complete(
 ) -> None:
     process, port = proxy
     live = tmp_path / "journal.sqlite"
+    killed = threading.Event()
+    passes = 0
 
     def after_block(tick: int) -> None:
-        time.sleep(0.02)
         if tick == TICKS // 2:
+            assert killed.wait(30.0)
+
+    def stop() -> bool:
+        nonlocal passes
+        passes += 1
+        if passes == 4:
             process.kill()
+            process.wait()
+            killed.set()
+        return False
 
     thread = threading.Thread(target=write, args=(live, truth), kwargs={"after_block": after_block})
     thread.start()
-    url = f"rerun+http://{HOST}:{port}/proxy"
-    follow(live, rrd=tmp_path / "review.rrd", viewer=url, stop=lambda: False, poll_s=0.01)
+    follow(live, rrd=tmp_path / "review.rrd", viewer=f"rerun+http://{HOST}:{port}/proxy", stop=stop, poll_s=0.01)
     thread.join()
     assert "the viewer is gone" in caplog.text
     assert_same_review(tmp_path / "review.rrd", rrd, truth)
