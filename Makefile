@@ -11,8 +11,9 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,ml]"
 	touch $@
 
-# The 40-hour battle-time profile on the virtual rig, over real Modbus and CAN, in accelerated time.
-# WITH=profiles/effects/NAME.toml switches on physics that the twin does not know of.
+# The 40-hour battle-time profile on the virtual rig, over real Modbus and CAN, in accelerated time. From 3.5 h on the
+# power modules give off heat that the twin does not know of; `make demo WITH=` runs the healthy rig.
+WITH ?= profiles/effects/modules_heat.toml
 demo: $(STAMP)
 	$(BIN)/hil run profiles/loads/battle_40h.csv --virtual --lockstep $(if $(WITH),--with $(WITH))
 

@@ -7,6 +7,7 @@ Every mistake is reported with the file, the line, the key and what to do about 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import tomllib
 from collections.abc import Sequence
@@ -156,12 +157,13 @@ class Heartbeat(_Section):
 
 
 class Rig(_Section):
-    """A whole rig file."""
+    """A whole rig file. `twin` is the twin file that runs beside this rig unless another is named."""
 
     name: str
     description: str = ""
     period_s: Annotated[float, Field(gt=0, le=3600)] = 1.0
     abort_after_s: Annotated[float, Field(gt=0)] = 5.0
+    twin: Path | None = None
     heartbeat: Heartbeat | None = None
     bus: dict[str, Annotated[ModbusTcpBus | CanBus, Field(discriminator="transport")]]
     point: tuple[Point, ...]
@@ -202,8 +204,10 @@ def load_rig(path: Path) -> Rig:
         raise RigFileError(f"{path}: is not valid TOML: {error}") from error
     for section in document.get("bus", {}).values():
         if isinstance(section, dict) and isinstance(section.get("dbc"), str):
-            section["dbc"] = str(path.parent / section["dbc"])
+            section["dbc"] = os.path.normpath(path.parent / section["dbc"])
     document = {**document.pop("rig", {}), **document}
+    if isinstance(document.get("twin"), str):
+        document["twin"] = os.path.normpath(path.parent / document["twin"])
     try:
         rig = Rig.model_validate(document)
     except ValidationError as error:

@@ -6,7 +6,6 @@ is one place that makes the rig safe, and no way around it.
 
 from __future__ import annotations
 
-import asyncio
 import math
 import time
 from collections.abc import Callable

@@ -24,9 +24,9 @@ def exit_code(error: BaseException) -> int | None:
     if isinstance(error, RunFolderError):
         return USAGE
     names = {kind.__name__ for kind in type(error).__mro__}
-    if names & {"ProfileError", "ScenarioError", "RecordError", "TwinFileError", "EffectsError", "CommissionError"}:
+    if names & {"ProfileError", "ScenarioError", "RecordError", "TwinFileError", "EffectFileError"}:
         return USAGE
-    if names & {"VirtualRigError", "ReviewError"}:
+    if names & {"VirtualRigError", "ViewerError"}:
         return FOUND
     return None
 

@@ -32,7 +32,10 @@ Mode = Literal["real", "scaled", "lockstep"]
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What to run. `virtual` starts the virtual rig in place of the one at the rig file's addresses."""
+    """What to run. `virtual` starts the virtual rig in place of the one at the rig file's addresses.
+
+    `twin` None takes the twin that the rig file names, if any; `use_twin` False runs without one.
+    """
 
     profile: Path
     rig: Path
@@ -45,6 +48,7 @@ class RunRequest:
     effects: Path | None = None
     calibrators: tuple[str, ...] = ("pso",)
     viewer: bool | None = None
+    use_twin: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +69,7 @@ class Prepared:
 
     rig: Rig
     profile: Profile
+    twin: Path | None
     network: Network | None
     notes: tuple[str, ...]
 
@@ -75,11 +80,12 @@ def prepare(request: RunRequest) -> Prepared:
     profile = read_profile(request.profile)
     notes = validate(profile, setpoint_limits(rig), period_s=rig.period_s)
     network = None
-    if request.twin is not None:
+    twin = (request.twin or rig.twin) if request.use_twin else None
+    if twin is not None:
         from twin.twinfile import load
 
-        network = load(request.twin)
-        _check_twin_columns(request.twin, network, rig)
+        network = load(twin)
+        _check_twin_columns(twin, network, rig)
         from twin.calibrators import NAMES
 
         unknown = [name for name in request.calibrators if name not in NAMES]
@@ -89,7 +95,7 @@ def prepare(request: RunRequest) -> Prepared:
         raise ConfigurationError(
             "--with switches on effects in the virtual rig; give --virtual too, or take --with out"
         )
-    return Prepared(rig, profile, network, tuple(notes))
+    return Prepared(rig, profile, twin, network, tuple(notes))
 
 
 def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:
@@ -120,8 +126,6 @@ async def run_session(
 ) -> RunResult:
     """Run `request` to its end and derive everything in its folder; raises what `prepare` raises."""
     ready = prepare(request)
-    loop = asyncio.get_running_loop()
-    began = loop.time()
     for note in ready.notes:
         announce(note)
     folder = create_run_folder(
@@ -131,7 +135,7 @@ async def run_session(
         {
             "rig": request.rig,
             "profile": request.profile,
-            "twin": request.twin,
+            "twin": ready.twin,
             "effects": request.effects,
         },
         mode=request.mode,
@@ -141,8 +145,27 @@ async def run_session(
         calibrators=list(request.calibrators),
     )
     folder.write_manifest(manifest)
-    if request.twin is not None:
-        shutil.copyfile(request.twin, folder.twin)
+    if ready.twin is not None:
+        shutil.copyfile(ready.twin, folder.twin)
+    try:
+        result = await _run_in(folder, manifest, request, ready, observer, announce)
+    except BaseException as error:
+        folder.write_manifest(manifest | {"exit_status": "faulted", "reason": f"{type(error).__name__}: {error}"})
+        raise
+    return result
+
+
+async def _run_in(
+    folder: RunFolder,
+    manifest: dict[str, Any],
+    request: RunRequest,
+    ready: Prepared,
+    observer: Callable[[Status], None] | None,
+    announce: Callable[[str], None],
+) -> RunResult:
+    """The run itself, in its folder."""
+    loop = asyncio.get_running_loop()
+    began = loop.time()
     async with contextlib.AsyncExitStack() as stack:
         rig, clock = await stack.enter_async_context(_rig_and_clock(request, ready.rig, announce))
         connection = RigConnection(rig, clock.now)
@@ -150,6 +173,8 @@ async def run_session(
         journal = JournalWriter(folder.journal, header)
         stack.callback(journal.close)
         tracking = await _start_tracking(request, folder, ready, header, journal)
+        if tracking is not None:
+            stack.push_async_callback(tracking.close)
         follower = await stack.enter_async_context(_live_review(request, folder, announce))
         engine = Engine(
             connection,
@@ -182,7 +207,7 @@ async def run_session(
         journal.commit()
     folder.write_manifest(manifest)
     announce("writing record and report")
-    export_record(folder.journal, folder.record)
+    export_record(folder.journal, folder.record, {"uid": manifest["uid"], "started": manifest["started"]})
     if not follower:
         from hil.review import write_review
 
@@ -206,7 +231,8 @@ async def _rig_and_clock(
         return
     from drivers.virtual.rig import start_virtual_rig
 
-    announce("starting the virtual rig")
+    hidden = f" with effects that no twin knows of ({request.effects})" if request.effects is not None else ""
+    announce(f"starting the virtual rig{hidden}")
     virtual = await start_virtual_rig(
         seed=request.seed,
         mode=request.mode,

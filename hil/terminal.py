@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from hil.tracking import ErrorTable
 
 LINE_EVERY_S = 5.0
+PLAIN_WIDTH = 140
+
+
+def console(*, stderr: bool = False, quiet: bool = False) -> Console:
+    """A console; where the output is no terminal, lines are long enough for every table."""
+    plain = Console(stderr=stderr, quiet=quiet, highlight=False)
+    return plain if plain.is_terminal else Console(stderr=stderr, quiet=quiet, highlight=False, width=PLAIN_WIDTH)
 
 
 def hours(seconds: float) -> str:
@@ -27,9 +34,9 @@ def hours(seconds: float) -> str:
 def error_table(errors: ErrorTable, title: str) -> Table:
     """RMSE per sensor in K, one column a twin, the sensor's noise beside it."""
     table = Table(title=title, title_justify="left", caption_justify="left")
-    table.add_column("sensor")
+    table.add_column("sensor", no_wrap=True)
     for column in errors.columns:
-        table.add_column(column, justify="right")
+        table.add_column(column, justify="right", min_width=6)
     if errors.noise_K:
         table.add_column("noise", justify="right", style="dim")
     for sensor, cells in errors.rows.items():
@@ -46,7 +53,7 @@ class Steps:
     """A progress bar over `total` of something, with ETA; plain lines where the output is no terminal."""
 
     def __init__(self, what: str, total: float, *, quiet: bool = False) -> None:
-        self._console = Console(stderr=True, quiet=quiet)
+        self._console = console(stderr=True, quiet=quiet)
         self._what = what
         self._progress = Progress(
             TextColumn("{task.description}"),
@@ -81,13 +88,11 @@ class Steps:
         if self._lines and now - self._last_line >= LINE_EVERY_S and done > 0:
             self._last_line = now
             eta = (now - self._began) * (self._total - done) / done
-            self._console.print(
-                f"{self._what}: {100 * done / self._total:3.0f} %, ETA {eta:.0f} s  {note}", highlight=False
-            )
+            self._console.print(f"{self._what}: {100 * done / self._total:3.0f} %, ETA {eta:.0f} s  {note}")
 
     def say(self, text: str) -> None:
         """A line above the bar."""
-        self._console.print(text, highlight=False, markup=False)
+        self._console.print(text, markup=False)
 
 
 class LiveRun:
@@ -96,7 +101,7 @@ class LiveRun:
     def __init__(self, *, quiet: bool = False) -> None:
         self._quiet = quiet
         self._steps: Steps | None = None
-        self._console = Console(stderr=True, quiet=quiet)
+        self._console = console(stderr=True, quiet=quiet)
 
     def __enter__(self) -> Self:
         return self
@@ -110,7 +115,7 @@ class LiveRun:
         if self._steps is not None:
             self._steps.say(text)
         else:
-            self._console.print(text, highlight=False, markup=False)
+            self._console.print(text, markup=False)
 
     def update(self, status: Status) -> None:
         """Called by the engine a few times a second."""
@@ -128,20 +133,20 @@ class LiveRun:
 
     def show_result(self, result: RunResult) -> None:
         """Table of errors, how it ended, where it is."""
-        console = Console()
+        out = console()
         outcome = result.outcome
-        console.print()
+        out.print()
         if result.errors is not None:
-            console.print(error_table(result.errors, f"RMSE in K over {hours(result.duration_s)}"))
-        console.print(
+            out.print(error_table(result.errors, f"RMSE in K over {hours(result.duration_s)}"))
+        out.print(
             f"{outcome.status}: {hours(result.duration_s)} of rig time in {result.wall_s:.1f} s"
             + (f", {outcome.overruns} late ticks" if outcome.overruns else "")
             + (f": {outcome.reason}" if outcome.reason else ""),
             highlight=False,
         )
         if outcome.ticks and not outcome.safe:
-            console.print("The rig was NOT confirmed safe: look at it now.", style="bold red")
+            out.print("The rig was NOT confirmed safe: look at it now.", style="bold red")
         for problem in outcome.problems:
-            console.print(f"  {problem}", highlight=False, markup=False)
-        console.print(f"run folder: {result.folder.path}", highlight=False, soft_wrap=True)
-        console.print(f"look at it: hil review {result.folder.path}", highlight=False, soft_wrap=True)
+            out.print(f"  {problem}", markup=False)
+        out.print(f"run folder: {result.folder.path}", soft_wrap=True)
+        out.print(f"look at it: hil review {result.folder.path}", soft_wrap=True)

@@ -136,13 +136,12 @@ def error_table(trackers: dict[str, TwinTracker]) -> ErrorTable:
     rows: dict[str, list[float]] = {}
     noise: dict[str, float] = {}
     for name, tracker in trackers.items():
-        table = tracker.table()
         first = not columns
         columns += (["static"] if first else []) + [f"{name} ahead", f"{name} fitted"]
-        for row in table:
-            cells = rows.setdefault(row.sensor, [])
-            cells += ([row.static_K] if first else []) + [row.tracked_K, row.fitted_K]
-            noise[row.sensor] = row.noise_K
+        for sensor, row in tracker.table().items():
+            cells = rows.setdefault(sensor, [])
+            cells += ([row["static"]] if first else []) + [row["tracked"], row["fitted"]]
+            noise[sensor] = row["noise"]
     return ErrorTable(tuple(columns), {sensor: tuple(cells) for sensor, cells in rows.items()}, noise)
 
 
@@ -150,8 +149,6 @@ def _serve(connection: Connection, config: TrackingConfig) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C belongs to the engine, which ends this process in order
     try:
         trackers = make_trackers(config)
-        for tracker in trackers.values():
-            tracker.warm_up()
         connection.send("ready")
         while (block := connection.recv()) is not None:
             ticks, time_s, rows = block
@@ -191,7 +188,7 @@ class TrackingProcess:
         theirs.close()
         ready = await asyncio.to_thread(self._first_answer)
         if ready != "ready":
-            await self._end()
+            await self.close()
             raise TrackingError(f"the calibrators did not start: {ready}")
         asyncio.get_running_loop().add_reader(self._connection.fileno(), self._receive)
 
@@ -228,7 +225,7 @@ class TrackingProcess:
                         await self._room.wait()
         except TimeoutError:
             self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
-        await self._end()
+        await self.close()
         return self._table
 
     @property
@@ -273,7 +270,8 @@ class TrackingProcess:
             asyncio.get_running_loop().remove_reader(self._connection.fileno())
         self._room.set()
 
-    async def _end(self) -> None:
+    async def close(self) -> None:
+        """End the process; harmless when repeated."""
         if self._connection is not None:
             asyncio.get_running_loop().remove_reader(self._connection.fileno())
             self._connection.close()

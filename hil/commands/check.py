@@ -26,9 +26,9 @@ def command(file: Path, rig: Path) -> None:
       hil check profiles/rigs/virtual.toml
       hil check my_load.csv --rig my_rig.toml
     """
-    from rich.console import Console
+    from hil.terminal import console
 
-    _checker(file)(file, rig, Console())
+    _checker(file)(file, rig, console())
 
 
 def _checker(file: Path) -> Callable[[Path, Path, Console], None]:
@@ -50,7 +50,7 @@ def _checker(file: Path) -> Callable[[Path, Path, Console], None]:
     raise click.UsageError(f"{file}: is no .toml, .csv or .parquet file; nothing here knows how to check it")
 
 
-def _rig(file: Path, _: Path, console: Console) -> None:
+def _rig(file: Path, _: Path, out: Console) -> None:
     from rich.table import Table
 
     from drivers.canbus import CanReceiver
@@ -68,22 +68,22 @@ def _rig(file: Path, _: Path, console: Console) -> None:
         safe = f"{point.safe_value:g}" if point.safe_value is not None else ""
         plausible = f"{point.plausible[0]:g} to {point.plausible[1]:g}" if point.plausible else ""
         points.add_row(point.name, point.bus, where, kind, point.unit, limits, safe, plausible)
-    console.print(points)
+    out.print(points)
     for name, bus in rig.bus.items():
         mine = tuple(point for point in rig.point if point.bus == name)
         if isinstance(bus, CanBus):
             CanReceiver(name, bus, mine, lambda: 0.0)  # matches every point with the DBC
-            console.print(f"{name}: {bus.transport} {bus.channel}, {len(mine)} signals found in {bus.dbc.name}")
+            out.print(f"{name}: {bus.transport} {bus.channel}, {len(mine)} signals found in {bus.dbc.name}")
             continue
         blocks = plan_reads((p for p in mine if p.access == "r"), max_read=bus.max_read, max_gap=bus.max_gap)
-        console.print(f"{name}: Modbus/TCP {bus.host}:{bus.port}, {len(blocks)} reads a tick:")
+        out.print(f"{name}: Modbus/TCP {bus.host}:{bus.port}, {len(blocks)} reads a tick:")
         for block in blocks:
             gaps = block.count - sum(point.width for point in block.points)
-            console.print(f"  {block.table} {block.address} to {block.address + block.count - 1}, {gaps} unused")
-    console.print(f"{file}: no mistakes found", style="green")
+            out.print(f"  {block.table} {block.address} to {block.address + block.count - 1}, {gaps} unused")
+    out.print(f"{file}: no mistakes found", style="green")
 
 
-def _twin(file: Path, _: Path, console: Console) -> None:
+def _twin(file: Path, _: Path, out: Console) -> None:
     from rich.table import Table
 
     from twin.twinfile import load
@@ -95,38 +95,38 @@ def _twin(file: Path, _: Path, console: Console) -> None:
     for name, parameter in network.parameters.items():
         bounds = f"{parameter.lower:g} to {parameter.upper:g}"
         table.add_row(name, f"{parameter.value:.5g}", bounds, parameter.unit, parameter.status, parameter.source)
-    console.print(table)
-    console.print(f"needs {', '.join(network.input_columns)}")
+    out.print(table)
+    out.print(f"needs {', '.join(network.input_columns)}")
     for sensor, columns in network.sensor_columns.items():
-        console.print(f"predicts {sensor}" + (f" (mean of {', '.join(columns)})" if len(columns) > 1 else ""))
+        out.print(f"predicts {sensor}" + (f" (mean of {', '.join(columns)})" if len(columns) > 1 else ""))
     revision = network.revision
     if revision.number:
-        console.print(f"revision {revision.number}, made by {revision.made_by}, parent {revision.parent[:12]}")
-    console.print(f"{file}: no mistakes found", style="green")
+        out.print(f"revision {revision.number}, made by {revision.made_by}, parent {revision.parent[:12]}")
+    out.print(f"{file}: no mistakes found", style="green")
 
 
-def _effects(file: Path, _: Path, console: Console) -> None:
+def _effects(file: Path, _: Path, out: Console) -> None:
     from drivers.virtual.effects import load_effects
 
     for effect in load_effects(file):
-        console.print(str(effect), highlight=False)
-    console.print(f"{file}: no mistakes found", style="green")
+        out.print(str(effect))
+    out.print(f"{file}: no mistakes found", style="green")
 
 
-def _scenario(file: Path, _: Path, console: Console) -> None:
+def _scenario(file: Path, _: Path, out: Console) -> None:
     from hil.scenario import build, read_scenario
 
     scenario = read_scenario(file)
     profile = build(scenario, 1)
     low, high = profile.values[:, 0].min(), profile.values[:, 0].max()
-    console.print(
+    out.print(
         f"{file}: {profile.duration_s / 3600:.1f} h, {len(profile.time_s)} breakpoints, {low:.0f} to {high:.0f} W; "
         "no mistakes found",
         style="green",
     )
 
 
-def _profile(file: Path, rig: Path, console: Console) -> None:
+def _profile(file: Path, rig: Path, out: Console) -> None:
     from drivers.rigfile import load_rig
     from hil.profile import read_profile, validate
     from hil.session import setpoint_limits
@@ -134,24 +134,24 @@ def _profile(file: Path, rig: Path, console: Console) -> None:
     target = load_rig(rig)
     profile = read_profile(file)
     for note in validate(profile, setpoint_limits(target), period_s=target.period_s):
-        console.print(f"  {note}", highlight=False)
+        out.print(f"  {note}")
     for index, column in enumerate(profile.columns):
         low, high = profile.values[:, index].min(), profile.values[:, index].max()
-        console.print(f"  {column}: {low:g} to {high:g}", highlight=False)
-    console.print(f"{file}: {profile.duration_s / 3600:.2f} h, runs on {target.name}", style="green")
+        out.print(f"  {column}: {low:g} to {high:g}")
+    out.print(f"{file}: {profile.duration_s / 3600:.2f} h, runs on {target.name}", style="green")
 
 
-def _record(file: Path, _: Path, console: Console) -> None:
+def _record(file: Path, _: Path, out: Console) -> None:
     import numpy as np
 
     from hil.record import read_record
 
     record = read_record(file)
     for message in record.messages:
-        console.print(f"  {message}", highlight=False)
+        out.print(f"  {message}")
     for name, values in record.columns.items():
         finite = values[np.isfinite(values)]
         spread = f"{finite.min():g} to {finite.max():g}" if finite.size else "no value"
         missing = f", {len(values) - finite.size} missing" if finite.size < len(values) else ""
-        console.print(f"  {name}: {spread}{missing}", highlight=False)
-    console.print(f"{file}: {len(record.time_s)} samples over {record.time_s[-1] / 3600:.2f} h", style="green")
+        out.print(f"  {name}: {spread}{missing}")
+    out.print(f"{file}: {len(record.time_s)} samples over {record.time_s[-1] / 3600:.2f} h", style="green")

@@ -33,14 +33,14 @@ def command(record: Path, twin: Path | None, datasheet: Path | None, out: Path, 
     """
     from hil.record import read_record
     from twin.commission import commission
-    from twin.datasheet import network_from_datasheet
+    from twin.datasheet import from_datasheet
     from twin.twinfile import load, save
 
     if (twin is None) == (datasheet is None):
         raise click.UsageError("give either --twin or --datasheet: what the fit starts from")
     if out.exists():
         raise click.UsageError(f"{out} exists already; a twin is never overwritten, give --out another name")
-    network = load(twin) if twin is not None else network_from_datasheet(datasheet)
+    network = load(twin) if twin is not None else from_datasheet(datasheet or "")
     data = read_record(record)
     data.require(*network.input_columns)
     inputs, measured = network.select(data.columns)
@@ -67,12 +67,13 @@ def _document(result: Commission, out: Path) -> dict[str, object]:
 
 
 def _show(result: Commission, messages: tuple[str, ...], out: Path) -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    from hil.terminal import console
+
+    to = console()
     for message in messages:
-        console.print(message, highlight=False)
+        to.print(message)
     parameters = Table(title="Parameters", title_justify="left")
     for heading in ("parameter", "before", "after", "90 % interval", "unit", ""):
         parameters.add_column(heading, justify="left" if heading in ("parameter", "unit", "") else "right")
@@ -83,7 +84,7 @@ def _show(result: Commission, messages: tuple[str, ...], out: Path) -> None:
             told = "at its bound"
         unit = result.network.parameters[name].unit
         parameters.add_row(name, f"{result.start[name]:.4g}", f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit, told)
-    console.print(parameters)
+    to.print(parameters)
     held = result.held_out_s
     title = f"RMSE in K, free run over {held[0] / 3600:.1f} to {held[1] / 3600:.1f} h, which the fit never saw"
     errors = Table(title=title, title_justify="left")
@@ -92,7 +93,7 @@ def _show(result: Commission, messages: tuple[str, ...], out: Path) -> None:
     for sensor in result.rmse_after:
         cells = (result.rmse_before[sensor], result.rmse_after[sensor], result.rmse_fitted[sensor])
         errors.add_row(sensor, *(f"{cell:.3f}" for cell in cells))
-    console.print(errors)
+    to.print(errors)
     for note in result.notes:
-        console.print(note, highlight=False)
-    console.print(f"written: {out}", highlight=False, soft_wrap=True)
+        to.print(note)
+    to.print(f"written: {out}", soft_wrap=True)

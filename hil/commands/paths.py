@@ -29,4 +29,3 @@ class InputFile(click.ParamType[Path]):
 
 INPUT_FILE = InputFile()
 VIRTUAL_RIG = "profiles/rigs/virtual.toml"
-LOOP_TWIN = "profiles/twins/loop.toml"

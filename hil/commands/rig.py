@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
@@ -41,16 +42,18 @@ def command(
     """
     from drivers.virtual.rig import serve
 
-    if host not in ("127.0.0.1", "localhost", "::1"):
-        click.echo(f"Warning: the virtual rig listens on {host}, where other machines may write to it.", err=True)
-    serve(
-        modbus_port=modbus_port,
-        can_port=can_port,
-        control_port=control_port,
-        mode=mode,  # type: ignore[arg-type]
-        speed=speed,
-        period_s=period,
-        seed=seed,
-        effects=effects,
-        host=host,
-    )
+    try:
+        code = serve(
+            modbus_port=modbus_port,
+            can_port=can_port,
+            control_port=control_port,
+            mode=mode,
+            speed=speed,
+            period_s=period,
+            seed=seed,
+            effects=effects,
+            host=host,
+        )
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    sys.exit(code)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.commands.paths import INPUT_FILE, LOOP_TWIN, VIRTUAL_RIG
+from hil.commands.paths import INPUT_FILE, VIRTUAL_RIG
 
 if TYPE_CHECKING:
     from hil.session import RunResult
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("profile", type=INPUT_FILE)
 @click.option("--rig", "rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig file.")
-@click.option("--twin", type=INPUT_FILE, default=LOOP_TWIN, show_default=True, help="Twin file.")
+@click.option("--twin", type=INPUT_FILE, help="Twin file; default: the one that the rig file names.")
 @click.option("--no-twin", is_flag=True, help="Run and record only.")
 @click.option("--virtual", is_flag=True, help="Start a virtual rig and run on that.")
 @click.option("--lockstep", is_flag=True, help="As fast as the machine can, the same every time (virtual rig).")
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 def command(
     profile: Path,
     rig: Path,
-    twin: Path,
+    twin: Path | None,
     no_twin: bool,
     virtual: bool,
     lockstep: bool,
@@ -68,14 +68,15 @@ def command(
     request = RunRequest(
         profile=profile,
         rig=rig,
-        twin=None if no_twin else twin,
+        twin=twin,
+        use_twin=not no_twin,
         runs=runs,
         virtual=virtual,
         mode=mode,  # type: ignore[arg-type]
         speed=speed or 1.0,
         seed=seed,
         effects=effects,
-        calibrators=() if no_twin else calibrators,
+        calibrators=calibrators,
         viewer=viewer,
     )
     if check_only:

@@ -37,11 +37,10 @@ def command(record: Path, twin: Path, calibrators: tuple[str, ...], seed: int, o
     """
     import time
 
-    from rich.console import Console
-
     from hil.record import read_record
-    from hil.terminal import Steps, error_table
-    from hil.tracking import TrackingConfig, error_table as errors_of, make_trackers, track_arrays
+    from hil.terminal import Steps, console, error_table
+    from hil.tracking import TrackingConfig, make_trackers, track_arrays
+    from hil.tracking import error_table as errors_of
 
     data = read_record(record)
     trackers = make_trackers(TrackingConfig(twin, tuple(data.columns), calibrators, seed))
@@ -65,12 +64,12 @@ def command(record: Path, twin: Path, calibrators: tuple[str, ...], seed: int, o
     if as_json:
         click.echo(json.dumps({"errors_K": dataclasses.asdict(errors), "windows": windows}, indent=1))
         return
-    console = Console()
-    console.print(error_table(errors, f"RMSE in K over {data.time_s[-1] / 3600:.1f} h of {record}"))
+    to = console()
+    to.print(error_table(errors, f"RMSE in K over {data.time_s[-1] / 3600:.1f} h of {record}"))
     for name, counts in windows.items():
         listed = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none complete"
-        console.print(f"{name}: windows: {listed}", highlight=False)
-    console.print(f"{len(data.time_s)} samples in {time.monotonic() - began:.1f} s", highlight=False)
+        to.print(f"{name}: windows: {listed}")
+    to.print(f"{len(data.time_s)} samples in {time.monotonic() - began:.1f} s")
 
 
 def _write_predictions(
@@ -80,7 +79,7 @@ def _write_predictions(
 
     from hil.record import Record, write_record
 
-    columns = {}
+    columns: dict[str, NDArray[np.float64]] = {}
     for name, blocks in outputs.items():
         values = np.concatenate(blocks)
         columns |= {f"{sensor.removesuffix('_C')}_{name}_C": values[:, i] for i, sensor in enumerate(sensors)}

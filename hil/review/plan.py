@@ -198,9 +198,13 @@ def _by_unit(entities: dict[str, tuple[str, str]]) -> dict[str, list[tuple[str, 
     return groups
 
 
+def _shortened(names: list[str]) -> str:
+    return ", ".join(names) if len(names) <= 3 else f"{names[0]} .. {names[-1]}"
+
+
 def _unit_panels(entities: dict[str, tuple[str, str]]) -> tuple[Panel, ...]:
     return tuple(
-        Panel("lines", titled(", ".join(name for name, _ in group), unit), tuple(entity for _, entity in group))
+        Panel("lines", titled(_shortened([name for name, _ in group]), unit), tuple(entity for _, entity in group))
         for unit, group in _by_unit(entities).items()
     )
 
@@ -257,7 +261,7 @@ def make_plan(header: Header, units: dict[str, str] | None = None, commissioned:
     lanes += [Lane(path("windows", name), WINDOW_COLOURS) for name in calibrators]
     lanes += [Lane(path("calibrated", name), FLAG_COLOURS) for name in calibrators]
     tabs = [
-        _overview(header, actuators),
+        _overview(header, actuators, others),
         *(_sensor_tab(sensor, columns, len(calibrators)) for sensor, columns in header.twin_sensors.items()),
         Stack("rows", (*_unit_panels(actuators), *_unit_panels(others)), title="Rig", margin=_MARGIN),
         *_calibration_tab(calibrators, units or {}, commissioned),
@@ -285,7 +289,7 @@ def _worst_colours(header: Header) -> dict[str, Colour]:
     return {QUALITY_NAMES[Quality.GOOD]: QUALITY_COLOURS[Quality.GOOD]} | states
 
 
-def _overview(header: Header, actuators: dict[str, tuple[str, str]]) -> Stack:
+def _overview(header: Header, actuators: dict[str, tuple[str, str]], others: dict[str, tuple[str, str]]) -> Stack:
     """Sensors beside one another, each above its residual; a line of text is the legend of them all."""
     cells = [
         Stack(
@@ -302,6 +306,8 @@ def _overview(header: Header, actuators: dict[str, tuple[str, str]]) -> Stack:
         Stack("columns", tuple(cells[start : start + _MOST_BESIDE]), share=6.0)
         for start in range(0, len(cells), _MOST_BESIDE)
     ]
+    if not cells and others:
+        rows.append(Stack("columns", _unit_panels(others), share=6.0))
     lanes = Panel("lanes", "Calibration windows and quality", ("/windows/**", "/quality"))
     events = Panel("texts", "Events", ("/events",))
     rows.append(Stack("columns", (*_unit_panels(actuators), lanes, events), share=3.0))

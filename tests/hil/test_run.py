@@ -1,0 +1,170 @@
+"""`hil run` as a user types it: separate processes, real Modbus and CAN, a run folder that holds together."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.points import Quality
+from hil.journal import JournalReader
+from hil.record import read_record
+from hil.report import measured_sensors
+from hil.review import ViewerError, read_columns, screenshot
+from hil.run_folder import RunFolder
+
+PROJECT = Path(__file__).resolve().parents[2]
+HIL = [sys.executable, "-m", "hil"]
+LOAD = """time_s,heater_power_W,pump_speed_pct,fan_speed_pct
+0,700,100,70
+900,850,85,70
+1500,650,100,100
+{end},650,100,100
+"""
+HEAT = '[[effect]]\nkind = "heat_source"\nwhere = "modules"\ndriver = "constant"\npower_W = 180\nonset_s = 605\n'
+
+
+def hil(*arguments: object, cwd: Path = PROJECT) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*HIL, *map(str, arguments)], capture_output=True, text=True, cwd=cwd, timeout=240)
+
+
+@dataclass
+class Finished:
+    folder: RunFolder
+    printed: dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """A run of 50 minutes in which the modules begin to heat after ten."""
+    place = tmp_path_factory.mktemp("run")
+    (place / "load.csv").write_text(LOAD.format(end=3000), encoding="utf-8")
+    (place / "heat.toml").write_text(HEAT, encoding="utf-8")
+    done = hil(
+        "run", place / "load.csv", "--virtual", "--lockstep", "--runs", place / "runs", "--json",
+        "--with", place / "heat.toml", "--calibrator", "pso", "--calibrator", "least_squares", "--seed", 3,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    printed = json.loads(done.stdout)
+    return Finished(RunFolder(Path(printed["folder"])), printed)
+
+
+def test_the_folder_holds_everything_and_says_what_it_came_from(finished):
+    names = {path.name for path in finished.folder.path.iterdir()}
+    assert names >= {"run.json", "journal.sqlite", "record.parquet", "review.rrd", "twin.toml", "report.html"}
+    manifest = finished.folder.read_manifest()
+    assert (manifest["exit_status"], manifest["safe"], manifest["ticks"]) == ("done", True, 3000)
+    assert set(manifest["files"]) == {"rig", "profile", "twin", "effects"}
+    assert all(len(item["sha256"]) == 64 for item in manifest["files"].values())
+    assert manifest["settings"]["seed"] == 3
+
+
+def test_the_tracked_twin_follows_what_the_static_one_cannot_know(finished):
+    errors = finished.printed["errors_K"]
+    columns = errors["columns"]
+    assert columns == ["static", "pso ahead", "pso fitted", "least_squares ahead", "least_squares fitted"]
+    for sensor, cells in errors["rows"].items():
+        row = dict(zip(columns, cells, strict=True))
+        assert row["static"] > 0.5, sensor
+        assert row["pso ahead"] < 0.6 * row["static"], sensor
+        assert row["pso fitted"] < 2.0 * errors["noise_K"][sensor], sensor
+        assert row["least_squares fitted"] < 1.6 * errors["noise_K"][sensor], sensor
+
+
+def test_the_table_is_that_of_the_journal(finished):
+    reader = JournalReader(finished.folder.journal)
+    samples = reader.samples()
+    measured = measured_sensors(reader, samples)
+    columns = finished.printed["errors_K"]["columns"]
+    for twin, column in (("static", "static"), ("pso", "pso ahead"), ("least_squares", "least_squares ahead")):
+        outputs = reader.twin_outputs(twin)
+        assert np.array_equal(outputs.tick, samples.tick)
+        for position, (sensor, values) in enumerate(measured.items()):
+            table = finished.printed["errors_K"]["rows"][sensor][columns.index(column)]
+            later = samples.time_s > 60
+            rmse = np.sqrt(np.nanmean((values - outputs.values[:, position])[later] ** 2))
+            assert rmse == pytest.approx(table, rel=0.05), (twin, sensor)
+    reader.close()
+
+
+def test_record_and_review_equal_the_journal_sample_for_sample(finished):
+    reader = JournalReader(finished.folder.journal)
+    samples = reader.samples()
+    record = read_record(finished.folder.record)
+    assert np.array_equal(record.time_s, samples.time_s)
+    for index, signal_ in enumerate(reader.header.signals):
+        good = samples.quality[:, index] == Quality.GOOD
+        assert np.array_equal(record.columns[signal_.column][good], samples.values[good, index]), signal_.column
+    for sensor, columns in reader.header.twin_sensors.items():
+        if len(columns) > 1:
+            continue
+        time_s, values = read_columns(finished.folder.review, f"/sensors/{sensor.removesuffix('_C')}/measured")
+        assert np.array_equal(time_s, samples.time_s)
+        index = [s.column for s in reader.header.signals].index(columns[0])
+        assert np.array_equal(values.reshape(len(time_s), -1)[:, 0], samples.values[:, index])
+    reader.close()
+
+
+def test_a_picture_of_the_review_has_no_complaints(finished, tmp_path):
+    try:
+        problems = screenshot(finished.folder.review, tmp_path / "review.png")
+    except ViewerError as error:
+        pytest.skip(f"no headless viewer here: {error}")
+    assert problems == []
+    assert (tmp_path / "review.png").stat().st_size > 20_000
+
+
+def test_tracking_the_record_again_gives_the_same_table(finished):
+    done = hil(
+        "track", finished.folder.record, "--twin", finished.folder.twin, "--seed", 3,
+        "--calibrator", "pso", "--calibrator", "least_squares", "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["errors_K"]["rows"] == finished.printed["errors_K"]["rows"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_run_with_the_heater_safe(tmp_path, number):
+    (tmp_path / "load.csv").write_text(LOAD.format(end=40000), encoding="utf-8")
+    command = [*HIL, "run", str(tmp_path / "load.csv"), "--virtual", "--speed", "10", "--runs", str(tmp_path)]
+    process = subprocess.Popen(
+        [*command, "--no-viewer"], cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, process_group=0
+    )
+    journal = None
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        journal = next(iter(tmp_path.glob("*-load/journal.sqlite")), None)
+        if journal is not None and _ticks(journal) > 30:
+            break
+        assert process.poll() is None, process.stderr.read().decode()
+        time.sleep(0.2)
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # Ctrl-C reaches the virtual rig and the calibrators too
+    else:
+        process.send_signal(number)
+    out, err = process.communicate(timeout=90)
+    assert process.returncode == 1, err.decode()
+    assert "Traceback" not in err.decode()
+    manifest = RunFolder(journal.parent).read_manifest()
+    assert (manifest["exit_status"], manifest["safe"]) == ("aborted", True)
+    assert "stopped by" in manifest["reason"]
+    assert "aborted" in out.decode()
+
+
+def _ticks(journal: Path) -> int:
+    try:
+        reader = JournalReader(journal)
+    except Exception:
+        return 0
+    count = len(reader.samples().tick)
+    reader.close()
+    return count
