@@ -239,7 +239,8 @@ def make_plan(header: Header, units: dict[str, str] | None = None, commissioned:
     for signal in header.signals:
         if signal.kind == "measured" and signal.column not in sensor_columns | paired:
             entity = path("measured", signal.column)
-            colour = ACTUATORS[len(others) % len(ACTUATORS)]
+            palette = (*ACTUATORS, *TRACKED.values(), NEUTRAL)
+            colour = palette[len(others) % len(palette)]
             lines.append(Lines(entity, (signal.name,), (colour,), extremes=True))
             columns_of[entity] = (signal.column,)
             others[entity] = (signal.name, signal.unit)
