@@ -227,7 +227,7 @@ class _Kernel:
         k = range(self.k)
         lines = [f"x{j}a = x{j}" for j in k]
         for i in range(ORDER):
-            here, then = "abcdefghijkl"[i : i + 2]
+            here, then = "abcdefghijkl"[i], "abcdefghijkl"[i + 1]
             lines += self.slopes(here)
             share = "h" if i == ORDER - 1 else f"h{ORDER - i}"
             lines += [f"x{j}{then} = x{j} + {share} * k{j}{here}" for j in k]

@@ -231,6 +231,8 @@ def _import(folder: Path, key: str, source: str) -> Callable[..., None]:
     if spec is None or spec.loader is None:
         raise ImportError(f"cannot import {path}")
     module: Any = importlib.util.module_from_spec(spec)
+    # numba's cached code refers to its module by name while it is being loaded.
+    sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     kernel: Callable[..., None] = module.kernel
     return kernel

@@ -11,6 +11,9 @@ factor at the modules and keeps T_j as the inlet of the next volume ("volume"): 
 creates heat from nothing, m cp (a_j - 1)(w_in - T_j). "exchanged" hands on what is left, so that the heat is
 conserved for every a_j, and it is the default.
 
+Between 0 and 2 each node passes on at most what it gets, |w_j / w_in| <= 1 at every frequency, so the ring is
+stable; beyond 2 it is not, hence the bounds.
+
 The path is a ring, so the water temperatures solve w_0 = P w_0 + r with P the product of (1 - a_j): one
 division per sample interval.
 """
@@ -45,15 +48,13 @@ class Flow(Element):
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:
         source = "coolant flow factor of Table 1, as the share of the way to equilibrium"
         stations = tuple(
-            ParameterSpec(f"effectiveness_{node}", "1", 1.0, 0.0, 8.0, "fixed", source) for node in self.path
+            ParameterSpec(f"effectiveness_{node}", "1", 1.0, 0.05, 1.95, "fixed", source) for node in self.path
         )
         return self.parameters + stations
 
     def problem(self, values: Mapping[str, float]) -> str | None:
         if len(self.path) < 2 or len(set(self.path)) != len(self.path):
             return "the flow path must name at least two different nodes, each once; the loop closes by itself"
-        if all(values[f"effectiveness_{node}"] == 0.0 for node in self.path):
-            return "the water exchanges heat with no node; set at least one effectiveness above 0"
         return None
 
     def emit(self, n: Names) -> Fragment:
@@ -95,12 +96,8 @@ class Flow(Element):
 
 
 def _ring(share: Mapping[str, str]) -> str:
-    """1 / (1 - product of (1 - a)).
-
-    A ring that exchanges nothing, or overshoots everywhere, has no unique water temperature; the guard keeps
-    that corner of the box finite.
-    """
-    return f"1.0 / max(1.0 - {' * '.join(f'(1.0 - {a})' for a in share.values())}, 1e-3)"
+    """1 / (1 - product of (1 - a)); the bounds of a keep the product well below 1."""
+    return f"1.0 / (1.0 - {' * '.join(f'(1.0 - {a})' for a in share.values())})"
 
 
 def _once_around(n: Names, share: Mapping[str, str]) -> str:

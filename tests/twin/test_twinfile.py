@@ -1,0 +1,138 @@
+"""Twin files: what is refused, in which words, and that writing loses nothing."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin.network import Network, Revision, TwinFileError
+from twin.twinfile import dump, load, parse, save
+
+BAD = {
+    "kind": ('kind = "flow"', 'kind = "flwo"', "unknown kind 'flwo'; did you mean 'flow'"),
+    "key": ("capacitance = { value = 3000.0", "capacitanse = { value = 3000.0", "did you mean 'capacitance'"),
+    "node": ('to = "tank"', 'to = "tnak"', "no such node 'tnak'; did you mean 'tank'"),
+    "negative": ("{ value = 3000.0, lower", "{ value = -3000.0, lower", "outside its bounds"),
+    "unphysical bounds": ("value = 3000.0, lower = 300.0", "value = 3000.0, lower = -5.0", "must lie in order inside"),
+    "unit": ("value = 3000.0,", 'value = 3000.0, unit = "kJ/K",', "unit 'kJ/K' is not 'J/K'"),
+    "status": ("value = 3000.0,", 'value = 3000.0, status = "free",', "status 'free' is not one of"),
+    "not a number": ("{ value = 3000.0,", '{ value = "big",', "must be a finite number"),
+    "missing": ("nominal = { value = 3.785", "factor_ = { value = 3.785", "unknown key"),
+    "input": ('fan = "fan_speed_pct"', 'fan = "fan_sped_pct"', "no such input 'fan_sped_pct'; did you mean"),
+    "sensor on nothing": ('node = "tank"\ncolumns', 'node = "lake"\ncolumns', "no such node 'lake'"),
+    "no columns": ('columns = ["T_tank_C"]', "columns = []", "must be a list of names"),
+    "column twice": ('columns = ["T_tank_C"]', 'columns = ["T_heater_C"]', "already read by sensor"),
+    "column unit": ('columns = ["T_tank_C"]', 'columns = ["T_tank_F"]', "does not end in _C"),
+    "path": ('"radiator", "tank"]', '"radiator", "tank", "heater"]', "each once"),
+    "driver": ('driver = "heater_power_W"', 'driver = "fan_speed_pct"', "is not a power"),
+    "same node": ('from = "radiator"', 'from = "tank"', "both ends are the same node"),
+    "set": ('"heater.capacitance", "mod', '"heater.capacitanc", "mod', "did you mean 'heater.capacitance'"),
+    "initial": ("initial = [0.0, 3.0]", "initial = [3.0, 0.0]", "must be below the second"),
+    "window": ("window_s = 600.0", "window_s = -1.0", "must be positive"),
+    "format": ("format = 1", "format = 2", "must be 1"),
+    "top": ("[windows]", "[window]", "did you mean 'windows'"),
+    "nominal": ("nominal = 700.0, ", "", "nominal is missing"),
+    "toml": ("[inputs]", "[inputs", "is not valid TOML"),
+    "name": ("[elements.tank_loss]", '[elements."tank loss"]', "letters, digits and underscores"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_files_get_one_sentence(case: str, loop_text: str) -> None:
+    old, new, words = BAD[case]
+    assert old in loop_text
+    with pytest.raises(TwinFileError) as caught:
+        parse(loop_text.replace(old, new, 1), "rig.toml")
+    message = str(caught.value)
+    assert message.startswith("rig.toml")
+    assert words in message
+    assert "\n" not in message
+
+
+def test_the_line_is_named(loop_text: str) -> None:
+    bad = loop_text.replace("{ value = 1.5, lower = 0.01", "{ value = 99.0, lower = 0.01", 1)
+    line = bad[: bad.index("value = 99.0")].count("\n") + 1
+    with pytest.raises(TwinFileError, match=rf"rig.toml, line {line}: elements.heater_loss.hA"):
+        parse(bad, "rig.toml")
+
+
+def test_an_unreachable_node_and_a_second_feed_are_found(loop_text: str) -> None:
+    island = loop_text + '\n[elements.island]\nkind = "node"\ncapacitance = 100.0\n'
+    with pytest.raises(TwinFileError, match="no heat can reach this node"):
+        parse(island)
+    second = '\n[elements.spur]\nkind = "flow"\npath = ["tank", "heater"]\npump = "pump_speed_pct"\nnominal = 1.0\n'
+    with pytest.raises(TwinFileError, match="two flows need a mixer"):
+        parse(loop_text + second)
+
+
+def test_a_network_needs_nodes_and_sensors() -> None:
+    with pytest.raises(TwinFileError, match="there is no node"):
+        parse('format = 1\nname = "x"\n[inputs]\n[elements]\n')
+    with pytest.raises(TwinFileError, match="there is no sensor"):
+        parse('format = 1\nname = "x"\n[inputs]\n[elements.a]\nkind = "node"\ncapacitance = 100.0\n')
+
+
+def test_writing_and_reading_give_the_same_network(loop: Network) -> None:
+    revision = Revision(3, "ab" * 32, 'a "quoted" maker', (0.0, 100.0), {"T_tank_C": 1.5}, {"T_tank_C": 0.1}, ("n",))
+    changed = loop.with_values({"fins.UA_100": 71.25}, revision)
+    again = parse(dump(changed))
+    assert again.parameters == changed.parameters
+    assert again.elements == changed.elements
+    assert (again.inputs, again.sets, again.rules) == (changed.inputs, changed.sets, changed.rules)
+    assert again.revision == revision
+    assert dump(again) == dump(changed)
+
+
+def test_a_file_is_never_overwritten(loop: Network, tmp_path: Path) -> None:
+    path = save(loop, tmp_path / "twin.toml")
+    text = path.read_text()
+    with pytest.raises(TwinFileError, match="never overwritten"):
+        save(loop.with_values({"fins.UA_100": 71.0}), path)
+    assert path.read_text() == text
+    assert load(path).digest != ""
+
+
+def test_absent_and_binary_files(tmp_path: Path) -> None:
+    with pytest.raises(TwinFileError, match="cannot be read"):
+        load(tmp_path / "absent.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(TwinFileError, match="not UTF-8"):
+        load(tmp_path / "binary.toml")
+
+
+def test_values_out_of_bounds_and_unknown_names(loop: Network) -> None:
+    with pytest.raises(TwinFileError, match="outside"):
+        loop.with_values({"fins.UA_100": -1.0})
+    with pytest.raises(TwinFileError, match="did you mean 'fins.UA_100'"):
+        loop.with_values({"fins.UA_10": 1.0})
+    with pytest.raises(TwinFileError, match="no set of tunables 'ten'"):
+        loop.tunables("ten")
+
+
+def test_the_papers_sets(loop: Network) -> None:
+    assert [len(loop.sets[name].members) for name in ("paper4", "nine", "twelve")] == [4, 9, 12]
+    four = loop.sets["paper4"]
+    assert four.bounds == (0.0, 8.0)
+    assert four.initial == ((0.0, 3.0), (0.0, 1.0), (0.0, 2.0), (0.0, 1.0))
+
+
+def test_selecting_columns(loop: Network) -> None:
+    n = 5
+    columns = {c: np.full(n, 20.0) for c in loop.input_columns}
+    columns |= {c: np.full(n, 30.0) for s in loop.sensors for c in s.measured}
+    columns["T_pm1_C"] = np.array([36.0, np.nan, np.inf, 30.0, 30.0])
+    columns["T_tank_C"] = np.array([np.nan, 1.0, 1.0, 1.0, 1.0])
+    del columns["T_pm6_C"]
+    inputs, measured = loop.select(columns)
+    assert inputs.shape == (n, 4)
+    assert measured[:3, 1] == pytest.approx([31.2, 30.0, 30.0])
+    assert np.isnan(measured[0, 3])
+    with pytest.raises(TwinFileError, match="the record lacks fan_speed_pct, which twin 'loop' needs"):
+        loop.select({c: v for c, v in columns.items() if c != "fan_speed_pct"})
+    with pytest.raises(TwinFileError, match="differ in length"):
+        loop.select(columns | {"T_heater_C": np.zeros(3)})
+
+
+def test_initial_state_fills_what_is_not_measured(loop: Network) -> None:
+    assert loop.initial_state([30.0, np.nan, 20.0, 10.0]) == pytest.approx([30.0, 20.0, 20.0, 10.0])
+    assert loop.initial_state(np.full(4, np.nan)) == pytest.approx(np.full(4, 22.0))
