@@ -39,7 +39,7 @@ class _Verbs(click.Group):
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         import difflib
 
-        near = difflib.get_close_matches(args[0], VERBS, n=1)
+        near = difflib.get_close_matches(args[0], VERBS, n=1, cutoff=0.5)
         if args[0] not in VERBS and near:
             ctx.fail(f"no command {args[0]!r}; did you mean {near[0]}?")
         return super().resolve_command(ctx, args)

@@ -1,0 +1,206 @@
+"""Bad input at the command line: one plain sentence with place and remedy, exit 2 or 1, nothing moved, nothing lost."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from hil.cli import group
+from hil.errors import explained
+from hil.record import Record, write_record
+
+PROJECT = Path(__file__).resolve().parents[2]
+RIG = PROJECT / "profiles" / "rigs" / "virtual.toml"
+TWIN = PROJECT / "profiles" / "twins" / "virtual.toml"
+GOOD_LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,100,70\n900,700,100,70\n"
+
+
+def hil(*arguments: object) -> tuple[int, str]:
+    """Exit code and everything printed, through the same door as the console script."""
+
+    def call() -> None:
+        with explained():
+            group.main([str(item) for item in arguments], standalone_mode=True)
+
+    import contextlib
+    import io
+
+    captured = io.StringIO()
+    with contextlib.redirect_stdout(captured), contextlib.redirect_stderr(captured), pytest.raises(SystemExit) as ended:
+        call()
+    code = ended.value.code
+    return (code if isinstance(code, int) else 1), captured.getvalue()
+
+
+def load(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "load.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            GOOD_LOAD.replace("heater_power_W", "heatre_power_W"),
+            ["load.csv", "heatre_power", "did you mean heater_power"],
+        ),
+        (GOOD_LOAD.replace("heater_power_W", "heater_power"), ["load.csv", "line 1", "heater_power", "unit"]),
+        (GOOD_LOAD.replace("heater_power_W", "heater_power_kW"), ["heater_power", "kW", "W"]),
+        (GOOD_LOAD.replace("0,700", "0,1700"), ["load.csv", "line 2", "1700", "1000"]),
+        (GOOD_LOAD.replace("900,700", "300,700"), ["load.csv", "300", "600"]),
+        (GOOD_LOAD.replace("900,700", "900,x"), ["load.csv", "line 3", "x"]),
+        (GOOD_LOAD.replace("0,700", "5,700"), ["load.csv", "line 2", "0"]),
+        (GOOD_LOAD.replace(",", ";"), ["load.csv", "line 1"]),
+        ("", ["load.csv", "empty"]),
+    ],
+)
+def test_a_bad_profile_is_refused_before_anything_moves(tmp_path, text, words):
+    runs = tmp_path / "runs"
+    code, printed = hil("run", load(tmp_path, text), "--virtual", "--lockstep", "--runs", runs)
+    assert code == 2
+    for word in words:
+        assert word in printed
+    assert "Traceback" not in printed
+    assert not runs.exists()
+
+
+def test_a_rig_that_cannot_be_reached_is_one_sentence_a_bus_and_nothing_else(tmp_path):
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        port = holder.getsockname()[1]
+    text = (
+        RIG.read_text(encoding="utf-8")
+        .replace("port = 5020", f"port = {port}")
+        .replace("port = 29536", f"port = {port}")
+    )
+    rig = tmp_path / "rig.toml"
+    rig.write_text(text.replace('"thermocouples.dbc"', f'"{RIG.parent / "thermocouples.dbc"}"'), encoding="utf-8")
+    code, printed = hil("run", load(tmp_path, GOOD_LOAD), "--rig", rig, "--no-twin", "--runs", tmp_path / "runs")
+    assert code == 1
+    assert f"plc (Modbus/TCP 127.0.0.1:{port}, device 1) cannot be reached" in printed
+    assert f"thermocouples (socketcand 127.0.0.1:{port}/vcan0) cannot be opened" in printed
+    assert "Traceback" not in printed
+
+
+@pytest.mark.parametrize("option", ["--modbus-port", "--can-port", "--control-port"])
+def test_a_port_in_use_is_named(option):
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen()
+        port = holder.getsockname()[1]
+        ports = {"--modbus-port": 0, "--can-port": 0, "--control-port": 0} | {option: port}
+        arguments = [str(item) for pair in ports.items() for item in pair]
+        done = subprocess.run(
+            [sys.executable, "-m", "hil", "rig", *arguments], capture_output=True, text=True, timeout=60, cwd=PROJECT
+        )
+    assert done.returncode == 1
+    assert str(port) in done.stderr
+    assert "in use" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "none.csv"], ["none.csv: there is no such file"]),
+        (["run", "{load}", "--lockstep"], ["lockstep time needs a rig whose time can be set; add --virtual"]),
+        (["run", "{load}", "--lockstep", "--speed", "3"], ["exclude each other"]),
+        (["run", "{load}", "--virtual", "--calibrator", "psso"], ["no calibrator psso; there are pso"]),
+        (["run", "{load}", "--with", "profiles/effects/pump_heat.toml"], ["give --virtual too"]),
+        (["run", "{load}", "--virtual", "--twin", "{rig}"], ["virtual.toml"]),
+        (["check", "{load}.x"], ["there is no such file"]),
+        (["review", "{here}"], ["is not a run folder"]),
+        (["cheque"], ["did you mean check?"]),
+        (["commission", "{load}", "--out", "x.toml"], ["give either --twin or --datasheet"]),
+    ],
+)
+def test_wrong_use_is_explained(tmp_path, arguments, words):
+    places = {"load": load(tmp_path, GOOD_LOAD), "rig": RIG, "here": tmp_path}
+    code, printed = hil(*(argument.format(**places) for argument in arguments))
+    assert code == 2
+    for word in words:
+        assert word in printed
+    assert "Traceback" not in printed
+
+
+def healthy_record(tmp_path: Path, **changes: np.ndarray | None) -> Path:
+    time_s = np.arange(0.0, 3000.0)
+    columns: dict[str, np.ndarray] = {
+        "heater_power_W": np.full(3000, 700.0),
+        "pump_speed_pct": np.full(3000, 100.0),
+        "fan_speed_pct": np.full(3000, 70.0),
+        "T_ambient_C": np.full(3000, 21.0),
+    }
+    for name in ("heater", *(f"pm{i}" for i in range(1, 7)), "radiator", "tank"):
+        columns[f"T_{name}_C"] = 30.0 + time_s / 1000
+    for name, values in changes.items():
+        if values is None:
+            del columns[name]
+        else:
+            columns[name] = values
+    path = tmp_path / "record.parquet"
+    write_record(Record(time_s, columns), path)
+    return path
+
+
+@pytest.mark.parametrize("verb", ["track", "commission"])
+@pytest.mark.parametrize("column", ["heater_power_W", "T_tank_C"])
+def test_a_record_without_a_column_is_refused(tmp_path, verb, column):
+    arguments = [verb, healthy_record(tmp_path, **{column: None}), "--twin", TWIN]
+    if verb == "commission":
+        arguments += ["--out", tmp_path / "new.toml"]
+    code, printed = hil(*arguments)
+    assert code == 2
+    assert column in printed
+    assert "Traceback" not in printed
+    assert not (tmp_path / "new.toml").exists()
+
+
+def test_a_record_with_gaps_and_holes_is_tracked_and_says_so(tmp_path):
+    path = healthy_record(tmp_path)
+    import pyarrow.parquet as parquet
+
+    table = parquet.read_table(path)
+    keep = np.r_[0:1000, 1300:3000]
+    columns = {name: table[name].to_numpy()[keep].copy() for name in table.schema.names if name != "time_s"}
+    columns["T_radiator_C"][500:900] = np.nan
+    write_record(Record(table["time_s"].to_numpy()[keep], columns), path)
+    code, printed = hil("track", path, "--twin", TWIN)
+    assert code == 0
+    assert "gap" in printed
+    assert "T_radiator_C" in printed
+
+
+def test_a_twin_is_never_overwritten(tmp_path):
+    out = tmp_path / "new.toml"
+    out.write_text("mine", encoding="utf-8")
+    code, printed = hil("commission", healthy_record(tmp_path), "--twin", TWIN, "--out", out)
+    assert code == 2
+    assert "exists already" in printed
+    assert out.read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize("verb", ["check", "commission", "profile", "review", "rig", "run", "track"])
+def test_every_verb_has_help_with_an_example(verb):
+    result: Result = CliRunner().invoke(group, [verb, "--help"])
+    assert result.exit_code == 0
+    assert "Example" in result.output
+    assert f"hil {verb}" in result.output
+
+
+def test_help_loads_no_heavy_library():
+    heavy = "{'torch', 'rerun', 'scipy', 'numba', 'pymodbus', 'can', 'cantools', 'pyarrow', 'matplotlib', 'numpy'}"
+    program = (
+        "import sys\nfrom click.testing import CliRunner\nfrom hil.cli import group\n"
+        "assert CliRunner().invoke(group, ['--help']).exit_code == 0\n"
+        f"found = {heavy} & set(sys.modules)\nassert not found, found"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=PROJECT, timeout=60)
+    assert done.returncode == 0, done.stderr
