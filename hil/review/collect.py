@@ -260,7 +260,8 @@ class Collector:
         changes: list[str | None] = []
         last, last_end_s = self._spans_so_far.get(entity, (None, -np.inf))
         for window, state in zip(windows, states, strict=True):
-            if last is not None and window.start_s > last_end_s:
+            # A window ends with its last sample, the next begins with the one after it.
+            if last is not None and window.start_s - last_end_s > 0.1 * (window.end_s - window.start_s):
                 times.append(last_end_s)
                 changes.append(None)
                 last = None

@@ -157,15 +157,16 @@ def _sensor_lines(header: Header) -> list[Lines]:
     for sensor, columns in header.twin_sensors.items():
         several = len(columns) > 1
         name = f"measured, mean of {len(columns)}" if several else "measured"
-        lines.append(Lines(path("sensors", sensor, "measured"), (name,), (NEUTRAL,), (2.0,), extremes=True))
+        lines.append(Lines(path("sensors", sensor, "measured"), (name,), (NEUTRAL,), (3.0,), extremes=True))
         if several:
             names = tuple(column.removesuffix("_C") for column in columns)
             faint = (FAINT,) * len(columns)
             lines.append(Lines(path("sensors", sensor, "columns"), names, faint, (1.0,), extremes=True))
         for twin in header.twin_names:
-            for what in ("twin", "residual"):
-                entity = path("sensors", sensor, what, twin)
-                lines.append(Lines(entity, (twin,), (colours[twin],)))
+            # The one drawn last is the thinnest, so that curves which agree are all seen.
+            width = 1.2 if twin == "static" else 2.2
+            lines.append(Lines(path("sensors", sensor, "twin", twin), (twin,), (colours[twin],), (width,)))
+            lines.append(Lines(path("sensors", sensor, "residual", twin), (twin,), (colours[twin],)))
         sigma = header.noise_K.get(sensor)
         if sigma is None:
             lines.append(Lines(path("sensors", sensor, "noise"), ("zero",), (NEUTRAL,), (1.0,)))
@@ -329,7 +330,12 @@ def _sensor_tab(sensor: str, columns: tuple[str, ...], calibrators: int) -> Stac
 def _calibration_tab(calibrators: tuple[str, ...], units: dict[str, str], commissioned: bool) -> tuple[Stack, ...]:
     if not calibrators:
         return ()
-    lanes = Panel("lanes", "Windows: kind, and whether the fit was accepted", ("/windows/**", "/calibrated/**"), 2.0)
+    lanes = Panel(
+        "lanes",
+        "Windows: kind, and whether the fit was accepted",
+        ("/windows/**", "/calibrated/**"),
+        2.0 if commissioned else 0.8,
+    )
     fit = Panel("lines", "RMSE within the window [K]", ("/fit/**",), 1.5)
     relative = tuple(
         Panel("lines", f"{name}: parameters against commissioning [%]", (path("relative", name) + "/**",))
