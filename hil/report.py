@@ -112,7 +112,7 @@ def _pictures(reader: JournalReader, samples: Samples, twins: dict[str, NDArray[
             axes.plot(hours[::step], outputs[::step, position], color=colour, linewidth=1.0, label=name)
         axes.set_ylabel(f"{sensor.removesuffix('_C')} / °C")
         axes.grid(alpha=0.25)
-    rows[0].legend(loc="upper right", ncols=4, frameon=False)
+    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper right", ncols=6, frameon=False)
     power = next((i for i, s in enumerate(reader.header.signals) if s.role == "heater_power"), None)
     if power is not None:
         rows[-1].plot(hours[::step], samples.values[::step, power], color="#a8322a", linewidth=0.8)
@@ -144,7 +144,7 @@ def _residuals(
         axes.axhline(0, color="#30343a", linewidth=0.6)
         axes.set_ylabel(f"{sensor.removesuffix('_C')} / K")
         axes.grid(alpha=0.25)
-    rows[0].legend(loc="upper right", ncols=4, frameon=False)
+    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper right", ncols=6, frameon=False)
     rows[-1].set_xlabel("time / h")
     return _embedded(figure)
 
