@@ -172,6 +172,10 @@ async def _run_in(
         header = _header(connection, ready, request.calibrators)
         journal = JournalWriter(folder.journal, header)
         stack.callback(journal.close)
+        if ready.network is not None:
+            parameters = ready.network.parameters
+            journal.put_meta("commissioned", {name: p.value for name, p in parameters.items()})
+            journal.put_meta("parameter_units", {name: p.unit for name, p in parameters.items()})
         tracking = await _start_tracking(request, folder, ready, header, journal)
         if tracking is not None:
             stack.push_async_callback(tracking.close)

@@ -157,7 +157,7 @@ async def test_an_open_thermocouple_ends_the_run_safe(tmp_path):
     samples = reader.samples()
     index = [signal.name for signal in reader.header.signals].index("T_pm2")
     reader.close()
-    assert 300 <= int(np.argmax(samples.quality[:, index] == Quality.SENSOR_FAULT)) <= 310
+    assert 290 <= int(np.argmax(samples.quality[:, index] == Quality.SENSOR_FAULT)) <= 310
 
 
 async def test_an_exception_in_the_loop_still_ends_safe(tmp_path):

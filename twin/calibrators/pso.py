@@ -109,14 +109,19 @@ class Swarm:
         self._gather(window)
         assert self._positions is not None
         positions, velocities = self._positions, self._velocities
-        costs = cost(np.vstack([self._best, positions]))
-        own, own_cost = positions.copy(), costs[1:]
-        best, best_cost = self._best, float(costs[0])
+        everyone = cost(np.vstack([self._best, positions]))
+        best, best_cost = self._best, float(everyone[0])
+        own, own_cost = positions.copy(), everyone[1:]
         inertia = settings.inertia
-        for _ in range(settings.iterations):
+        for step in range(settings.iterations):
             leader = int(np.argmin(own_cost))
             if own_cost[leader] < best_cost:
                 best, best_cost = own[leader].copy(), float(own_cost[leader])
+            if cost.realigned and step in (settings.iterations // 4, settings.iterations // 2):
+                # The first estimate of the state leaned on parameters that are now known to be wrong.
+                cost.realign(cost.full(best[None])[0])
+                everyone = cost(np.vstack([best, own]))
+                best_cost, own_cost = float(everyone[0]), everyone[1:]
             shape = positions.shape if settings.per_component else (len(positions), 1)
             r1, r2 = self._rng.random(shape), self._rng.random(shape)
             velocities = (
@@ -202,11 +207,7 @@ class _Cost:
         mismatched = window.kind in ("recovery", "stall")
         self.realigned = swarm.settings.realign and mismatched
         if self.realigned:
-            n = window.first
-            y, weight = masked(window.measured[:n], swarm.network.sigma)
-            data = Data(window.time[:n], window.inputs[:n], y, weight)
-            sd = max(window.initial_mismatch_K, self.threshold)
-            self.state = align(swarm.kernel, window.parameters, window.state, data, sd)
+            self.realign(window.parameters)
         elif swarm.settings.run_up and mismatched and swarm.follows(window):
             time, inputs, self.state = swarm.last
             self.before = len(time)
@@ -226,6 +227,14 @@ class _Cost:
         if kind != "recovery":
             total += np.sqrt(self._mean_square(full, len(self.time))) / self.threshold
         return np.where(np.isfinite(total), total, 1e300)
+
+    def realign(self, parameters: Array) -> None:
+        """Estimate the state at the first sample from the beginning of the window, at `parameters` (p,)."""
+        n = self.window.first
+        y, weight = masked(self.window.measured[:n], self.swarm.network.sigma)
+        data = Data(self.window.time[:n], self.window.inputs[:n], y, weight)
+        sd = max(self.window.initial_mismatch_K, self.threshold)
+        self.state = align(self.swarm.kernel, parameters, self.window.state, data, sd)
 
     def full(self, positions: Array) -> Array:
         """Full parameter vectors (P, p) of positions (P, q)."""
