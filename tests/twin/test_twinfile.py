@@ -103,7 +103,7 @@ def test_absent_and_binary_files(tmp_path: Path) -> None:
 def test_values_out_of_bounds_and_unknown_names(loop: Network) -> None:
     with pytest.raises(TwinFileError, match="outside"):
         loop.with_values({"fins.UA_100": -1.0})
-    with pytest.raises(TwinFileError, match="did you mean 'fins.UA_100'"):
+    with pytest.raises(TwinFileError, match=r"did you mean 'fins\.UA_100'"):
         loop.with_values({"fins.UA_10": 1.0})
     with pytest.raises(TwinFileError, match="no set of tunables 'ten'"):
         loop.tunables("ten")

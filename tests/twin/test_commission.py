@@ -1,0 +1,143 @@
+"""Commissioning on records whose truth is known, against scipy, and on records that cannot be fitted."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from tests.twin.conftest import START, drive
+from twin.commission import commission
+from twin.gauss_newton import Data, Prior, Scaling, align, descend
+from twin.kernel import Kernel, masked, simulate
+from twin.network import Network, TwinFileError
+from twin.twinfile import dump, parse
+
+TRUTH = {
+    "heater.capacitance": 4200.0,
+    "tank.capacitance": 1.5e5,
+    "circuit.factor": 1.08,
+    "fins.UA_100": 52.0,
+    "fins.fan_exponent": 0.72,
+    "tank_loss.hA": 1.7,
+}
+
+
+def record(net: Network, n: int = 4 * 3600, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    t, u = drive(n, seed)
+    u[:, 1] = np.repeat([100.0, 70.0, 85.0, 100.0], n // 4)
+    rng = np.random.default_rng(seed)
+    return t, u, simulate(net, t, u, START) + rng.normal(0.0, 1.0, (n, 4)) * net.sigma
+
+
+def test_recovers_the_truth_and_reaches_the_noise(loop: Network) -> None:
+    truth = loop.with_values(TRUTH)
+    t, u, y = record(truth)
+    done = commission(loop, t, u, y)
+    for name, value in TRUTH.items():
+        if name not in done.cannot_tell:
+            assert abs(done.values[name] - value) < 4.0 * done.standard_error[name], name
+    for name in ("circuit.factor", "fins.fan_exponent", "tank.capacitance", "heater.capacitance"):
+        low, high = done.interval90[name]
+        assert name not in done.cannot_tell
+        assert low < done.values[name] < high
+        assert done.values[name] == pytest.approx(TRUTH[name], rel=0.05)
+    for name, sigma in zip(loop.sensor_names, loop.sigma, strict=True):
+        assert done.rmse_after[name] < 1.05 * sigma
+        assert done.rmse_before[name] > 5.0 * sigma
+    assert done.held_out_s[0] == pytest.approx(0.8 * t[-1], abs=1.0)
+
+
+def test_makes_a_new_revision_and_leaves_the_parent_alone(loop: Network) -> None:
+    t, u, y = record(loop.with_values(TRUTH), n=3600)
+    before = loop.values.copy()
+    done = commission(loop, t, u, y, starts=1)
+    assert np.array_equal(loop.values, before)
+    revision = done.network.revision
+    assert revision.number == 1
+    assert revision.parent == loop.digest
+    assert set(revision.error_after_K) == set(loop.sensor_names)
+    again = parse(dump(done.network))
+    assert again.revision == revision
+    assert again.parameters == done.network.parameters
+
+
+def test_names_what_the_record_cannot_tell(loop: Network) -> None:
+    n = 3600
+    t = np.arange(n) * 1.0
+    u = np.tile([700.0, 100.0, 70.0, 22.0], (n, 1))  # nothing varies
+    y = simulate(loop, t, u, START) + np.random.default_rng(0).normal(0.0, 1.0, (n, 4)) * loop.sigma
+    done = commission(loop, t, u, y, starts=2)
+    assert {"fins.fan_exponent", "fins.UA_still"} <= set(done.cannot_tell)
+    assert any("did not vary" in note for note in done.notes)
+    assert all(np.isfinite(list(done.values.values())))
+
+
+def test_is_deterministic_and_fast_code_agrees_with_scipy(loop: Network) -> None:
+    ids = ("fins.UA_100", "heater.capacitance", "tank_loss.hA", "circuit.factor")
+    t, u, y = record(loop.with_values(TRUTH), n=2400)
+    a = commission(loop, t, u, y, tunables=ids)
+    b = commission(loop, t, u, y, tunables=ids)
+    assert a.values == b.values
+    kernel, scaling = Kernel(loop, ids), Scaling.of(loop, ids)
+    fill, weight = masked(y, loop.sigma)
+    low, high = scaling.to_z(scaling.lower), scaling.to_z(scaling.upper)
+
+    def residual(v: np.ndarray) -> np.ndarray:
+        full = loop.values.copy()
+        full[scaling.index] = scaling.to_values(v[:4])
+        return ((kernel.trace(full, v[4:], t, u)[0][0] - fill) * weight).ravel()
+
+    z0 = np.concatenate([scaling.to_z(loop.values[scaling.index]), START])
+    box = (np.concatenate([low, np.full(4, -100.0)]), np.concatenate([high, np.full(4, 200.0)]))
+    oracle = least_squares(residual, z0, bounds=box, x_scale="jac", xtol=1e-12, ftol=1e-12)
+    flat = Prior(z0, 1e-9 * np.eye(8))
+    ours = descend(kernel, scaling, loop.values, Data(t, u, fill, weight), loop.values[scaling.index], START, flat)
+    assert ours.cost <= 2.0 * oracle.cost * (1.0 + 1e-6)
+    assert ours.values == pytest.approx(scaling.to_values(oracle.x[:4]), rel=1e-3)
+
+
+def test_a_truth_on_the_bound_ends_there(loop: Network) -> None:
+    low, _ = loop.bounds(("tank_loss.hA",))
+    t, u, y = record(loop.with_values({"tank_loss.hA": float(low[0])}), n=2400)
+    kernel, scaling = Kernel(loop, ("tank_loss.hA",)), Scaling.of(loop, ("tank_loss.hA",))
+    fill, weight = masked(y - 0.05, loop.sigma)
+    flat = Prior(np.concatenate([[0.0], START]), 1e-9 * np.eye(5))
+    fit = descend(
+        kernel, scaling, loop.values, Data(t, u, fill + 0.2 * (t[:, None] < 60), weight), np.array([2.5]), START, flat
+    )
+    assert np.isfinite(fit.cost)
+    assert scaling.lower[0] <= fit.values[0] <= scaling.upper[0]
+
+
+def test_align_finds_the_initial_state(loop: Network) -> None:
+    t, u, y = record(loop, n=60)
+    fill, weight = masked(y, loop.sigma)
+    found = align(Kernel(loop, ()), loop.values, START + 3.0, Data(t, u, fill, weight), 5.0)
+    assert np.abs(found - START).max() < 0.05
+
+
+def test_masked_and_dead_sensors_do_not_spoil_the_fit(loop: Network) -> None:
+    t, u, y = record(loop.with_values(TRUTH), n=3600)
+    y[:, 2] = np.nan
+    y[100:900] = np.nan
+    u[50:60, 3] = np.nan
+    done = commission(loop, t, u, y, starts=1)
+    assert np.isnan(done.rmse_after["T_radiator_C"])
+    assert done.rmse_after["T_tank_C"] < 0.06
+    assert all(np.isfinite(list(done.values.values())))
+    assert "T_radiator_C" not in done.network.revision.error_after_K
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t, u, y: (t[:50], u[:50], y[:50]), "needs at least 100 samples"),
+        (lambda t, u, y: (t[::-1], u, y), "must not go back"),
+        (lambda t, u, y: (t, u, np.full_like(y, np.nan)), "no finite measurement"),
+        (lambda t, u, y: (t, u[:10], y), "differ in length"),
+        (lambda t, u, y: (t, u[:, :2], y), "expected 4 input columns"),
+    ],
+)
+def test_records_that_cannot_be_fitted(loop: Network, change, words: str) -> None:  # type: ignore[no-untyped-def]
+    t, u, y = record(loop, n=1200)
+    with pytest.raises(TwinFileError, match=words):
+        commission(loop, *change(t, u, y))
