@@ -60,7 +60,7 @@ class RunResult:
     errors: ErrorTable | None
     duration_s: float
     wall_s: float
-    notes: tuple[str, ...] = ()
+    viewed: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,8 +220,7 @@ async def _run_in(
     from hil.report import write_report
 
     write_report(folder)
-    notes = ready.notes
-    return RunResult(folder, outcome, errors, outcome.ticks * clock.period_s, wall_s, notes)
+    return RunResult(folder, outcome, errors, outcome.ticks * clock.period_s, wall_s, viewed=follower)
 
 
 @contextlib.asynccontextmanager

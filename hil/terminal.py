@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 import time
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -23,6 +27,14 @@ def console(*, stderr: bool = False, quiet: bool = False) -> Console:
     """A console; where the output is no terminal, lines are long enough for every table."""
     plain = Console(stderr=stderr, quiet=quiet, highlight=False)
     return plain if plain.is_terminal else Console(stderr=stderr, quiet=quiet, highlight=False, width=PLAIN_WIDTH)
+
+
+def invocation() -> str:
+    """How to call `hil` again from this shell: its name where that is on the path, else its place."""
+    if shutil.which("hil") is not None:
+        return "hil"
+    place = Path(sys.argv[0])
+    return os.path.relpath(place) if place.name == "hil" else "python -m hil"
 
 
 def hours(seconds: float) -> str:
@@ -149,4 +161,9 @@ class LiveRun:
         for problem in outcome.problems:
             out.print(f"  {problem}", markup=False)
         out.print(f"run folder: {result.folder.path}", soft_wrap=True)
-        out.print(f"look at it: hil review {result.folder.path}", soft_wrap=True)
+        path = result.folder.path
+        out.print(f"look at it: {invocation()} review {path}", soft_wrap=True)
+        if not result.viewed:
+            out.print(
+                f"no display here; a picture: {invocation()} review {path} --screenshot review.png", soft_wrap=True
+            )
