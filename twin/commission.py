@@ -115,23 +115,28 @@ def commission(
         z = scaling.to_z(start) + (rng.normal(0.0, scaling.prior_sd()) if k else 0.0)
         fits.append(descend(kernel, scaling, network.values, data, scaling.to_values(z), state0, prior))
     best = min(fits, key=lambda f: f.cost)
+    agree = sum(f.cost < best.cost * 1.001 for f in fits)
 
     def free_run(values: Array, state: Array) -> Array:
         full = network.values.copy()
         full[scaling.index] = values
         return kernel.trace(full, state, t, u)[0][0]
 
-    before, after = free_run(start, state0), free_run(best.values, best.state)
-    residual = np.where(weight > 0.0, after - y, np.nan)
-    stale = np.where(weight > 0.0, before - y, np.nan)
+    stale = np.where(weight > 0.0, free_run(start, state0) - y, np.nan)
+    residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
     inflation = _inflation(residual[:split], network.sigma)
+    # Residuals that are not white are worth fewer samples than there are. Without this, model error would
+    # drive a parameter that the record cannot tell to a bound.
+    tempered = Prior(prior.mean, prior.precision * inflation)
+    best = descend(kernel, scaling, network.values, data, best.values, best.state, tempered)
+    residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
     covariance = np.linalg.inv(best.normal / inflation + prior.precision)
     spread = np.sqrt(np.diag(covariance)[: len(ids)])
     told = spread / scaling.prior_sd() < CANNOT_TELL
     low, high = (scaling.to_values(scaling.to_z(best.values) + s * SE90 * spread) for s in (-1.0, 1.0))
     names = network.sensor_names
     errors = [dict(zip(names, rmse(r), strict=True)) for r in (stale[split:], residual[split:], residual[:split])]
-    notes = _notes(network, ids, fits, best, told, u[:split], inflation)
+    notes = _notes(network, ids, (agree, len(fits)), best, told, u[:split], inflation)
     values = dict(zip(ids, best.values.tolist(), strict=True))
     revision = Revision(
         number=network.revision.number + 1,
@@ -156,7 +161,7 @@ def commission(
         held_out_s=(float(t[split]), float(t[-1])),
         condition=_condition(best.normal[: len(ids), : len(ids)]),
         state=best.state,
-        evaluations=sum(f.evaluations for f in fits),
+        evaluations=sum(f.evaluations for f in fits) + best.evaluations,
         notes=tuple(notes),
     )
 
@@ -207,16 +212,15 @@ def _condition(normal: Array) -> float:
 def _notes(
     network: Network,
     ids: tuple[str, ...],
-    fits: list[Fit],
+    agree: tuple[int, int],
     best: Fit,
     told: np.ndarray,
     inputs: Array,
     inflation: float,
 ) -> list[str]:
     notes = []
-    agree = sum(f.cost < best.cost * 1.001 for f in fits)
-    if agree < len(fits):
-        notes.append(f"{agree} of {len(fits)} starts reached the best fit; the others ended above it")
+    if agree[0] < agree[1]:
+        notes.append(f"{agree[0]} of {agree[1]} starts reached the best fit; the others ended above it")
     constant = [c for c, column in zip(network.input_columns, inputs.T, strict=True) if np.ptp(column) == 0.0]
     if constant:
         notes.append(f"{', '.join(constant)} did not vary in the record, so their effects cannot be told apart")
