@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from twin.network import Network
 
 Mode = Literal["real", "scaled", "lockstep"]
+MOST_SPEED = 100.0
+"""Faster than this the rig's watchdog of seconds is shorter than a scheduler's hiccup; lockstep has no such limit."""
+HICCUP_S = 0.25
+"""Wall time that a busy machine may lose now and then: in scaled time it must not look like a lost sensor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +95,12 @@ def prepare(request: RunRequest) -> Prepared:
         unknown = [name for name in request.calibrators if name not in NAMES]
         if unknown:
             raise ConfigurationError(f"no calibrator {', '.join(unknown)}; there are {', '.join(NAMES)}")
+    if request.mode == "scaled" and not 0 < request.speed <= MOST_SPEED:
+        raise ConfigurationError(
+            f"--speed {request.speed:g} is not between 0 and {MOST_SPEED:g}; use --lockstep to go faster"
+        )
+    if request.mode != "real" and not request.virtual:
+        raise ConfigurationError(f"{request.mode} time needs a rig whose time can be set; add --virtual")
     if request.effects is not None and not request.virtual:
         raise ConfigurationError(
             "--with switches on effects in the virtual rig; give --virtual too, or take --with out"
@@ -228,8 +238,6 @@ async def _rig_and_clock(
     request: RunRequest, rig: Rig, announce: Callable[[str], None]
 ) -> AsyncIterator[tuple[Rig, Clock]]:
     if not request.virtual:
-        if request.mode != "real":
-            raise ConfigurationError(f"{request.mode} time needs a rig whose time can be set; add --virtual")
         yield rig, MonotonicClock(rig.period_s)
         return
     from drivers.virtual.rig import start_virtual_rig
@@ -253,9 +261,17 @@ async def _rig_and_clock(
             await lockstep.connect()
             yield rig.with_ports(ports), lockstep
         else:
-            yield rig.with_ports(ports), MonotonicClock(rig.period_s, request.speed)
+            patient = _patient(rig, request.speed) if request.mode == "scaled" else rig
+            yield patient.with_ports(ports), MonotonicClock(rig.period_s, request.speed)
     finally:
         await virtual.stop()
+
+
+def _patient(rig: Rig, speed: float) -> Rig:
+    """`rig` with its staleness limits, which are in rig time, widened by a hiccup of the machine."""
+    hiccup_s = HICCUP_S * speed
+    points = tuple(p.model_copy(update={"stale_after_s": p.stale_after_s + hiccup_s}) for p in rig.point)
+    return rig.model_copy(update={"point": points, "abort_after_s": rig.abort_after_s + hiccup_s})
 
 
 def _header(connection: RigConnection, ready: Prepared, calibrators: tuple[str, ...]) -> Header:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option("--no-twin", is_flag=True, help="Run and record only.")
 @click.option("--virtual", is_flag=True, help="Start a virtual rig and run on that.")
 @click.option("--lockstep", is_flag=True, help="As fast as the machine can, the same every time (virtual rig).")
-@click.option("--speed", type=float, help="This many times real time (virtual rig).")
+@click.option("--speed", type=float, help="This many times real time, up to 100 (virtual rig).")
 @click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not know of (virtual rig).")
 @click.option(
     "--calibrator", "calibrators", multiple=True, default=("pso",), show_default=True, help="May be repeated."
@@ -62,8 +62,6 @@ def command(
 
     if lockstep and speed is not None:
         raise click.UsageError("--lockstep and --speed exclude each other; choose one")
-    if speed is not None and speed <= 0:
-        raise click.UsageError("--speed must be above 0")
     mode = "lockstep" if lockstep else "scaled" if speed is not None else "real"
     request = RunRequest(
         profile=profile,
@@ -73,7 +71,7 @@ def command(
         runs=runs,
         virtual=virtual,
         mode=mode,  # type: ignore[arg-type]
-        speed=speed or 1.0,
+        speed=1.0 if speed is None else speed,
         seed=seed,
         effects=effects,
         calibrators=calibrators,

@@ -112,6 +112,8 @@ def test_a_port_in_use_is_named(option):
         (["run", "none.csv"], ["none.csv: there is no such file"]),
         (["run", "{load}", "--lockstep"], ["lockstep time needs a rig whose time can be set; add --virtual"]),
         (["run", "{load}", "--lockstep", "--speed", "3"], ["exclude each other"]),
+        (["run", "{load}", "--virtual", "--speed", "0"], ["--speed 0 is not between 0 and 100"]),
+        (["run", "{load}", "--virtual", "--speed", "300"], ["use --lockstep to go faster"]),
         (["run", "{load}", "--virtual", "--calibrator", "psso"], ["no calibrator psso; there are pso"]),
         (["run", "{load}", "--with", "profiles/effects/pump_heat.toml"], ["give --virtual too"]),
         (["run", "{load}", "--virtual", "--twin", "{rig}"], ["virtual.toml"]),
