@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
-from drivers.points import DriverError, LinkError, Quality, Snapshot
+from drivers.points import DeviceExceptionError, DriverError, LinkError, ProtocolError, Quality, Snapshot
 from drivers.rig import RigConnection
 from drivers.rigfile import Point
 from hil.clock import Clock
@@ -24,6 +24,7 @@ from hil.setpoints import Setpoints, bind
 
 FIRST_SAMPLE_TIMEOUT_S = 10.0
 ARMING_TICKS = 3
+SECOND_REQUEST_S = 0.5
 PUBLISH_TICKS = 60
 PUBLISH_WALL_S = 0.5
 
@@ -85,6 +86,7 @@ class Engine:
         self._beat = 0
         self._tick = 0
         self._stop_reason: str | None = None
+        self._stop_asked = 0.0
         self._hurry = False
         self._pending: tuple[list[int], list[float], list[list[float]]] = ([], [], [])
         self._published = time.monotonic()
@@ -92,11 +94,15 @@ class Engine:
         self._problems: list[str] = []
 
     def request_stop(self, reason: str) -> None:
-        """End the run at the next tick. A second request shortens the waits of making safe, and skips nothing."""
-        if self._stop_reason is not None:
+        """End the run at the next tick. A second request shortens the waits of making safe, and skips nothing.
+
+        One that comes within `SECOND_REQUEST_S` is taken for an echo of the first: a terminal and a supervisor may
+        both pass on the same Ctrl-C.
+        """
+        if self._stop_reason is None:
+            self._stop_reason, self._stop_asked = reason, time.monotonic()
+        elif time.monotonic() - self._stop_asked > SECOND_REQUEST_S:
             self._hurry = True
-        else:
-            self._stop_reason = reason
 
     @property
     def tick(self) -> int:
@@ -205,10 +211,13 @@ class Engine:
                 return None
 
     async def _write_tick(self) -> None:
-        """Set-points and heartbeat in one go; a failed write is left to the interlocks of the next ticks."""
+        """Set-points and heartbeat in one go. A lost or garbled write is left to the interlocks of the next ticks and
+        to the rig's watchdog; one that the device refuses ends the run."""
         try:
             await self._connection.write(self._setpoints.values | self._heartbeat())
-        except LinkError as error:
+        except DeviceExceptionError:
+            raise
+        except (LinkError, ProtocolError) as error:
             self._journal.event(self._tick, self._tick * self._clock.period_s, "WARN", str(error))
 
     def _record(self, snapshot: Snapshot, time_s: float, now_s: float, began: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import sys
@@ -38,7 +39,9 @@ def invocation() -> str:
 
 
 def hours(seconds: float) -> str:
-    """`37 h 05 min` for a time in seconds."""
+    """`37 h 05 min` for a time in seconds, `95 s` for a short one."""
+    if seconds < 600:
+        return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
     return f"{minutes // 60} h {minutes % 60:02d} min"
 
@@ -53,7 +56,7 @@ def error_table(errors: ErrorTable, title: str) -> Table:
         table.add_column("noise", justify="right", style="dim")
     for sensor, cells in errors.rows.items():
         noise = [f"{errors.noise_K[sensor]:.3f}"] if errors.noise_K else []
-        table.add_row(sensor, *(f"{cell:.3f}" for cell in cells), *noise)
+        table.add_row(sensor, *(f"{cell:.3f}" if math.isfinite(cell) else "-" for cell in cells), *noise)
     table.caption = (
         "static: as commissioned, never updated. ahead: predicted by the parameters of earlier windows, before the "
         "data came. fitted: the same window after its calibration."

@@ -207,9 +207,13 @@ class TrackingProcess:
             return
         self._queue.append((ticks, time_s, rows))
         self._pump()
-        while self._wait and self._failure is None and len(self._queue) + self._outstanding > MOST_OUTSTANDING:
-            self._room.clear()
-            await self._room.wait()
+        try:
+            async with asyncio.timeout(FINISH_TIMEOUT_S):
+                while self._wait and self._failure is None and len(self._queue) + self._outstanding > MOST_OUTSTANDING:
+                    self._room.clear()
+                    await self._room.wait()
+        except TimeoutError:
+            self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
 
     async def finish(self) -> ErrorTable | None:
         """Wait for all results and end the process; the error table, or None where the calibrators failed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import signal
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from drivers.rigfile import load_rig
 from drivers.virtual.rig import start_virtual_rig
 from hil.clock import LockstepClock, MonotonicClock
 from hil.engine import Engine, Outcome
-from hil.journal import Header, JournalReader, JournalWriter
+from hil.journal import Header, JournalError, JournalReader, JournalWriter
 from hil.profile import read_profile
 from hil.safing import make_safe
 
@@ -40,6 +41,7 @@ class Trial:
         self.journal = folder / "journal.sqlite"
         self.power_at_the_end = float("nan")
         self.engine: Engine
+        self.outcome: Outcome
 
     async def run(self, during: Any = None) -> Outcome:
         """Run; `during(trial, virtual)` goes on beside it. The heater's power is read by a client of its own."""
@@ -59,14 +61,14 @@ class Trial:
             self.engine = Engine(connection, clock, profile, journal, lockstep=lockstep)
             beside = asyncio.create_task(during(self, virtual)) if during is not None else None
             try:
-                outcome = await self.engine.run()
+                outcome = self.outcome = await self.engine.run()
             finally:
                 if beside is not None:
                     beside.cancel()
                     await asyncio.gather(beside, return_exceptions=True)
+                if virtual.running:
+                    self.power_at_the_end = await self._set_power(virtual.modbus_port)
                 journal.close()
-            if virtual.running:
-                self.power_at_the_end = await self._set_power(virtual.modbus_port)
         return outcome
 
     @staticmethod
@@ -135,6 +137,7 @@ async def stop_after(trial: Trial, ticks: int, times: int = 1) -> None:
         await asyncio.sleep(0.005)
     for _ in range(times):
         trial.engine.request_stop("stopped by the test")
+        await asyncio.sleep(0.6)
 
 
 @pytest.mark.parametrize("times", [1, 2])
@@ -171,6 +174,26 @@ async def test_an_exception_in_the_loop_still_ends_safe(tmp_path):
     with pytest.raises(TypeError):
         await trial.run(break_it)
     assert "safe: heater_power_set 0 W" in trial.events()
+
+
+async def test_a_journal_that_cannot_be_written_ends_the_run_safe(tmp_path, monkeypatch):
+    trial = Trial(tmp_path, duration_s=20000)
+
+    async def fill_the_disk(trial: Trial, _: Any) -> None:
+        while not hasattr(trial, "engine") or trial.engine.tick < 100:
+            await asyncio.sleep(0.005)
+
+        def commit(self: JournalWriter) -> None:
+            raise JournalError("journal.sqlite cannot be written (database or disk is full)")
+
+        monkeypatch.setattr(JournalWriter, "commit", commit)
+
+    with contextlib.suppress(JournalError):
+        await trial.run(fill_the_disk)
+    assert trial.outcome.status == "faulted"
+    assert "disk is full" in trial.outcome.reason
+    assert trial.outcome.safe
+    assert trial.power_at_the_end == 0.0
 
 
 async def test_a_rig_that_dies_ends_the_run_and_says_that_it_is_not_safe(tmp_path, monkeypatch):
