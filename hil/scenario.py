@@ -2,7 +2,7 @@
 
 A scenario is a TOML file of systems with an electrical load, a schedule and the fraction of the load that ends as
 heat. Only water-cooled systems heat the loop; air-cooled ones are carried electrically and shown apart. `build`
-turns it into a `Profile`, `hil.scenario_picture` draws it, and `write_scenario` writes both next to the file
+turns it into a `Profile`, `hil.scenario_picture` draws it, and `hil.scenario_files` writes both next to the file
 (`hil profile build`).
 """
 
@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from drivers.units import split_column
-from hil.atomic import replacing
-from hil.profile import Profile, write_profile
+from hil.profile import Profile
 
 
 class ScenarioError(ValueError):
@@ -254,20 +253,3 @@ def _in_range(
             f"{word} the {bound:.0f} W of its {scenario.converters} converters; {remedy} a load there"
         )
     raise ScenarioError("\n".join(sentences))
-
-
-def write_scenario(path: Path) -> list[Path]:
-    """Write every profile of the scenario at `path`, and its picture, next to it; returns what was written."""
-    from hil.scenario_picture import picture
-
-    scenario = read_scenario(path)
-    written = []
-    for repeat in scenario.repeats:
-        profile = build(scenario, repeat)
-        target = path.with_name(f"{profile.name}.csv")
-        write_profile(profile, target, comments=[f"built from {path.name}: change that file and build again"])
-        written.append(target)
-    target = path.with_suffix(".svg")
-    with replacing(target) as unfinished:
-        picture(scenario, unfinished, "svg")
-    return [*written, target]

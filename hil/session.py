@@ -38,7 +38,8 @@ HICCUP_S = 0.25
 class RunRequest:
     """What to run. `virtual` starts the virtual rig in place of the one at the rig file's addresses.
 
-    `twin` None takes the twin that the rig file names, if any; `use_twin` False runs without one.
+    `twin` None takes the twin that the rig file names, if any; `use_twin` False runs without one. `control` is the
+    control port of a virtual rig in lockstep that runs already, at the rig file's addresses.
     """
 
     profile: Path
@@ -53,6 +54,7 @@ class RunRequest:
     calibrators: tuple[str, ...] = ("pso",)
     viewer: bool | None = None
     use_twin: bool = True
+    control: tuple[str, int] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,7 @@ def prepare(request: RunRequest) -> Prepared:
         raise ConfigurationError(
             f"--speed {request.speed:g} is not between 0 and {MOST_SPEED:g}; use --lockstep to go faster"
         )
-    if request.mode != "real" and not request.virtual:
+    if request.mode != "real" and not request.virtual and request.control is None:
         raise ConfigurationError(f"{request.mode} time needs a rig whose time can be set; add --virtual")
     if request.effects is not None and not request.virtual:
         raise ConfigurationError(
@@ -237,6 +239,11 @@ async def _run_in(
 async def _rig_and_clock(
     request: RunRequest, rig: Rig, announce: Callable[[str], None]
 ) -> AsyncIterator[tuple[Rig, Clock]]:
+    if request.control is not None:
+        lockstep = LockstepClock(*request.control)
+        await lockstep.connect()
+        yield rig, lockstep
+        return
     if not request.virtual:
         yield rig, MonotonicClock(rig.period_s)
         return
@@ -325,9 +332,13 @@ async def _live_review(request: RunRequest, folder: RunFolder, announce: Callabl
 
 @contextlib.contextmanager
 def _signals(engine: Engine) -> Any:
-    """Ctrl-C and SIGTERM ask the engine to stop; a second one shortens its waits."""
+    """Ctrl-C, SIGTERM and a lost terminal ask the engine to stop; a second one shortens its waits."""
     loop = asyncio.get_running_loop()
-    names = {signal.SIGINT: "stopped by the operator (Ctrl-C)", signal.SIGTERM: "stopped by SIGTERM"}
+    names = {
+        signal.SIGINT: "stopped by the operator (Ctrl-C)",
+        signal.SIGTERM: "stopped by SIGTERM",
+        signal.SIGHUP: "stopped because the terminal went away (SIGHUP)",
+    }
     for number, reason in names.items():
         loop.add_signal_handler(number, engine.request_stop, reason)
     try:

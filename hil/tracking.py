@@ -146,7 +146,8 @@ def error_table(trackers: dict[str, TwinTracker]) -> ErrorTable:
 
 
 def _serve(connection: Connection, config: TrackingConfig) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C belongs to the engine, which ends this process in order
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # these belong to the engine, which ends this process in order
     try:
         trackers = make_trackers(config)
         connection.send("ready")

@@ -28,7 +28,7 @@ def build(scenario: Path) -> None:
     Example:
       hil profile build profiles/loads/battle.toml
     """
-    from hil.scenario import write_scenario
+    from hil.scenario_files import write_scenario
 
     for path in write_scenario(scenario):
         click.echo(str(path))

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 @click.option("--virtual", is_flag=True, help="Start a virtual rig and run on that.")
 @click.option("--lockstep", is_flag=True, help="As fast as the machine can, the same every time (virtual rig).")
 @click.option("--speed", type=float, help="This many times real time, up to 100 (virtual rig).")
+@click.option("--control", help="host:port that grants steps, of a `hil rig --mode lockstep` that runs already.")
 @click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not know of (virtual rig).")
 @click.option(
     "--calibrator", "calibrators", multiple=True, default=("pso",), show_default=True, help="May be repeated."
@@ -41,6 +42,7 @@ def command(
     virtual: bool,
     lockstep: bool,
     speed: float | None,
+    control: str | None,
     effects: Path | None,
     calibrators: tuple[str, ...],
     seed: int,
@@ -62,7 +64,9 @@ def command(
 
     if lockstep and speed is not None:
         raise click.UsageError("--lockstep and --speed exclude each other; choose one")
-    mode = "lockstep" if lockstep else "scaled" if speed is not None else "real"
+    if control is not None and virtual:
+        raise click.UsageError("--control and --virtual exclude each other: one rig runs already, the other is started")
+    mode = "lockstep" if lockstep or control is not None else "scaled" if speed is not None else "real"
     request = RunRequest(
         profile=profile,
         rig=rig,
@@ -76,6 +80,7 @@ def command(
         effects=effects,
         calibrators=calibrators,
         viewer=viewer,
+        control=None if control is None else _address(control),
     )
     if check_only:
         ready = prepare(request)
@@ -93,6 +98,13 @@ def command(
         live.show_result(result)
     if result.outcome.status != "done" or not result.outcome.safe:
         sys.exit(1)
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit():
+        raise click.UsageError(f"--control {text!r} is no host:port; give what `hil rig --mode lockstep` printed")
+    return host, int(port)
 
 
 def _as_json(result: RunResult) -> dict[str, object]:

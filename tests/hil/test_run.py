@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -132,7 +133,7 @@ def test_tracking_the_record_again_gives_the_same_table(finished):
     assert json.loads(done.stdout)["errors_K"]["rows"] == finished.printed["errors_K"]["rows"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_run_with_the_heater_safe(tmp_path, number):
     (tmp_path / "load.csv").write_text(LOAD.format(end=40000), encoding="utf-8")
     command = [*HIL, "run", str(tmp_path / "load.csv"), "--virtual", "--speed", "10", "--runs", str(tmp_path)]
@@ -156,8 +157,42 @@ def test_a_signal_ends_the_run_with_the_heater_safe(tmp_path, number):
     assert "Traceback" not in err.decode()
     manifest = RunFolder(journal.parent).read_manifest()
     assert (manifest["exit_status"], manifest["safe"]) == ("aborted", True)
-    assert "stopped by" in manifest["reason"]
+    assert "stopped" in manifest["reason"]
     assert "aborted" in out.decode()
+
+
+def test_a_rig_that_runs_already_is_taken_over_in_lockstep(tmp_path):
+    ports = {"--modbus-port": _free_port(), "--can-port": _free_port(), "--control-port": _free_port()}
+    arguments = [str(item) for pair in ports.items() for item in pair]
+    rig = tmp_path / "rig.toml"
+    text = (PROJECT / "profiles/rigs/virtual.toml").read_text(encoding="utf-8")
+    text = text.replace("port = 5020", f"port = {ports['--modbus-port']}")
+    text = text.replace("port = 29536", f"port = {ports['--can-port']}")
+    text = text.replace('"thermocouples.dbc"', f'"{PROJECT}/profiles/rigs/thermocouples.dbc"')
+    rig.write_text(
+        text.replace('"../twins/virtual.toml"', f'"{PROJECT}/profiles/twins/virtual.toml"'), encoding="utf-8"
+    )
+    (tmp_path / "load.csv").write_text(LOAD.format(end=1600), encoding="utf-8")
+    server = subprocess.Popen([*HIL, "rig", "--mode", "lockstep", *arguments], cwd=PROJECT, stdout=subprocess.PIPE)
+    try:
+        assert server.stdout is not None
+        assert b"Virtual rig" in server.stdout.readline()
+        for _ in range(2):
+            done = hil(
+                "run", tmp_path / "load.csv", "--rig", rig, "--control", f"127.0.0.1:{ports['--control-port']}",
+                "--runs", tmp_path / "runs", "--json",
+            )  # fmt: skip
+            assert done.returncode == 0, done.stderr
+            assert json.loads(done.stdout)["ticks"] == 1600
+    finally:
+        server.terminate()
+        server.communicate(timeout=20)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def _ticks(journal: Path) -> int:

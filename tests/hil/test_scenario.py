@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from hil.profile import read_profile
-from hil.scenario import ScenarioError, build, dissipation, read_scenario, write_scenario
+from hil.scenario import ScenarioError, build, dissipation, read_scenario
+from hil.scenario_files import write_scenario
 from hil.scenario_picture import picture
 
 LOADS = Path(__file__).parents[2] / "profiles" / "loads"

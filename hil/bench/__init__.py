@@ -1,0 +1,14 @@
+"""Measurements that anyone can repeat: speed, fits and the paper's experiments, each beside its peers.
+
+A benchmark returns a `Report` of tables; the command prints it and, when asked to, writes it with a manifest.
+"""
+
+from __future__ import annotations
+
+BENCHMARKS = {
+    "twin": "One ten-minute window of the coolant loop: our kernel, scipy, numpy, torch, jax, C",
+    "fit": "The same windows fitted by our calibrators and by other people's optimisers",
+    "paper": "The experiments of Energies 2026, 19, 2452, beside its figures",
+    "records": "Public records of other rigs, beside the published figures",
+}
+"""Name -> one line; each is a subcommand of `hil bench`."""
