@@ -3,13 +3,23 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check --require-virtualenv
 
-.PHONY: demo test check bench clean
+.PHONY: torch demo test check bench clean
 
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,ml]"
+	$(PIP) install -c constraints.txt -e ".[dev]"
+	@$(MAKE) --no-print-directory torch
 	touch $@
+
+# torch is for the network calibrator alone. Its CPU build is taken where pip is told of one (find-links); the
+# registry's build brings gigabytes of CUDA, so it is never fetched unasked: `pip install -e ".[ml]"` does that.
+torch:
+	@if $(PIP) download --no-index --no-deps -d $(VENV)/wheels $$(grep '^torch==' constraints.txt) >/dev/null 2>&1; \
+	then $(PIP) install -c constraints.txt $(VENV)/wheels/torch*.whl; \
+	else echo "no CPU build of torch is at hand: the network calibrator is left out, all else works"; fi
+	@rm -rf $(VENV)/wheels
 
 # The 40-hour battle-time profile on the virtual rig, over real Modbus and CAN, in accelerated time. From 3.5 h on the
 # power modules give off heat that the twin does not know of; `make demo WITH=` runs the healthy rig.
