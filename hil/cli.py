@@ -11,6 +11,7 @@ import click
 from hil import __version__
 
 VERBS = {
+    "bench": "Measure speed and fits, repeat the paper's experiments",
     "check": "Check a rig file, twin, profile, scenario or record",
     "commission": "Fit a twin to a healthy record",
     "profile": "Build and picture load profiles",

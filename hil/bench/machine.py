@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import os
 import platform
-import resource
 import statistics
 import subprocess
 import sys
@@ -80,11 +79,6 @@ def cpu_s(function: Callable[[], object], *, repeats: int = 7, budget_s: float =
         found.append(took / inner)
         spent += took
     return statistics.median(found)
-
-
-def peak_rss_MB() -> float:
-    """Largest resident set of this process so far, MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def in_new_process(code: str, environment: dict[str, str] | None = None) -> list[float]:

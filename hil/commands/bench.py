@@ -1,0 +1,82 @@
+"""`hil bench`: speed, fits and the paper's experiments, beside other people's tools and figures."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.bench import BENCHMARKS
+from hil.commands.paths import PROJECT
+from hil.terminal import invocation
+
+if TYPE_CHECKING:
+    from hil.bench.report import Table
+
+OUT = click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), help="Also write JSON, Markdown and manifest there."
+)
+QUICK = click.option("--quick", is_flag=True, help="Small sizes, for a look or for CI.")
+SEED = click.option("--seed", default=0, show_default=True, help="Seed of everything random.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print the tables as JSON.")
+
+
+def _data_folder() -> Path:
+    return Path(os.environ.get("HIL_DATA", PROJECT.parent / "shared" / "data"))
+
+
+@click.group(invoke_without_command=True)
+@click.pass_context
+def command(context: click.Context) -> None:
+    """Measure, and compare with other people's tools and published figures.
+
+    \b
+    Example:
+      hil bench twin --quick
+      hil bench paper --rig virtual --out results
+    """
+    if context.invoked_subcommand is None:
+        for name, about in BENCHMARKS.items():
+            click.echo(f"{invocation()} bench {name:<8} {about}")
+
+
+def _finish(
+    name: str, seed: int, tables: tuple[Table, ...], skipped: tuple[str, ...], out: Path | None, as_json: bool
+) -> None:
+    """Print the report, and write it where that was asked for."""
+    from hil.bench.machine import manifest
+    from hil.bench.report import Report, show, write
+    from hil.bench.report import as_json as json_of
+
+    words = (
+        " ".join(["hil", *sys.argv[1:]]) if Path(sys.argv[0]).name in ("hil", "__main__.py") else f"hil bench {name}"
+    )
+    report = Report(name, tables, skipped, manifest(words, seed))
+    if as_json:
+        click.echo(json_of(report), nl=False)
+    else:
+        show(report)
+    if out is not None:
+        for path in write(report, out):
+            click.echo(str(path), err=True)
+
+
+@command.command("twin")
+@QUICK
+@SEED
+@OUT
+@JSON
+def twin_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
+    """One ten-minute window of the coolant loop: our kernel against scipy, numpy, torch, jax and C.
+
+    \b
+    Example:
+      hil bench twin --quick
+    """
+    from hil.bench import speed
+
+    tables, skipped = speed.measure(speed.QUICK if quick else speed.FULL, seed)
+    _finish("twin", seed, tables, skipped, out, as_json)

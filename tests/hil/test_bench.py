@@ -1,0 +1,83 @@
+"""The benchmarks run at tiny sizes, agree with each other, and print tables that a person can read."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hil.bench import BENCHMARKS, contestants, report, speed
+from hil.bench.peers import Absent
+from hil.bench.peers.formulas import sensor_rows
+from hil.bench.windows import SCHEDULES, job
+from hil.commands.bench import command
+from twin.twinfile import load
+
+LOOP = load(speed.TWINS / "loop.toml")
+MANIFEST = {"command": "hil bench x", "seed": 0, "date": "today", "machine": {"cpu": "a CPU", "cores": 2}}
+
+
+def test_without_a_name_the_benchmarks_are_listed():
+    done = CliRunner().invoke(command)
+    assert done.exit_code == 0
+    assert all(name in done.output for name in BENCHMARKS)
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_all_swarms_cost_the_same(schedule):
+    window = job(LOOP, schedule, count=40, samples=60)
+    exact = contestants.ours(window)()
+    for peer in contestants.swarms():
+        if schedule not in peer.schedules or peer.name.startswith("jax"):
+            continue
+        try:
+            costs = peer.prepare(window)()
+        except Absent:
+            continue
+        assert costs == pytest.approx(exact, rel=1e-4), peer.name
+
+
+def test_solvers_with_tight_settings_agree_with_the_oracle():
+    window = job(LOOP, "stepped", count=1, samples=40)
+    exact = contestants.oracle(window)[:, sensor_rows(LOOP)]
+    assert np.abs(contestants.our_readings(window)() - exact).max() < 1e-6
+    for peer in contestants.singles():
+        if "restarted" in peer.name:
+            assert np.abs(peer.prepare(window)()[:, sensor_rows(LOOP)] - exact).max() < 1e-6, peer.name
+
+
+def test_speed_tables_name_what_was_left_out(monkeypatch):
+    def gone(job):
+        raise Absent("torch: not installed")
+
+    monkeypatch.setattr(contestants, "_torch_steps", gone)
+    monkeypatch.setattr(contestants, "_jax", gone)
+    tiny = speed.Size(
+        samples=30, counts=(1, 40), schedules=("each second",), whole_h=0.05, slow=False, processes=False, budget_s=1e-3
+    )
+    tables, skipped = speed.measure(tiny, seed=0)
+    assert "torch: not installed" in skipped
+    assert {t.key for t in tables} == {"single", "swarm", "whole", "goals"}
+    ratios = [row[-1] for row in tables[1].rows if row[0] == "ours"]
+    assert ratios == [pytest.approx(1.0)]
+
+
+def test_tables_fit_into_a_hundred_columns_and_numbers_stay_legible(capsys):
+    wide = report.Table("t", "title", tuple(f"a column {i}" for i in range(9)), ((*(1.23456e5 for _ in range(9)),),))
+    document = report.Report("x", (wide,), ("nothing",), MANIFEST)
+    report.show(document)
+    assert max(len(line) for line in capsys.readouterr().out.splitlines()) <= report.WIDTH
+    assert [report.number(x) for x in (1.0e6, 123456.0, 12.345, 0.05, 7e-8, None, float("nan"), 3)] == [
+        "1 M", "123 k", "12.3", "0.050", "7e-08", "-", "-", "3",
+    ]  # fmt: skip
+
+
+def test_a_report_is_written_with_its_manifest(tmp_path):
+    table = report.Table("t", "A title", ("what", "K"), (("a", 0.5), ("b", float("nan"))), ("a note",))
+    paths = report.write(report.Report("x", (table,), (), MANIFEST), tmp_path / "new")
+    assert [p.name for p in paths] == ["x.json", "x.md", "x.manifest.json"]
+    assert json.loads(paths[0].read_text())["tables"]["t"]["rows"] == [["a", 0.5], ["b", None]]
+    assert "| a | 0.500 |" in paths[1].read_text()
+    assert json.loads(paths[2].read_text())["seed"] == 0
