@@ -1,16 +1,32 @@
-"""Heat released in a node: Q = power (constant), or Q = factor * column.
+"""Heat released in a node, constant or following an input column.
 
-Source: Q_j of eq. 1 of Energies 2026, 19, 2452. The heater's is its measured electrical power times the
-"effective heat input" of Table 2; the modules' is the constant Q_pm of Table 1, zero in a healthy loop.
+    no driver      Q = power
+    proportional   Q = factor * column                             the column is a power
+    linear         Q = gain * (column - reference)                 any column
+    cubed          Q = power_100 * (column / 100)^3                the column is a speed
+    daily          Q = c cos(2 pi h / 24) + s sin(2 pi h / 24)     the column is a clock
+    daylight       the same, 0 where it would be negative
+
+Sources: Q_j of eq. 1 of Energies 2026, 19, 2452: the heater's is its measured electrical power times the "effective
+heat input" of Table 2, the modules' the constant Q_pm of Table 1, zero in a healthy loop. Cubed: a pump's shaft
+power by the affinity laws (Karassik et al., Pump Handbook, 4th ed., sec. 2.3), which ends as heat in the water.
+Daily: first harmonic of a day, of amplitude sqrt(c^2 + s^2) with its peak at 24/(2 pi) atan2(s, c) o'clock;
+`daylight` is the sun on a surface, for which the night counts nothing.
+
+A clock is an input column like any other: hours since midnight, named with the ending `_h`, e.g. `time_of_day_h`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+
+LAWS = ("proportional", "linear", "cubed", "daily", "daylight")
+_UNITS = {"pct": "%", "C": "K", "m3_h": "(m3/h)", "kg_s": "(kg/s)", "L_min": "(L/min)"}
 
 
 @dataclass(frozen=True)
@@ -23,7 +39,8 @@ class HeatSource(Element):
     )
 
     node: str = place("node", "node that receives the heat")
-    driver: str = place("input", "input column with a power in W, left out for a constant source", default="")
+    driver: str = place("input", "input column that the heat follows, left out for a constant source", default="")
+    law: str = place("choice", "how the heat follows the driver", choices=LAWS, default="proportional")
 
     def inputs(self) -> tuple[str, ...]:
         return (self.driver,) if self.driver else ()
@@ -31,13 +48,68 @@ class HeatSource(Element):
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:
         if not self.driver:
             return self.parameters
-        return (ParameterSpec("factor", "1", 1.0, 0.0, 8.0, "tunable", "heat that arrives over power measured"),)
+        if self.law == "cubed":
+            return (ParameterSpec("power_100", "W", 0.0, -1.0e4, 1.0e4, "tunable", "heat at 100 % speed"),)
+        if self.law in ("daily", "daylight"):
+            source = "component of the daily swing; both zero without one"
+            return (
+                ParameterSpec("cosine", "W", 0.0, -1.0e4, 1.0e4, "tunable", f"midnight {source}"),
+                ParameterSpec("sine", "W", 0.0, -1.0e4, 1.0e4, "tunable", f"six o'clock {source}"),
+            )
+        if self.law == "proportional":
+            return (ParameterSpec("factor", "1", 1.0, 0.0, 8.0, "tunable", "heat that arrives over power measured"),)
+        unit = self.unit()
+        return (
+            ParameterSpec("gain", f"W/{unit}", 0.0, -1.0e4, 1.0e4, "tunable", "heat for one unit of the driver"),
+            ParameterSpec("reference", unit.strip("()"), 0.0, -1.0e4, 1.0e4, "fixed", "driver at which it is zero"),
+        )
+
+    def unit(self) -> str:
+        """Unit of the driver as its name ends, K for a temperature."""
+        known = [unit for suffix, unit in _UNITS.items() if self.driver.endswith(f"_{suffix}")]
+        return known[0] if known else self.driver.rsplit("_", 1)[-1]
 
     def problem(self, values: Mapping[str, float]) -> str | None:
-        if self.driver and not self.driver.endswith("_W"):
-            return f"driver {self.driver!r} is not a power: its name does not end in _W"
+        if not self.driver:
+            return None if self.law == "proportional" else f"the law {self.law!r} needs a driver"
+        if self.law == "proportional" and not self.driver.endswith("_W"):
+            return f"driver {self.driver!r} is not a power: its name does not end in _W; the law 'linear' takes others"
+        if self.law == "cubed" and not self.driver.endswith("_pct"):
+            return f"driver {self.driver!r} is not a speed in %: its name does not end in _pct"
+        if self.law in ("daily", "daylight") and not self.driver.endswith("_h"):
+            return f"driver {self.driver!r} is not a time of day in hours: its name does not end in _h"
+        if "_" not in self.driver:
+            return f"driver {self.driver!r} does not tell its unit; end its name with one, for example _W, _pct or _C"
         return None
 
     def emit(self, n: Names) -> Fragment:
-        heat = f"{n.par('factor')} * {n.input(self.driver)}" if self.driver else n.par("power")
-        return Fragment(heat={self.node: heat})
+        if not self.driver:
+            return Fragment(heat={self.node: n.par("power")})
+        column = n.input(self.driver)
+        if self.law == "cubed":
+            share, cube = n.local("share"), n.local("cube")
+            uniform = ((share, f"max({column}, 0.0) * 0.01"), (cube, f"{share} * {share} * {share}"))
+            return Fragment(uniform=uniform, heat={self.node: f"{n.par('power_100')} * {cube}"})
+        if self.law in ("daily", "daylight"):
+            turn, square, cosine, sine = (n.local(name) for name in ("turn", "square", "cosine", "sine"))
+            heat = f"{n.par('cosine')} * {cosine} + {n.par('sine')} * {sine}"
+            return Fragment(
+                uniform=(
+                    (turn, f"{math.pi!r} * (({column}) % 24.0 / 12.0 - 1.0)"),
+                    (square, f"{turn} * {turn}"),
+                    (cosine, f"-({_series(square, 0)})"),
+                    (sine, f"-{turn} * ({_series(square, 1)})"),
+                ),
+                heat={self.node: f"max({heat}, 0.0)" if self.law == "daylight" else heat},
+            )
+        if self.law == "proportional":
+            return Fragment(heat={self.node: f"{n.par('factor')} * {column}"})
+        return Fragment(heat={self.node: f"{n.par('gain')} * ({column} - {n.par('reference')})"})
+
+
+def _series(square: str, odd: int) -> str:
+    """Taylor series of cos x (odd = 0) or sin x / x (odd = 1) in x^2, right to 1e-9 for |x| up to pi."""
+    text = "0.0"
+    for k in range(11, -1, -1):
+        text = f"{(-1.0) ** k / math.factorial(2 * k + odd)!r} + {square} * ({text})"
+    return text

@@ -1,0 +1,86 @@
+"""Heat sources: each law against its formula, and what makes no sense."""
+
+import numpy as np
+import pytest
+
+from tests.twin.two_nodes import U, heat, network, worst_error
+from twin.network import TwinFileError
+
+HOURS = U.size - 4
+
+
+def source(driver: str, law: str, values: str) -> str:
+    return f'[elements.x]\nkind = "heat_source"\nnode = "b"\ndriver = "{driver}"\nlaw = "{law}"\n{values}\n'
+
+
+def at_hour(hour: float) -> np.ndarray:
+    u = U.copy()
+    u[HOURS] = hour
+    return u
+
+
+def test_constant_and_measured_power() -> None:
+    assert heat('[elements.x]\nkind = "heat_source"\nnode = "b"\npower = 25.0\n') == pytest.approx([0.0, 25.0])
+    assert heat(source("heater_power_W", "proportional", "factor = 0.9")) == pytest.approx([0.0, 450.0])
+
+
+def test_any_measured_column() -> None:
+    text = source("fan_speed_pct", "linear", 'gain = { value = 0.4, unit = "W/%" }\nreference = 10.0')
+    assert heat(text) == pytest.approx([0.0, 0.4 * 40.0])
+    text = source(
+        "T_supply_C", "linear", 'gain = { value = 3.0, unit = "W/K" }\nreference = { value = 30.0, unit = "K" }'
+    )
+    assert heat(text) == pytest.approx([0.0, 15.0])
+
+
+def test_pump_heat_follows_the_cube_of_the_speed() -> None:
+    assert heat(source("pump_speed_pct", "cubed", "power_100 = 50.0")) == pytest.approx([0.0, 50.0 * 0.8**3])
+
+
+@pytest.mark.parametrize("hour", [0.0, 3.3, 6.0, 11.9, 12.0, 17.5, 24.0, 30.5, -2.0])
+def test_time_of_day(hour: float) -> None:
+    angle = 2.0 * np.pi * hour / 24.0
+    expected = -20.0 * np.cos(angle) + 7.0 * np.sin(angle)
+    values = "cosine = -20.0\nsine = 7.0"
+    assert heat(source("time_of_day_h", "daily", values), inputs=at_hour(hour)) == pytest.approx(
+        [0.0, expected], abs=1e-6
+    )
+    light = heat(source("time_of_day_h", "daylight", values), inputs=at_hour(hour))
+    assert light == pytest.approx([0.0, max(expected, 0.0)], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        source("pump_speed_pct", "cubed", "power_100 = 300.0"),
+        source("time_of_day_h", "daily", "cosine = 200.0\nsine = -100.0"),
+        source("time_of_day_h", "daylight", "cosine = 200.0\nsine = -100.0"),
+        source("T_supply_C", "linear", "gain = 5.0\nreference = 20.0"),
+    ],
+)
+def test_kernel_agrees_with_solve_ivp(text: str) -> None:
+    assert worst_error(text) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("driver", "law"),
+    [
+        ("pump_speed_pct", "cubed"),
+        ("time_of_day_h", "daily"),
+        ("time_of_day_h", "daylight"),
+        ("q_m3_h", "linear"),
+    ],
+)
+def test_without_values_a_driven_source_is_none(driver: str, law: str) -> None:
+    assert heat(source(driver, law, "")) == pytest.approx([0.0, 0.0])
+
+
+def test_drivers_that_make_no_sense() -> None:
+    with pytest.raises(TwinFileError, match="not a power"):
+        network(source("T_supply_C", "proportional", ""))
+    with pytest.raises(TwinFileError, match="not a speed"):
+        network(source("T_supply_C", "cubed", ""))
+    with pytest.raises(TwinFileError, match="not a time of day"):
+        network(source("pump_speed_pct", "daily", ""))
+    with pytest.raises(TwinFileError, match="needs a driver"):
+        network('[elements.x]\nkind = "heat_source"\nnode = "b"\nlaw = "cubed"\n')
