@@ -1,4 +1,4 @@
-"""Bounded Gauss-Newton with Levenberg damping on the lane-difference normal equations.
+"""Bounded Gauss-Newton with Levenberg damping; the Jacobian is that of lane differences.
 
 Positive parameters whose bounds span a decade or more are varied in their logarithm, the others in fractions
 of their range, the initial state in kelvin. Bounds are handled by an active set: a variable that sits on a
@@ -16,13 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.codegen import LANES
-from twin.kernel import GaussNewton, Kernel
+from twin.kernel import Kernel
 from twin.network import Array, Network, TwinFileError
 
 PRIOR_LOG = 0.5
 """Prior standard deviation of a parameter varied in its logarithm: a factor of 1.65 either way."""
 PRIOR_RANGE = 0.25
 """Prior standard deviation of a parameter varied linearly, as a fraction of its range."""
+PIECE = 600
+"""Samples linearised at once."""
 _STEP = 1.0e-5
 
 
@@ -87,11 +89,28 @@ class Prior:
 
 
 @dataclass(frozen=True)
+class Linearisation:
+    """Noise-weighted residuals and what a change of q quantities does to them.
+
+    Attributes:
+        readings: (n, m) degC at the centre. end: (k,) state at the last sample.
+        jtj: (q, q). jtr: (q,) gradient of half the squares. sse: (m,) weighted squares per sensor.
+    """
+
+    readings: Array
+    end: Array
+    jtj: Array
+    jtr: Array
+    sse: Array
+
+
+@dataclass(frozen=True)
 class Fit:
     """Result of one descent.
 
     Attributes:
         values: physical (q,). state: (k,) at the first sample. end: (k,) at the last.
+        readings: (n, m) degC.
         normal: (q + k, q + k) J'J of the data alone, in z and K.
         cost: weighted squares plus prior. sse: (m,) weighted squares per sensor.
         at_bound: (q,) bool. evaluations: linearisations made.
@@ -100,11 +119,115 @@ class Fit:
     values: Array
     state: Array
     end: Array
+    readings: Array
     normal: Array
     cost: float
     sse: Array
     at_bound: np.ndarray
     evaluations: int
+
+
+def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, data: Data) -> Linearisation:
+    """Normal equations by forward differences across lanes: row 0 is the centre, row a differs by steps[a - 1].
+
+    Args:
+        parameters: (1 + q, p) full vectors. state: (1 + q, k). steps: (q,) size of each row's difference.
+    """
+    n, m = data.measured.shape
+    q = steps.size
+    jtj, jtr, sse, readings = np.zeros((q, q)), np.zeros(q), np.zeros(m), np.empty((n, m))
+    # In pieces, each beginning with the last sample of the one before it, so that a record of any length fits
+    # in the cache.
+    for first in range(0, max(n - 1, 1), PIECE):
+        last = min(first + PIECE + 1, n)
+        traced, state = kernel.trace(parameters, state, data.time[first:last], data.inputs[first:last])
+        new = slice(first + (first > 0), last)
+        lanes = np.moveaxis(traced, 0, 2)[new.start - first :]
+        weight = data.weight[new]
+        centre = lanes[:, :, 0]
+        readings[new] = centre
+        jacobian = ((lanes[:, :, 1:] - centre[:, :, None]) * weight[:, :, None]).reshape(-1, q)
+        residual = (centre - data.measured[new]) * weight
+        jtj += jacobian.T @ jacobian
+        jtr += residual.ravel() @ jacobian
+        sse += np.einsum("ij,ij->j", residual, residual)
+    return Linearisation(readings, state[0].copy(), jtj / np.outer(steps, steps), jtr / steps, sse)
+
+
+class Problem:
+    """Weighted squares plus prior as a function of v = [z (q,), initial state (k,)].
+
+    Args:
+        base: full parameter vector (p,); entries of `scaling.index` are replaced.
+    """
+
+    def __init__(self, kernel: Kernel, scaling: Scaling, base: Array, data: Data, prior: Prior) -> None:
+        self.q, self.k = len(scaling.ids), prior.mean.size - len(scaling.ids)
+        if self.q + self.k >= LANES:
+            raise TwinFileError(
+                f"{self.q} tunables and {self.k} nodes are too many for one fit; at most {LANES - 1} together"
+            )
+        self.kernel, self.scaling, self.data, self.prior = kernel, scaling, data, prior
+        self.low = np.concatenate([scaling.to_z(scaling.lower), np.full(self.k, -np.inf)])
+        self.high = np.concatenate([scaling.to_z(scaling.upper), np.full(self.k, np.inf)])
+        self._steps = np.concatenate([np.full(self.q, _STEP), np.full(self.k, 1e-2)])
+        self._full = np.tile(base, (1 + self.q + self.k, 1))
+        self.evaluations = 0
+
+    def evaluate(self, v: Array) -> tuple[float, Linearisation]:
+        """Cost at v (q + k,), and the data's normal equations there."""
+        self.evaluations += 1
+        steps = np.where(v + self._steps > self.high, -self._steps, self._steps)
+        rows = v + np.vstack([np.zeros(v.size), np.diag(steps)])
+        self._full[:, self.scaling.index] = self.scaling.to_values(rows[:, : self.q])
+        out = linearise(self.kernel, self._full, rows[:, self.q :], steps, self.data)
+        away = v - self.prior.mean
+        return float(out.sse.sum() + away @ self.prior.precision @ away), out
+
+    def minimise(
+        self,
+        v: Array,
+        first: tuple[float, Linearisation] | None = None,
+        held: np.ndarray | None = None,
+        most: int = 40,
+        tolerance: float = 1e-6,
+    ) -> Fit:
+        """Descend from v (q + k,).
+
+        Args:
+            first: what `evaluate` gave at v, if it is known. held: (q + k,) bool, variables that stay.
+            tolerance: relative decrease of the cost below which the descent ends.
+        """
+        low, high, prior, q = self.low, self.high, self.prior, self.q
+        open_ = np.ones(v.size, dtype=bool) if held is None else ~held
+        cost, out = first or self.evaluate(v)
+        damping, growth = 1e-3, 2.0
+        for _ in range(most - 1):
+            hessian = out.jtj + prior.precision
+            gradient = out.jtr + prior.precision @ (v - prior.mean)
+            free = open_ & ~(((v <= low) & (gradient > 0.0)) | ((v >= high) & (gradient < 0.0)))
+            step = _bounded_step(hessian, gradient, free, damping, low - v, high - v)
+            predicted = -(2.0 * gradient @ step + step @ hessian @ step)
+            if predicted <= tolerance * max(cost, 1e-300) * 1e-2 or not np.isfinite(predicted):
+                break
+            trial = v + step
+            new_cost, new_out = self.evaluate(trial)
+            ratio = (cost - new_cost) / predicted
+            if new_cost < cost:
+                done = cost - new_cost < tolerance * cost
+                v, cost, out = trial, new_cost, new_out
+                damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 2.0
+                if done and ratio > 0.1:
+                    break
+            else:
+                damping, growth = damping * growth, growth * 2.0
+                if damping > 1e12:
+                    break
+        at_bound = (v[:q] <= low[:q] + 1e-9) | (v[:q] >= high[:q] - 1e-9)
+        values = self.scaling.to_values(v[:q])
+        return Fit(
+            values, v[q:].copy(), out.end, out.readings, out.jtj, cost, out.sse, at_bound, self.evaluations
+        )  # fmt: skip
 
 
 def descend(
@@ -124,49 +247,9 @@ def descend(
         base: full parameter vector (p,); entries of `scaling.index` are replaced.
         values, state: where to start, (q,) and (k,).
     """
-    q, k = len(scaling.ids), state.size
-    if q + k >= LANES:
-        raise TwinFileError(f"{q} tunables and {k} nodes are too many for one fit; at most {LANES - 1} together")
-    low = np.concatenate([scaling.to_z(scaling.lower), np.full(k, -np.inf)])
-    high = np.concatenate([scaling.to_z(scaling.upper), np.full(k, np.inf)])
-
-    def evaluate(v: Array) -> tuple[float, GaussNewton]:
-        steps = np.concatenate([np.full(q, _STEP), np.full(k, 1e-2)])
-        steps = np.where(v + steps > high, -steps, steps)
-        rows = v + np.vstack([np.zeros(q + k), np.diag(steps)])
-        full = np.tile(base, (1 + q + k, 1))
-        full[:, scaling.index] = scaling.to_values(rows[:, :q])
-        out = kernel.linearise(full, rows[:, q:], steps, data.time, data.inputs, data.measured, data.weight)
-        away = v - prior.mean
-        return float(out.sse.sum() + away @ prior.precision @ away), out
-
-    v = np.clip(np.concatenate([scaling.to_z(values), state]), low, high)
-    cost, out = evaluate(v)
-    evaluations, damping, growth = 1, 1e-3, 2.0
-    while evaluations < most:
-        hessian = out.jtj + prior.precision
-        gradient = out.jtr + prior.precision @ (v - prior.mean)
-        free = ~(((v <= low) & (gradient > 0.0)) | ((v >= high) & (gradient < 0.0)))
-        step = _bounded_step(hessian, gradient, free, damping, low - v, high - v)
-        predicted = -(2.0 * gradient @ step + step @ hessian @ step)
-        if predicted <= tolerance * max(cost, 1e-300) * 1e-2 or not np.isfinite(predicted):
-            break
-        trial = v + step
-        new_cost, new_out = evaluate(trial)
-        evaluations += 1
-        ratio = (cost - new_cost) / predicted
-        if new_cost < cost:
-            done = cost - new_cost < tolerance * cost
-            v, cost, out = trial, new_cost, new_out
-            damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 2.0
-            if done and ratio > 0.1:
-                break
-        else:
-            damping, growth = damping * growth, growth * 2.0
-            if damping > 1e12:
-                break
-    at_bound = (v[:q] <= low[:q] + 1e-9) | (v[:q] >= high[:q] - 1e-9)
-    return Fit(scaling.to_values(v[:q]), v[q:].copy(), out.end, out.jtj, cost, out.sse, at_bound, evaluations)
+    problem = Problem(kernel, scaling, base, data, prior)
+    v = np.clip(np.concatenate([scaling.to_z(values), state]), problem.low, problem.high)
+    return problem.minimise(v, most=most, tolerance=tolerance)
 
 
 def _bounded_step(hessian: Array, gradient: Array, free: np.ndarray, damping: float, low: Array, high: Array) -> Array:
@@ -200,7 +283,7 @@ def align(kernel: Kernel, base: Array, state: Array, data: Data, sd: Array | flo
     for _ in range(most):
         rows = best + np.vstack([np.zeros(k), np.diag(steps)])
         full = np.tile(base, (1 + k, 1))
-        out = kernel.linearise(full, rows, steps, data.time, data.inputs, data.measured, data.weight)
+        out = linearise(kernel, full, rows, steps, data)
         step = np.linalg.solve(out.jtj + np.diag(weight), -out.jtr - weight * (best - state))
         best = best + step
         if np.abs(step).max() < 1e-6:

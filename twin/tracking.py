@@ -125,11 +125,11 @@ class TwinTracker:
         calibrations: list[Calibration] = []
         at = 0
         before = self._readings() if rows.size < n and self._origin is not None else None
+        ahead = (t, u, y) if rows.size == n else (t[rows], u[rows], y[rows])
         while at < rows.size:
-            take = self._some(t[rows[at:]], u[rows[at:]], y[rows[at:]], out[:, at:], calibrations)
-            at += take
-        self._count(0, out[0] - y[rows])
-        self._count(1, out[1] - y[rows])
+            at += self._some(ahead[0][at:], ahead[1][at:], ahead[2][at:], out[:, at:], calibrations)
+        self._count(0, out[0] - ahead[2])
+        self._count(1, out[1] - ahead[2])
         if rows.size < n:
             out = self._repeat(out, rows, n, before, y)
         return Update(out[0], out[1], tuple(calibrations), n - rows.size)
@@ -175,6 +175,7 @@ class TwinTracker:
             self._complete(calibrations)
             self._window = window_index(float(t[0]), self._origin, rules)
             end = self._origin + (self._window + 1) * rules.window_s
+        t = t[: int(np.searchsorted(t, end)) + 1]
         intervals = np.diff(t, prepend=self._time)
         earlier = np.concatenate([[self._pace or intervals[0]], intervals[:-1]])
         last = last_of_window(t, np.minimum(intervals, earlier), end)
