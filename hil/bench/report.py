@@ -68,7 +68,7 @@ def number(value: Cell) -> str:
         return f"{value:.3f}"
     if size >= 0.000995:
         return f"{value:.4f}"
-    return f"{value:.0e}"
+    return f"{value:.0e}" if size >= 1e-12 else "0"
 
 
 def show(report: Report, to: Console | None = None) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.bench import BENCHMARKS
-from hil.commands.paths import PROJECT
+from hil.commands.paths import INPUT_FILE, PROJECT
 from hil.terminal import invocation
 
 if TYPE_CHECKING:
@@ -80,3 +80,36 @@ def twin_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> Non
 
     tables, skipped = speed.measure(speed.QUICK if quick else speed.FULL, seed)
     _finish("twin", seed, tables, skipped, out, as_json)
+
+
+@command.command("fit")
+@click.argument("record", required=False, type=click.Path(exists=True, path_type=Path))
+@click.option("--twin", type=INPUT_FILE, help="Twin file for RECORD; default: the run folder's own.")
+@QUICK
+@SEED
+@OUT
+@JSON
+def fit_command(
+    record: Path | None, twin: Path | None, quick: bool, seed: int, out: Path | None, as_json: bool
+) -> None:
+    """The same ten-minute windows fitted by our calibrators and by other people's optimisers.
+
+    With RECORD, a record or the folder of a run, windows of that are fitted too.
+
+    \b
+    Example:
+      hil bench fit --quick
+      hil bench fit runs/<a run>
+    """
+    from hil.bench import fit
+    from twin.twinfile import load
+
+    source = None
+    if record is not None:
+        path = record / "record.parquet" if record.is_dir() else record
+        file = twin or record / "twin.toml"
+        if not file.is_file():
+            raise click.UsageError(f"{record} brings no twin.toml; name a twin with --twin")
+        source = fit.Record(path, load(file))
+    tables, skipped = fit.measure(fit.QUICK if quick else fit.FULL, seed, source)
+    _finish("fit", seed, tables, skipped, out, as_json)

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.bench import BENCHMARKS, contestants, report, speed
-from hil.bench.peers import Absent
+from hil.bench import BENCHMARKS, contestants, fit, report, speed
+from hil.bench.peers import Absent, optimisers
 from hil.bench.peers.formulas import sensor_rows
+from hil.bench.problems import made_up
 from hil.bench.windows import SCHEDULES, job
 from hil.commands.bench import command
+from twin.calibrators import NAMES
 from twin.twinfile import load
 
 LOOP = load(speed.TWINS / "loop.toml")
@@ -81,3 +83,34 @@ def test_a_report_is_written_with_its_manifest(tmp_path):
     assert json.loads(paths[0].read_text())["tables"]["t"]["rows"] == [["a", 0.5], ["b", None]]
     assert "| a | 0.500 |" in paths[1].read_text()
     assert json.loads(paths[2].read_text())["seed"] == 0
+
+
+def test_positions_and_values_are_inverse():
+    problem = made_up(LOOP, "twelve", 1, seed=3, samples=60)[0]
+    inside = np.linspace(0.1, 0.9, len(problem.ids))
+    assert problem.positions(problem.values(inside)) == pytest.approx(inside)
+
+
+def test_fits_are_measured_against_the_best_known(monkeypatch):
+    monkeypatch.setattr(fit, "PEERS", (("scipy least_squares", optimisers.least_squares), ("gone", gone)))
+    tables, skipped = fit.measure(fit.Size(windows=2, samples=120, sets=("paper4",), whole_h=0.4), seed=0)
+    assert skipped == ("gone: not installed",)
+    rows = {row[0].removesuffix(" *"): row for row in tables[0].rows}
+    assert {f"ours: {name}" for name in NAMES} <= rows.keys()
+    assert all(row[2] >= -1e-9 for row in rows.values())
+    assert rows["scipy least_squares"][2] < rows["ours: pso_paper"][2]
+    assert {row[0] for row in tables[-1].rows} == set(NAMES)
+
+
+def test_peers_that_are_here_find_the_optimum():
+    for peer in (optimisers.pyswarms_global, optimisers.cma_es, optimisers.differential_evolution):
+        problem = made_up(LOOP, "paper4", 1, seed=1, samples=120)[0]
+        try:
+            found = peer(problem, 0)
+        except Absent:
+            continue
+        assert problem.rmse(found)[0] < 1.1 * problem.rmse(optimisers.refine(problem, problem.truth))[0]
+
+
+def gone(problem, seed):
+    raise Absent("gone: not installed")
