@@ -1,0 +1,71 @@
+"""Steady states: the temperatures at which nothing changes any more while the inputs are held.
+
+Found from the right side itself by Newton steps (one is exact for a network that is affine in its temperatures),
+not by simulating until it rests, which would take as long as the slowest node.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.exact import right_side
+from twin.kernel import held
+from twin.network import Array, Network, TwinFileError
+
+_PROBE_K = 1.0e-3
+_RESTS_K = 1.0e-9
+_SLOWEST_S = 1.0e9
+"""A node slower than this never comes to rest; it has no way for its heat to leave."""
+
+
+def steady_state(
+    network: Network,
+    inputs: ArrayLike,
+    parameters: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+    most: int = 50,
+) -> Array:
+    """Node temperatures at rest, degC.
+
+    Args:
+        inputs: (c,) or (n, c), held; one steady state is found for each row.
+        parameters: full vector (p,), the network's own by default.
+        start: (k,) degC to begin from; matters only where a network has several steady states.
+
+    Returns:
+        (k,) or (n, k) in the order of ``network.nodes``.
+
+    Raises:
+        TwinFileError: a row has no steady state, because heat has no way out or too much comes in.
+    """
+    u = held(network, inputs)
+    values = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
+    guess = np.full(len(network.nodes), 25.0) if start is None else np.asarray(start, dtype=np.float64)
+    rhs = right_side(network)
+    rows = []
+    for i, row in enumerate(u):
+        state = guess.copy()
+        for _ in range(most):
+            rate = np.array(rhs(state, row, values))
+            probes = state + np.diag(np.full(state.size, _PROBE_K))
+            slope = (np.array([rhs(probe, row, values) for probe in probes]) - rate).T / _PROBE_K
+            # Heat that cannot leave shows as a rate that no temperature of its own opposes.
+            if np.linalg.eigvals(slope).real.max() > -1.0 / _SLOWEST_S:
+                raise TwinFileError(
+                    f"twin {network.name!r} has no steady state at row {i} of the inputs: heat has no way out of it"
+                )
+            step = np.linalg.solve(slope, -rate)
+            state = state + np.clip(step, -100.0, 100.0)
+            if np.abs(step).max() < _RESTS_K * max(1.0, float(np.abs(state).max())):
+                break
+        else:
+            raise TwinFileError(f"twin {network.name!r} does not come to rest at row {i} of the inputs")
+        rows.append(state)
+    return rows[0] if np.ndim(inputs) == 1 else np.array(rows)
+
+
+def steady_readings(network: Network, inputs: ArrayLike, parameters: ArrayLike | None = None) -> Array:
+    """What the sensors show at rest, (n, m) degC in the order of ``network.sensor_names``, for inputs (n, c)."""
+    states = np.atleast_2d(steady_state(network, np.atleast_2d(np.asarray(inputs, dtype=np.float64)), parameters))
+    return states[:, [network.nodes.index(sensor.node) for sensor in network.sensors]]
