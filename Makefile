@@ -37,7 +37,9 @@ check: $(STAMP)
 	$(BIN)/lint-imports
 
 bench: $(STAMP)
-	$(BIN)/hil bench
+	$(BIN)/hil bench twin --quick
+	$(BIN)/hil bench fit --quick
+	$(BIN)/hil bench paper --quick
 
 clean:
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

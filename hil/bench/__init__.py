@@ -12,3 +12,7 @@ BENCHMARKS = {
     "records": "Public records of other rigs, beside the published figures",
 }
 """Name -> one line; each is a subcommand of `hil bench`."""
+EXPERIMENTS = ("tracking", "randomised", "modules_heat", "tank_insulation")
+"""Of `hil bench paper`."""
+RIGS = ("virtual", "stranger", "inverse")
+"""Where the paper's experiments run; see `hil.bench.campaigns`."""

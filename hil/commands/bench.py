@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.bench import BENCHMARKS
+from hil.bench import BENCHMARKS, EXPERIMENTS, RIGS
 from hil.commands.paths import INPUT_FILE, PROJECT
 from hil.terminal import invocation
 
@@ -113,3 +113,70 @@ def fit_command(
         source = fit.Record(path, load(file))
     tables, skipped = fit.measure(fit.QUICK if quick else fit.FULL, seed, source)
     _finish("fit", seed, tables, skipped, out, as_json)
+
+
+@command.command("paper")
+@click.option("--only", multiple=True, type=click.Choice(EXPERIMENTS), help="Experiment; may be repeated.")
+@click.option("--rig", "rigs", multiple=True, type=click.Choice(RIGS), help="Rig; may be repeated.")
+@click.option("--calibrator", "calibrators", multiple=True, help="May be repeated; default: all.")
+@click.option(
+    "--cache", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench"), show_default=True,
+    help="Records of the virtual rig are kept here.",
+)  # fmt: skip
+@QUICK
+@SEED
+@OUT
+@JSON
+def paper_command(
+    only: tuple[str, ...],
+    rigs: tuple[str, ...],
+    calibrators: tuple[str, ...],
+    cache: Path,
+    quick: bool,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """The experiments of Energies 2026, 19, 2452, beside its figures.
+
+    Rigs: `virtual`, whose equations are not the twin's; `stranger`, recordings of another maker's in $HIL_DATA;
+    `inverse`, synthesised by the twin itself, as in the paper.
+
+    \b
+    Example:
+      hil bench paper --only modules_heat --rig virtual
+    """
+    from dataclasses import replace
+
+    from hil.bench import paper
+    from twin.calibrators import NAMES
+
+    unknown = [name for name in calibrators if name not in NAMES]
+    if unknown:
+        raise click.UsageError(f"no calibrator {', '.join(unknown)}; there are {', '.join(NAMES)}")
+    size = paper.QUICK if quick else paper.FULL
+    size = replace(
+        size,
+        experiments=only or size.experiments,
+        rigs=rigs or size.rigs,
+        calibrators=calibrators or size.calibrators,
+    )
+    tables, skipped = paper.measure(size, seed, cache, _data_folder())
+    _finish("paper", seed, tables, skipped, out, as_json)
+
+
+@command.command("records")
+@SEED
+@OUT
+@JSON
+def records_command(seed: int, out: Path | None, as_json: bool) -> None:
+    """Public records of other rigs ($HIL_DATA), beside the published figures.
+
+    \b
+    Example:
+      hil bench records
+    """
+    from hil.bench.public import measure
+
+    tables, skipped = measure(_data_folder())
+    _finish("records", seed, tables, skipped, out, as_json)

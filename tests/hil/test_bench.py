@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.bench import BENCHMARKS, contestants, fit, report, speed
+from hil.bench import BENCHMARKS, contestants, fit, paper, public, report, speed
+from hil.bench.campaigns import virtual_record
 from hil.bench.peers import Absent, optimisers
 from hil.bench.peers.formulas import sensor_rows
 from hil.bench.problems import made_up
+from hil.bench.tracked import windows_to_recover
 from hil.bench.windows import SCHEDULES, job
 from hil.commands.bench import command
+from hil.record import read_record
 from twin.calibrators import NAMES
 from twin.twinfile import load
 
@@ -110,6 +115,70 @@ def test_peers_that_are_here_find_the_optimum():
         except Absent:
             continue
         assert problem.rmse(found)[0] < 1.1 * problem.rmse(optimisers.refine(problem, problem.truth))[0]
+
+
+def test_the_papers_experiments_run_beside_its_figures(tmp_path):
+    size = paper.Size(
+        rigs=("inverse", "stranger"),
+        calibrators=("pso", "least_squares"),
+        hours=2.5,
+        draws=1,
+        recovery_h=1.0,
+        onset_s=3600.0,
+    )
+    tables, skipped = paper.measure(size, 0, tmp_path, tmp_path / "no data")
+    assert all("HIL_DATA" in line for line in skipped)
+    by_key = {table.key: table for table in tables}
+    tracking = {row[0].strip(): row for row in by_key["tracking_inverse"].rows}
+    assert tracking["paper: tracked"][3] == 0.071
+    static, fitted = tracking["by hand: static"], tracking["least_squares, fitted"]
+    assert all(a < b for a, b in zip(fitted[1:5], static[1:5], strict=True))
+    for change, where in (("modules_heat", "modules"), ("tank_insulation", "tank")):
+        assert [row[-2:] for row in by_key[f"{change}_place"].rows] == [(where, "yes")]
+        recovered = {row[1]: row[2] for row in by_key[change].rows[1:]}
+        assert recovered["least_squares"] <= 2
+    assert {row[1]: row[5] for row in by_key["randomised"].rows[1:]}["least_squares"] <= 3
+    assert tmp_path.exists() and not any(tmp_path.iterdir())
+
+
+def test_a_recovery_must_last():
+    def window(fitted, ahead):
+        return SimpleNamespace(error_K=fitted, error_before_K=ahead)
+
+    windows = [window(0.05, 0.9), window(0.3, 0.05), window(0.05, 0.2), window(0.04, 0.05)]
+    assert windows_to_recover(windows, 0.1, ahead=False) == 3
+    assert windows_to_recover(windows, 0.1, ahead=True) == 4
+    assert windows_to_recover(windows[:2], 0.01, ahead=True) is None
+
+
+def test_a_record_of_the_virtual_rig_is_made_once(tmp_path):
+    load_profile = tmp_path / "short.csv"
+    load_profile.write_text(
+        "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,100,70\n600,700,100,70\n", encoding="utf-8"
+    )
+    said: list[str] = []
+    first = virtual_record(load_profile, "healthy", 5, tmp_path / "cache", said.append)
+    again = virtual_record(load_profile, "healthy", 5, tmp_path / "cache", said.append)
+    assert first == again and len(said) == 1
+    assert [path.name for path in (tmp_path / "cache").iterdir()] == [first.name]
+    assert len(read_record(first).time_s) == 600
+
+
+def test_public_records_become_tables():
+    @dataclass
+    class Row:
+        name: str
+        rmse_K: float
+
+    @dataclass
+    class Group:
+        name: str
+        rows: list[Row]
+
+    flat = list(public.tables_of("records", "Public records", [Row("a", 0.1), Row("b", 0.2)]))
+    assert [(t.columns, t.rows) for t in flat] == [(("name", "rmse K"), (("a", 0.1), ("b", 0.2)))]
+    nested = list(public.tables_of("records", "Public records", [Group("TCLab", [Row("a", 0.1)])]))
+    assert [t.title for t in nested] == ["TCLab", "TCLab: rows"]
 
 
 def gone(problem, seed):

@@ -1,0 +1,87 @@
+"""`hil bench records`: the tables of `hil.bench.records`, whatever dataclasses it returns."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import importlib.util
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from hil.bench.peers import Absent
+from hil.bench.report import Cell, Table
+
+
+def measure(data: Path) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+    """Tables of the public records under `data`, and a line where there is nothing to run."""
+    if importlib.util.find_spec("hil.bench.records") is None:
+        return (), ("records: this version has no hil.bench.records",)
+    if not (data / "real").is_dir():
+        return (), (f"records: no {data / 'real'}; set HIL_DATA to the folder that holds 'real'",)
+    try:
+        found = importlib.import_module("hil.bench.records").run(data)
+    except Absent as why:
+        return (), (str(why),)
+    return tuple(tables_of("records", "Public records", found)), ()
+
+
+def tables_of(key: str, title: str, found: Any) -> Iterable[Table]:
+    """A table of every list of alike dataclasses that is found, and one of what stands alone."""
+    if isinstance(found, Table):
+        yield found
+        return
+    items = [found] if dataclasses.is_dataclass(found) else list(found)
+    if any(isinstance(item, Table) for item in items):
+        yield from (item for item in items if isinstance(item, Table))
+        return
+    nested = [_nested(item) for item in items]
+    if any(nested):
+        for item, inner in zip(items, nested, strict=True):
+            name = str(getattr(item, "name", getattr(item, "title", title)))
+            alone = {k: v for k, v in _fields(item).items() if k not in inner}
+            if alone:
+                yield Table(_key(name), name, ("what", "value"), tuple((k, _cell(v)) for k, v in alone.items()))
+            for field, rows in inner.items():
+                yield from tables_of(f"{_key(name)}_{field}", f"{name}: {field.replace('_', ' ')}", rows)
+        return
+    groups: dict[type, list[Any]] = {}
+    for item in items:
+        groups.setdefault(type(item), []).append(item)
+    for kind, rows in groups.items():
+        columns = tuple(field.name.replace("_", " ") for field in dataclasses.fields(kind))
+        cells = tuple(tuple(_cell(v) for v in _fields(row).values()) for row in rows)
+        yield Table(key if len(groups) == 1 else f"{key}_{_key(kind.__name__)}", title, columns, cells)
+
+
+def _fields(item: Any) -> dict[str, Any]:
+    return {field.name: getattr(item, field.name) for field in dataclasses.fields(item)}
+
+
+def _nested(item: Any) -> dict[str, list[Any]]:
+    """Fields that hold lists of dataclasses."""
+    found = {}
+    for name, value in _fields(item).items():
+        if isinstance(value, list | tuple) and value and all(dataclasses.is_dataclass(v) for v in value):
+            found[name] = list(value)
+    return found
+
+
+def _cell(value: Any) -> Cell:
+    if value is None or isinstance(value, str | int | float):
+        return value
+    if isinstance(value, Mapping):
+        return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(_text(v) for v in value)
+    return str(value)
+
+
+def _text(value: Any) -> str:
+    from hil.bench.report import number
+
+    return number(value) if isinstance(value, str | int | float) or value is None else str(value)
+
+
+def _key(name: str) -> str:
+    return "_".join("".join(c if c.isalnum() else " " for c in name.lower()).split())
