@@ -161,7 +161,7 @@ def test_a_record_of_the_virtual_rig_is_made_once(tmp_path):
     again = virtual_record(load_profile, "healthy", 5, tmp_path / "cache", said.append)
     assert first == again and len(said) == 1
     assert [path.name for path in (tmp_path / "cache").iterdir()] == [first.name]
-    assert len(read_record(first).time_s) == 600
+    assert read_record(first).time_s[-1] >= 599.0
 
 
 def test_public_records_become_tables():
