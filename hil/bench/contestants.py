@@ -13,7 +13,7 @@ from twin.exact import right_side, simulate_exact
 from twin.kernel import Kernel
 from twin.network import Array, Network, TwinFileError
 
-ALL = ("constant", "stepped", "each second")
+ALL = ("constant", "stepped", "each s")
 HELD = ("constant", "stepped")
 
 
@@ -70,19 +70,19 @@ def singles() -> list[Single]:
         return lambda job: scipy_ode.lsoda(job, **options)
 
     return [
-        Single("plain C, one vector", lambda job: _c(job, 1)[1]),
+        Single("C, one vector", lambda job: _c(job, 1)[1]),
         Single("ivp RK45, defaults", ivp("RK45"), solve_ivp=True),
         Single("ivp LSODA, defaults", ivp("LSODA"), solve_ivp=True),
         Single("ivp Radau, defaults", ivp("Radau"), solve_ivp=True),
         Single("ivp DOP853, defaults", ivp("DOP853"), solve_ivp=True),
-        Single("ivp RK45, max_step 1", ivp("RK45", max_step=1.0), solve_ivp=True),
-        Single("ivp LSODA 1e-9, max_step 1", ivp("LSODA", rtol=1e-9, atol=1e-9, max_step=1.0), solve_ivp=True),
+        Single("ivp RK45, step <= 1", ivp("RK45", max_step=1.0), solve_ivp=True),
+        Single("ivp LSODA 1e-9, step <= 1", ivp("LSODA", rtol=1e-9, atol=1e-9, max_step=1.0), solve_ivp=True),
         Single("ivp LSODA 1e-9, restarted", restarted("LSODA", rtol=1e-9, atol=1e-9), solve_ivp=True),
         Single("ivp DOP853 1e-9, restarted", restarted("DOP853", rtol=1e-9, atol=1e-9), solve_ivp=True),
-        Single("ivp RK45 1e-9, max_step 1", ivp("RK45", rtol=1e-9, atol=1e-9, max_step=1.0), ALL, True, True),
+        Single("ivp RK45 1e-9, step <= 1", ivp("RK45", rtol=1e-9, atol=1e-9, max_step=1.0), ALL, True, True),
         Single("odeint, defaults", odeint()),
-        Single("odeint, 1e-9, hmax 1", odeint(rtol=1e-9, atol=1e-9, hmax=1.0)),
-        Single("numpy + expm (our oracle)", lambda job: lambda: oracle(job)),
+        Single("odeint 1e-9, step <= 1", odeint(rtol=1e-9, atol=1e-9, hmax=1.0)),
+        Single("numpy + expm, our oracle", lambda job: lambda: oracle(job)),
     ]
 
 
@@ -90,12 +90,12 @@ def swarms() -> list[Swarm]:
     """In the order of the table; ours first."""
     return [
         Swarm("ours", ours, 100_000),
-        Swarm("plain C, 16 lanes", lambda job: _c(job, 16)[0], 100_000),
-        Swarm("plain C, one at a time", lambda job: _c(job, 1)[0], 10_000, ("each second",)),
+        Swarm("C, 16 lanes", lambda job: _c(job, 16)[0], 100_000),
+        Swarm("C, one by one", lambda job: _c(job, 1)[0], 10_000, ("each s",)),
         Swarm("numpy, exact", _numpy, 10_000, HELD),
-        Swarm("torch eager, exact", _torch_exact, 10_000, HELD),
-        Swarm("torch eager, RK4", _torch_steps, 10_000, ("each second",)),
-        Swarm("jax jit + scan, RK4", _jax, 100_000, ("stepped", "each second")),
+        Swarm("torch, exact", _torch_exact, 10_000, HELD),
+        Swarm("torch, RK4", _torch_steps, 10_000, ("each s",)),
+        Swarm("jax, RK4", _jax, 100_000, ("stepped", "each s")),
     ]
 
 

@@ -80,7 +80,7 @@ def whole_steps(
 
     samples = int(size.whole_h * 3600)
     window = job(network, "constant", count=1, samples=samples, seed=seed)
-    inputs = np.repeat(drive(network, "each second", -(-samples // LEVEL_S), seed)[1], LEVEL_S, axis=0)[:samples]
+    inputs = np.repeat(drive(network, "each s", -(-samples // LEVEL_S), seed)[1], LEVEL_S, axis=0)[:samples]
     window = Job(
         network, window.ids, "levels", window.time, inputs, window.measured, window.weight, window.state,
         window.particles,
@@ -111,7 +111,7 @@ def whole_steps(
     plan = [
         ("ours, all readings", lambda: contestants.our_readings(window), False),
         ("ours, cost only", lambda: contestants.ours(window), False),
-        ("plain C, all states", c, True),
+        ("C, all states", c, True),
         ("ivp LSODA, defaults", lambda: scipy_ode.ivp(window, "LSODA"), True),
         ("ivp LSODA 1e-9, restarted",
          lambda: scipy_ode.ivp_restarted(window, "LSODA", rtol=1e-9, atol=1e-9), True),

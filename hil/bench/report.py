@@ -77,7 +77,7 @@ def show(report: Report, to: Console | None = None) -> None:
     for table in report.tables:
         drawn = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
         for position, column in enumerate(table.columns):
-            drawn.add_column(column, justify="left" if position == 0 else "right", overflow="fold")
+            drawn.add_column(column, justify="left" if position == 0 else "right", no_wrap=position == 0)
         for row in table.rows:
             drawn.add_row(*(number(cell) for cell in row))
         out.print(drawn, width=min(WIDTH, out.width), markup=False)

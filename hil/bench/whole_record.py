@@ -50,7 +50,7 @@ def drifting(network: Network, hours: float, seed: int) -> tuple[Array, Array, A
     """Time (n,), inputs (n, c) and noisy readings (n, m) of a loop whose radiator loses a fifth on the way."""
     samples = int(hours * 3600)
     time_s = np.arange(samples, dtype=np.float64)
-    inputs = np.repeat(drive(network, "each second", -(-samples // LEVEL_S), seed)[1], LEVEL_S, axis=0)[:samples]
+    inputs = np.repeat(drive(network, "each s", -(-samples // LEVEL_S), seed)[1], LEVEL_S, axis=0)[:samples]
     readings, state = [], steady_start(network)
     edges = np.linspace(0, samples, 41).astype(int)
     for part, (first, stop) in enumerate(zip(edges[:-1], edges[1:], strict=True)):

@@ -9,7 +9,7 @@ import numpy as np
 from twin.kernel import masked, simulate
 from twin.network import Array, Network
 
-SCHEDULES = ("constant", "stepped", "each second")
+SCHEDULES = ("constant", "stepped", "each s")
 LEVELS = 8
 """Distinct levels of a stepped window."""
 
@@ -41,7 +41,7 @@ class Job:
 def drive(network: Network, schedule: str, samples: int, seed: int) -> tuple[Array, Array]:
     """Stamps (n,) at 1 Hz and inputs (n, c): heater power, pump, fan, room; anything else stays nominal."""
     rng = np.random.default_rng(seed)
-    hold = {"constant": samples, "stepped": -(-samples // LEVELS), "each second": 1}[schedule]
+    hold = {"constant": samples, "stepped": -(-samples // LEVELS), "each s": 1}[schedule]
     count = -(-samples // hold)
     columns = []
     for column, spec in network.inputs.items():

@@ -24,6 +24,12 @@ SEED = click.option("--seed", default=0, show_default=True, help="Seed of everyt
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the tables as JSON.")
 
 
+def _one_thread() -> None:
+    """One thread for numpy's and scipy's linear algebra, or its idle threads count as CPU time. Before numpy loads."""
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+
 def _data_folder() -> Path:
     return Path(os.environ.get("HIL_DATA", PROJECT.parent / "shared" / "data"))
 
@@ -38,6 +44,7 @@ def command(context: click.Context) -> None:
       hil bench twin --quick
       hil bench paper --rig virtual --out results
     """
+    _one_thread()
     if context.invoked_subcommand is None:
         for name, about in BENCHMARKS.items():
             click.echo(f"{invocation()} bench {name:<8} {about}")

@@ -62,7 +62,7 @@ def test_speed_tables_name_what_was_left_out(monkeypatch):
     monkeypatch.setattr(contestants, "_torch_steps", gone)
     monkeypatch.setattr(contestants, "_jax", gone)
     tiny = speed.Size(
-        samples=30, counts=(1, 40), schedules=("each second",), whole_h=0.05, slow=False, processes=False, budget_s=1e-3
+        samples=30, counts=(1, 40), schedules=("each s",), whole_h=0.05, slow=False, processes=False, budget_s=1e-3
     )
     tables, skipped = speed.measure(tiny, seed=0)
     assert "torch: not installed" in skipped
