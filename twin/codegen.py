@@ -4,26 +4,28 @@
 ``trace``  readings of every sensor at every sample, for plots, oracles and the live twin
 ``gram``   Gram matrix of lane differences: J'J and J'r of a least-squares fit without storing trajectories
 
-A linear network is integrated by the Taylor series of its exact solution, any other by classical Runge-Kutta.
+The right side is A x + b plus whatever is not affine in the temperatures. A and b are computed when an input that
+they use has changed; the innermost loop is left with sums of products. A linear network is integrated by the
+Taylor series of its exact solution, any other by classical Runge-Kutta.
 
-Layout: particles come in blocks of LANES. A block's state, parameters and per-interval coefficients live in one
-flat work array, row r of lane l at ``W[r * LANES + l]``; the only inner loop runs over l and holds all
-stages, so that the compiler turns it into vector instructions. The row offsets are literals, which is what
-lets it prove that rows do not overlap.
+Layout: particles come in blocks of `lanes`. A block's state, parameters and coefficients live in one flat work
+array, row r of lane l at ``W[r * LANES + l]``; the only inner loop runs over l and holds all stages, so that the
+compiler turns it into vector instructions. The row offsets are literals, which is what lets it prove that rows do
+not overlap. A coefficient that all lanes share is a plain scalar. A kernel for one particle has one lane.
 
 Inputs are held from one sample to the next (zero-order hold). Each interval is cut into as many equal substeps
-as keep  substep * (largest conductance at a node / its capacitance)  below STEP_LIMIT, with the largest taken
-over the lanes of the block: that keeps the error of a cooling loop below 1e-6 K, and every corner of the
-declared bounds stable.
+as keep  substep * (largest bound on a state's own rate)  below STEP_LIMIT, with the largest taken over the lanes of
+the block: that keeps the error of a cooling loop below 1e-6 K, and every corner of the declared bounds stable.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Literal
 
-from twin.elements import Fragment, Names
+from twin.affine import ZERO, Form, names_in, plus, times
+from twin.assembly import System, python_source
+from twin.delays import DELAY_FUNCTIONS, SLOTS, delay_lines
 from twin.network import Network
 
 LANES = 32
@@ -35,9 +37,8 @@ MOST_STEPS = 1.0e6
 Mode = Literal["cost", "trace", "gram"]
 MODES: tuple[Mode, ...] = ("cost", "trace", "gram")
 
-_TOKEN = re.compile(r"<([PTUL]):([^>]+)>")
-
-_EXP = '''
+_FUNCTIONS = '''
+@nb.njit(inline='always')
 def exp(x):
     """exp(x) by halving, a Taylor polynomial and squaring: no call, so the lane loop stays vectorised."""
     y = min(max(x, -60.0), 60.0) * 0.00390625
@@ -51,318 +52,420 @@ def exp(x):
     y = y * y
     return y * y
 '''
+_ARRIVED = '''
+@nb.njit(error_model='numpy')
+def arrived(time, inputs, column, i, dead):
+    """Mean of a held input over interval i, `dead` seconds ago; before the first sample it was as then."""
+    first, last = time[i] - dead, time[i + 1] - dead
+    low, high = 0, i
+    while low < high:
+        middle = (low + high + 1) // 2
+        if time[middle] <= first:
+            low = middle
+        else:
+            high = middle - 1
+    if last <= first:
+        return inputs[low, column]
+    total, at = 0.0, first
+    while low < i and time[low + 1] < last:
+        total += inputs[low, column] * max(time[low + 1] - at, 0.0)
+        at = max(time[low + 1], at)
+        low += 1
+    return (total + inputs[low, column] * (last - at)) / (last - first)
+'''
 
 
-@dataclass(frozen=True)
-class Fragments:
-    """Fragments of a network's elements and what the kernel needs to know about them."""
-
-    network: Network
-    parts: tuple[tuple[str, Fragment], ...]
-
-    @classmethod
-    def of(cls, network: Network, free: tuple[str, ...] | None = None) -> Fragments:
-        """Emit every element. With `free` given, fixed parameters at exactly 0 or 1 outside it are folded."""
-        folded: dict[str, float] = {}
-        if free is not None:
-            folded = {
-                p.id: p.value
-                for p in network.parameters.values()
-                if p.status == "fixed" and p.value in (0.0, 1.0) and p.id not in free
-            }
-        parts = []
-        for e in network.elements:
-            own = {name[len(e.name) + 1 :]: v for name, v in folded.items() if name.startswith(f"{e.name}.")}
-            parts.append((e.name, e.emit(Names(e.name, own))))
-        return cls(network, tuple(parts))
-
-    def heat(self, node: str) -> str:
-        """Sum of the heat flows into a node, W."""
-        return " + ".join(f"({f.heat[node]})" for _, f in self.parts if node in f.heat) or "0.0"
-
-    def rate(self, node: str) -> str:
-        """Bound on the node's own rate times its capacitance, W/K."""
-        found = [f"({f.conductance[node]})" for _, f in self.parts if node in f.conductance]
-        return " + ".join(found) or "0.0"
-
-    def readings(self) -> list[str]:
-        """Expression of each sensor's reading, in the network's order."""
-        return [f.observe for _, f in self.parts if f.observe is not None]
-
-    def slow_inputs(self) -> list[str]:
-        """Input columns that `uniform` and `sample` expressions use: a change recomputes them."""
-        used: set[str] = set()
-        for _, f in self.parts:
-            for _, text in (*f.uniform, *f.sample):
-                used.update(name for sort, name in _TOKEN.findall(text) if sort == "U")
-        return [c for c in self.network.input_columns if c in used]
-
-
-def python_source(network: Network) -> str:
-    """Source of ``rhs(T, u, p) -> list of dT/dt`` in plain Python: the reference for tests and oracles."""
-    parts = Fragments.of(network)
-    text = _Text(network, lambda k: f"p[{k}]", lambda k: f"T[{k}]")
-    lines = ["from math import exp, log", "", "", "def rhs(T, u, p):"]
-    for level in ("uniform", "sample", "stage"):
-        for _, f in parts.parts:
-            lines += [f"    {text(name)} = {text(value)}" for name, value in getattr(f, level)]
-    rows = [f"({text(parts.heat(node))}) / {text(f'<P:{node}.capacitance>')}" for node in network.nodes]
-    lines.append(f"    return [{', '.join(rows)}]")
-    return "\n".join(lines) + "\n"
-
-
-def kernel_source(network: Network, mode: Mode, lane_ids: tuple[str, ...]) -> str:
+def kernel_source(network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int = LANES) -> str:
     """Source of one kernel. `lane_ids` are the parameters that may differ from particle to particle."""
-    return _Kernel(network, mode, lane_ids).source()
-
-
-class _Text:
-    """Replaces the placeholders of `Names` by the variables of one target."""
-
-    def __init__(self, network: Network, parameter: object, temperature: object, suffix: str = "") -> None:
-        self.parameters = {name: k for k, name in enumerate(network.ids)}
-        self.nodes = {name: k for k, name in enumerate(network.nodes)}
-        self.inputs = {name: k for k, name in enumerate(network.input_columns)}
-        self.parameter, self.temperature, self.suffix = parameter, temperature, suffix
-        self.staged: set[str] = set()
-
-    def __call__(self, text: str) -> str:
-        return _TOKEN.sub(self._one, text)
-
-    def _one(self, match: re.Match[str]) -> str:
-        sort, name = match.groups()
-        if sort == "P":
-            return str(self.parameter(self.parameters[name]))  # type: ignore[operator]
-        if sort == "T":
-            return str(self.temperature(self.nodes[name]))  # type: ignore[operator]
-        if sort == "U":
-            return f"u[{self.inputs[name]}]" if not self.suffix else f"u{self.inputs[name]}"
-        local = "L_" + name.replace(".", "_")
-        return local + (self.suffix if name in self.staged else "")
+    return _Kernel(network, mode, lane_ids, lanes).source()
 
 
 class _Kernel:
-    def __init__(self, network: Network, mode: Mode, lane_ids: tuple[str, ...]) -> None:
-        self.network, self.mode = network, mode
-        self.parts = Fragments.of(network, lane_ids)
-        self.k, self.m = len(network.nodes), len(self.parts.readings())
-        self.lane = {int(i): row for row, i in enumerate(network.index(lane_ids))}
-        rows = self.k
-        self.parameter_row = {i: rows + row for i, row in self.lane.items()}
-        rows += len(self.lane)
-        self.sample_names = [name for _, f in self.parts.parts for name, _ in f.sample]
-        self.sample_row = {name[3:-1]: rows + r for r, name in enumerate(self.sample_names)}
-        rows += len(self.sample_names)
-        self.capacity_row = rows
-        rows += self.k
-        self.sum_row = rows
-        rows += self.m
-        self.rows = rows
-        self.staged = {name[3:-1] for _, f in self.parts.parts for name, _ in f.stage}
+    def __init__(self, network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int) -> None:
+        self.network, self.mode, self.lanes = network, mode, lanes
+        self.system = s = System(network, lane_ids)
+        self.k, self.m = len(s.states), len(s.readings)
+        self.rows: dict[str, int] = {}
+        self.parameters = {f"p{i}": row for row, i in enumerate(network.index(lane_ids))}
+        for name in (*self.states(), *self.memories(), *self.parameters):
+            self.row(name)
+        self.delays = delay_lines(s, self) if s.delays else None
+        self._levels()
 
-    def text(self, stage: str) -> _Text:
-        text = _Text(self.network, self._parameter, lambda k: f"x{k}{stage}", stage or "_")
-        text.staged = self.staged
-        return text
+    def states(self) -> list[str]:
+        return [f"x{j}" for j in range(self.k)]
 
-    def _parameter(self, k: int) -> str:
-        return f"p{k}"
+    def memories(self) -> list[str]:
+        """Lagged values, then commands on their way through a lag."""
+        lags = [f"f{j}" for j in range(len(self.system.lags))]
+        return lags + [f"z{j}" for j, (_, d) in enumerate(self.system.drives) if d.lag]
 
-    def at(self, row: int) -> str:
-        return f"W[{row * LANES} + l]"
+    def row(self, name: str) -> int:
+        """Row of a quantity that differs between lanes."""
+        return self.rows.setdefault(name, len(self.rows))
 
-    def loads(self, body: str) -> list[str]:
-        """Lane rows that `body` reads, brought into scalars first."""
-        lines = []
-        for k, row in self.parameter_row.items():
-            if re.search(rf"\bp{k}\b", body):
-                lines.append(f"p{k} = {self.at(row)}")
-        for name, row in self.sample_row.items():
-            local = "L_" + name.replace(".", "_")
-            if re.search(rf"\b{local}\b", body):
-                lines.append(f"{local} = {self.at(row)}")
-        return lines
+    def at(self, name: str) -> str:
+        return f"W[{self.row(name) * self.lanes} + l]"
 
-    def prelude(self) -> list[str]:
-        """Body of the lane loop that refreshes per-interval coefficients and the largest rate."""
-        text = self.text("")
-        lines: list[str] = []
-        for _, f in self.parts.parts:
-            for name, value in f.sample:
-                local = text(name)
-                lines += [f"{local} = {text(value)}", f"{self.at(self.sample_row[name[3:-1]])} = {local}"]
-        lines.append("rate = 0.0")
-        for j, node in enumerate(self.network.nodes):
-            lines += [
-                f"c{j} = 1.0 / {text(f'<P:{node}.capacitance>')}",
-                f"{self.at(self.capacity_row + j)} = c{j}",
-                f"rate = max(rate, ({text(self.parts.rate(node))}) * c{j})",
+    def _levels(self) -> None:
+        """Sort coefficients by what they depend on: lanes, inputs, the share of a pipe that is late."""
+        s = self.system
+        late = {d.late for d in s.delays}
+        self.uses: dict[str, frozenset[int]] = {}
+        self.late: set[str] = set(late)
+        for name in late:
+            self.row(name)
+        for c in s.driven:
+            self.row(f"u{c}")
+        for name, text in s.coefficients.items():
+            needed = names_in(text)
+            inputs = {int(n[1:]) for n in needed if re.fullmatch(r"u\d+", n)}
+            self.uses[name] = frozenset(inputs).union(*(self.uses.get(n, frozenset()) for n in needed))
+            if needed & self.late:
+                self.late.add(name)
+            if needed & self.rows.keys():
+                self.row(name)
+        matrix = set(s.rates) | {t for form, _ in s.slopes for t in form.slopes.values()} | set(s.flows)
+        matrix |= {f.constant for f in s.followers} | {d.volume for d in s.delays}
+        named = set().union(*(names_in(t) for t in matrix))
+        self.slow = frozenset().union(*(self.uses.get(n, frozenset()) for n in named))
+        inputs = {int(n[1:]) for t in matrix for n in names_in(t) if re.fullmatch(r"u\d+", n)}
+        self.slow |= inputs
+        self.fast = frozenset().union(*self.uses.values()) - self.slow if self.uses else frozenset()
+
+    def coefficients(self, pick: str, late: bool, lane: bool) -> list[str]:
+        """Assignments of one level: ``fixed``, ``slow`` or ``fast``; of lanes or of scalars."""
+        out = []
+        for name, text in self.system.coefficients.items():
+            inputs = self.uses[name]
+            level = "fixed" if not inputs else "slow" if inputs <= self.slow else "fast"
+            if late and level == "fixed" and name in self.late:
+                level = "slow"
+            if level == pick and (name in self.late) == late and (name in self.rows) == lane:
+                out.append(f"{name} = {text}")
+                if lane:
+                    out.append(f"{self.at(name)} = {name}")
+        return out
+
+    def loop(self, body: list[str]) -> list[str]:
+        """A loop over lanes, with the lane rows that the body reads loaded into scalars first."""
+        if not body:
+            return []
+        known: set[str] = set()
+        loads: list[str] = []
+        for line in body:
+            target, _, value = line.partition(" = ")
+            for name in re.findall(r"[A-Za-z_]\w*", value if value else line):
+                if name in self.rows and name not in known:
+                    known.add(name)
+                    loads.append(f"{name} = {self.at(name)}")
+            known.add(target.strip())
+        return [f"for l in range({self.lanes}):", *indent([*loads, *body])]
+
+    # --- one interval ---------------------------------------------------------------------------------------
+
+    def drive(self) -> list[str]:
+        """What the elements see of the driven columns in this interval."""
+        out: list[str] = []
+        for k, (_, d) in enumerate(self.system.drives):
+            c = self.network.input_columns.index(d.column)
+            command = f"inputs[i, {c}]"
+            body = [f"a{k} = {command}"]
+            if d.dead_time:
+                body = [f"a{k} = arrived(time, inputs, {c}, i, {self.system.text(d.dead_time)})"]
+            if d.lag:
+                body += [
+                    f"share = {self.system.text(d.lag)} / max(time[i + 1] - time[i], 1e-12)",
+                    "decay = exp(-1.0 / max(share, 1e-12))",
+                    f"gone = z{k} - a{k}",
+                    f"{self.at(f'z{k}')} = a{k} + gone * decay",
+                    f"a{k} = a{k} + gone * share * (1.0 - decay)",
+                ]
+            body += [f"u{c} = {self.system.text(d.value)}", f"{self.at(f'u{c}')} = u{c}"]
+            out += self.loop(body)
+        return out
+
+    def changed(self, columns: frozenset[int]) -> str:
+        s = self.system
+        if any(d.dead_time or d.lag for _, d in s.drives if self.network.input_columns.index(d.column) in columns):
+            return "True"
+        return " or ".join(f"inputs[i, {c}] != inputs[i - 1, {c}]" for c in sorted(columns)) or "False"
+
+    def refresh(self) -> list[str]:
+        """Coefficients whose inputs have changed, the step, and what depends on the step."""
+        s, lanes = self.system, self.lanes
+        bounds = ["rate = 0.0", *(f"rate = max(rate, {r})" for r in dict.fromkeys(s.rates))]
+        slow = self.coefficients("slow", late=False, lane=False)
+        slow += self.loop([*self.coefficients("slow", late=False, lane=True), *bounds, "R[l] = rate"])
+        half = lanes // 2
+        while half >= 8:
+            slow += [f"for l in range({half}):", f"    R[l] = max(R[l], R[l + {half}])"]
+            half //= 2
+        slow += ["limit = 0.0", f"for l in range({min(lanes, 8)}):", "    limit = max(limit, R[l])"]
+        stepwise = [
+            # Beyond LONGEST / limit the inputs have been constant for so many time constants that more of
+            # the same changes nothing; without the cut a gap of months would take minutes.
+            "dt = min(time[i + 1] - time[i], LONGEST / max(limit, 1e-30))",
+            "steps = int(dt * limit * PER_STEP) + 1",
+            "h = dt / steps",
+        ]
+        on_step = self.followers_refresh()
+        if self.delays:
+            on_step = [*self.delays.refresh(), *on_step]
+        on_step += self.coefficients("slow", late=True, lane=False)
+        on_step += self.loop(self.coefficients("slow", late=True, lane=True))
+        fast = [line for late in (False, True) for line in self.coefficients("fast", late=late, lane=False)]
+        fast += self.loop([x for late in (False, True) for x in self.coefficients("fast", late=late, lane=True)])
+        new = f"i == {self.first} or {self.changed(self.slow)}"
+        out = [f"new = {new}", "if new:", *indent(slow), *stepwise]
+        if on_step:
+            out += ["if new or abs(h - known_h) > 1e-9 * h:", *indent(["known_h = h", "fresh = True", *on_step])]
+            out += ["    new = True"]
+        if fast:
+            out += [f"if new or {self.changed(self.fast)}:", *indent(fast)]
+        return out
+
+    def followers_refresh(self) -> list[str]:
+        body: list[str] = []
+        for j, f in enumerate(self.system.followers):
+            for name in (f"ratio{j}", f"decay{j}"):
+                self.row(name)
+            body += [
+                f"ratio{j} = ({f.constant}) / max(h, 1e-12)",
+                f"{self.at(f'ratio{j}')} = ratio{j}",
+                f"{self.at(f'decay{j}')} = exp(-1.0 / max(ratio{j}, 1e-12))",
             ]
-        lines.append("R[l] = rate")
-        body = "\n".join(lines)
-        names = {text(name) for name in self.sample_names}
-        return [line for line in self.loads(body) if line.split(" = ")[0] not in names] + lines
+        return self.loop(body)
 
-    def stages(self) -> list[str]:
-        """One substep in scalars of one lane; the new state ends in the state rows."""
-        lines = self.horner() if all(e.linear for e in self.network.elements) else self.runge_kutta()
-        body = "\n".join(lines)
-        loaded = [f"x{j} = {self.at(j)}" for j in range(self.k)]
-        loaded += [f"c{j} = {self.at(self.capacity_row + j)}" for j in range(self.k)]
-        return loaded + self.loads(body) + lines
+    # --- one substep ----------------------------------------------------------------------------------------
 
-    def slopes(self, stage: str) -> list[str]:
-        """dT/dt of every node at the temperatures x0, x1, .. of a stage, as k0, k1, .. of that stage."""
-        text = self.text(stage)
-        lines = [f"{text(name)} = {text(value)}" for _, f in self.parts.parts for name, value in f.stage]
-        for j, node in enumerate(self.network.nodes):
-            lines.append(f"k{j}{stage} = ({text(self.parts.heat(node))}) * c{j}")
+    def slopes(self, y: list[str], outlets: str, stage: str) -> list[str]:
+        """Rates k0, k1, .. of a stage at temperatures `y`, with delay outlets named `outlets` + index."""
+        names = {f"x{j}": y[j] for j in range(self.k)}
+        names |= {f"D{p}": f"{outlets}{p}" for p in range(len(self.system.delays))}
+        staged = {name: f"{name}_{stage}" for name in self.system.curved}
+        lines = [f"{staged[n]} = {renamed(t, {**names, **staged})}" for n, t in self.system.curved.items()]
+        for j, (form, rest) in enumerate(self.system.slopes):
+            text = renamed(ordered(form), names)
+            if rest != ZERO:
+                text = plus(text, renamed(rest, {**names, **staged}))
+            lines.append(f"k{j}{stage} = {text}")
         return lines
+
+    def substep(self) -> list[str]:
+        """Body of the lane loop of one substep."""
+        k = range(self.k)
+        if not self.system.linear:
+            lines = self.runge_kutta()
+        elif self.delays:
+            lines = self.taylor()
+        else:
+            lines = self.horner()
+        new = {f"x{j}": f"n{j}" for j in k} | {f"D{p}": f"De{p}" for p in range(len(self.system.delays))}
+        for j, f in enumerate(self.system.followers):
+            first = renamed(ordered(Form(f.of.slopes)), {f"x{i}": f"e{i}" for i in k} | self.starts_of_delays("Da"))
+            here = self.starts_of_delays("Ds")
+            lines += [
+                f"t0 = {renamed(ordered(f.of), here)}",
+                f"t1 = {renamed(ordered(f.of), new)}",
+                f"t2 = {first}",
+                "bend = 2.0 * (t1 - t0 - t2)",
+                f"slope = t2 + bend - ratio{j} * bend",
+                f"f{j} = t1 - ratio{j} * slope + decay{j} * (f{j} - t0 + ratio{j} * (t2 - ratio{j} * bend))",
+                f"{self.at(f'f{j}')} = f{j}",
+            ]
+        if self.delays:
+            lines += self.delays.record(new)
+        return lines + [f"{self.at(f'x{j}')} = n{j}" for j in k]
+
+    def starts_of_delays(self, letter: str) -> dict[str, str]:
+        return {f"D{p}": f"{letter}{p}" for p in range(len(self.system.delays))}
 
     def horner(self) -> list[str]:
         """Taylor series of the exact solution, for a right side that is affine and constant in the step.
 
         x_i = x + h/(s + 1 - i) f(x_(i-1)), i = 1 .. s: of order s, as Horner's scheme of exp.
         """
-        k = range(self.k)
-        lines = [f"x{j}a = x{j}" for j in k]
-        for i in range(ORDER):
-            here, then = "abcdefghijkl"[i], "abcdefghijkl"[i + 1]
-            lines += self.slopes(here)
-            share = "h" if i == ORDER - 1 else f"h{ORDER - i}"
-            lines += [f"x{j}{then} = x{j} + {share} * k{j}{here}" for j in k]
-        return lines + [f"{self.at(j)} = x{j}{then}" for j in k]
+        k, y, lines = range(self.k), self.states(), list[str]()
+        for i in range(ORDER, 0, -1):
+            last = i == 1
+            lines += self.slopes(y, "D", f"s{i}")
+            if i == ORDER and self.system.followers:
+                lines += [f"e{j} = h * k{j}s{i}" for j in k]
+            y = [f"n{j}" if last else f"y{j}s{i}" for j in k]
+            lines += [f"{y[j]} = x{j} + {'h' if last else f'h{i}'} * k{j}s{i}" for j in k]
+        return lines
+
+    def taylor(self) -> list[str]:
+        """The same with delayed water that comes in as a quadratic in time, Ds + Da r + Db r^2 at the share r.
+
+        e_i = h/i (A e_(i-1) + F_(i-1)) with F_0 = b + E Ds, F_1 = E Da, F_2 = E Db; x + e_1 + e_2 + ..
+        """
+        assert self.delays is not None
+        k, lines = range(self.k), self.delays.polynomials()
+        y, outlets, total = self.states(), "Ds", self.states()
+        for i in range(1, ORDER + 1):
+            names = {f"x{j}": y[j] for j in k} | self.starts_of_delays(outlets)
+            for j, (form, _) in enumerate(self.system.slopes):
+                slopes = {v: t for v, t in form.slopes.items() if outlets or v.startswith("x")}
+                text = renamed(ordered(Form(slopes, form.offset if i == 1 else ZERO)), names)
+                lines.append(f"{'e' if i == 1 else f'e{i}_'}{j} = {'h' if i == 1 else f'h{i}'} * ({text})")
+            y = [f"e{j}" if i == 1 else f"e{i}_{j}" for j in k]
+            total = [f"{total[j]} + {y[j]}" for j in k]
+            outlets = {1: "Da", 2: "Db"}.get(i, "")
+        return lines + [f"n{j} = {total[j]}" for j in k]
 
     def runge_kutta(self) -> list[str]:
         """Classical fourth order."""
-        k = range(self.k)
-        lines = [f"x{j}a = x{j}" for j in k] + self.slopes("a")
-        for last, here, share in (("a", "b", "h2"), ("b", "c", "h2"), ("c", "d", "h")):
-            lines += [f"x{j}{here} = x{j} + {share} * k{j}{last}" for j in k] + self.slopes(here)
-        return lines + [f"{self.at(j)} = x{j} + h6 * (k{j}a + 2.0 * (k{j}b + k{j}c) + k{j}d)" for j in k]
+        k, x = range(self.k), self.states()
+        lines = self.delays.polynomials() if self.delays else []
+        lines += self.slopes(x, "Ds", "a")
+        stages = (("a", "b", "h2", "Dm"), ("b", "c", "h2", "Dm"), ("c", "d", "h", "De"))
+        for last, here, share, outlets in stages:
+            lines += [f"y{j}{here} = x{j} + {share} * k{j}{last}" for j in k]
+            lines += self.slopes([f"y{j}{here}" for j in k], outlets, here)
+        lines += [f"n{j} = x{j} + h6 * (k{j}a + 2.0 * (k{j}b + k{j}c) + k{j}d)" for j in k]
+        return lines + [f"e{j} = h * k{j}a" for j in k] if self.system.followers or self.delays else lines
+
+    # --- samples --------------------------------------------------------------------------------------------
 
     def observe(self, i: str) -> list[str]:
         """Lines that compare the state at sample `i` with the measurement."""
-        text = self.text("")
-        readings = [text(reading) for reading in self.parts.readings()]
-        body = "\n".join(readings)
-        head = [f"x{j} = {self.at(j)}" for j in range(self.k) if re.search(rf"\bx{j}\b", body)]
-        head += self.loads(body)
-        lines: list[str] = []
+        readings = self.system.readings
+        lines = [f"now = time[{i}]"] if any("now" in names_in(r) for r in readings) else []
         if self.mode == "trace":
-            lines = [f"Y[b, {i}, {j}, l] = {reading}" for j, reading in enumerate(readings)]
-            return _lanes(head + lines)
-        weights = [f"w{j} = weight[{i}, {j}]" for j in range(self.m)]
+            return lines + self.loop([f"Y[b, {i}, {j}, l] = {reading}" for j, reading in enumerate(readings)])
+        lines += [f"w{j} = weight[{i}, {j}]" for j in range(self.m)]
+        lines += [f"y{j} = y[{i}, {j}]" for j in range(self.m)]
         if self.mode == "cost":
+            body = []
             for j, reading in enumerate(readings):
-                lines += [f"r{j} = (({reading}) - y[{i}, {j}]) * w{j}"]
-                lines += [f"{self.at(self.sum_row + j)} += r{j} * r{j}"]
-            return weights + _lanes(head + lines)
-        lines = [f"E[{j * LANES} + l] = {reading}" for j, reading in enumerate(readings)]
-        block = weights + _lanes(head + lines)
+                body += [f"r{j} = ({reading} - y{j}) * w{j}", f"{self.at(f'sse{j}')} += r{j} * r{j}"]
+            return lines + self.loop(body)
+        n = self.lanes
+        block = lines + self.loop([f"E[{j * n} + l] = {reading}" for j, reading in enumerate(readings)])
         for j in range(self.m):
             inner = [
-                f"centre = E[{j * LANES}]",
-                "for l in range(LANES):",
-                f"    E[{j * LANES} + l] = (E[{j * LANES} + l] - centre) * w{j}",
-                f"E[{j * LANES}] = (centre - y[{i}, {j}]) * w{j}",
+                f"centre = E[{j * n}]",
+                f"for l in range({n}):",
+                f"    E[{j * n} + l] = (E[{j * n} + l] - centre) * w{j}",
+                f"E[{j * n}] = (centre - y{j}) * w{j}",
                 "for a in range(used):",
-                f"    s = E[{j * LANES} + a]",
-                "    for l in range(LANES):",
-                f"        G[a * LANES + l] += s * E[{j * LANES} + l]",
-                f"sse[b, {j}] += E[{j * LANES}] * E[{j * LANES}]",
+                f"    s = E[{j * n} + a]",
+                f"    for l in range({n}):",
+                f"        G[a * {n} + l] += s * E[{j * n} + l]",
+                f"sse[b, {j}] += E[{j * n}] * E[{j * n}]",
             ]
-            block += [f"if w{j} != 0.0:", *_indent(inner)]
+            block += [f"if w{j} != 0.0:", *indent(inner)]
         return block
 
-    def refresh(self) -> list[str]:
-        """Per-interval coefficients and the largest rate, when an input they use has changed."""
-        n = self.network
-        text = self.text("")
-        columns = [n.input_columns.index(c) for c in self.parts.slow_inputs()]
-        changed = " or ".join(f"u{c} != inputs[i - 1, {c}]" for c in columns) or "False"
-        uniform = [f"{text(name)} = {text(value)}" for _, f in self.parts.parts for name, value in f.uniform]
-        largest = ["limit = 0.0", *_lanes(["limit = max(limit, R[l])"])]
-        return [f"if i == 0 or {changed}:", *_indent([*uniform, *_lanes(self.prelude()), *largest])]
+    first = "first"
 
     def block(self) -> list[str]:
         """One block of lanes from the first sample to the last."""
-        gram, cost = self.mode == "gram", self.mode == "cost"
-        enter = [f"{self.at(j)} = start[b, {j}, l]" for j in range(self.k)]
-        enter += [f"{self.at(row)} = lanes[b, {r}, l]" for r, row in enumerate(self.parameter_row.values())]
-        enter += [f"{self.at(self.sum_row + j)} = 0.0" for j in range(self.m)]
-        leave = [f"end[b, {j}, l] = {self.at(j)}" for j in range(self.k)]
-        if cost:
-            leave += [f"sse[b, {j}, l] = {self.at(self.sum_row + j)}" for j in range(self.m)]
-        interval = [f"u{c} = inputs[i, {c}]" for c in range(len(self.network.input_columns))]
-        interval += self.refresh()
-        interval += self.observe("i")
-        interval += [
-            # Beyond LONGEST / limit the inputs have been constant for so many time constants that more of
-            # the same changes nothing; without the cut a gap of months would take minutes.
-            "dt = min(time[i + 1] - time[i], LONGEST / max(limit, 1e-30))",
-            "steps = int(dt * limit * PER_STEP) + 1",
-            "h = dt / steps",
-            *[f"h{i} = h / {i}.0" for i in range(2, 9)],
-            "for step in range(steps):",
-            *_indent(_lanes(self.stages())),
+        s, n = self.system, self.lanes
+        cost = self.mode == "cost"
+        remembered = [*self.states(), *self.memories()]
+        enter = [f"{self.at(p)} = lanes[b, {r}, l]" for p, r in self.parameters.items()]
+        body = [f"x{j} = start[b, {j}, l]" for j in range(len(self.network.nodes))]
+        rest = [
+            *s.starts,
+            *(f"inputs[first, {self.network.input_columns.index(d.column)}]" for _, d in s.drives if d.lag),
         ]
-        lines = _lanes(enter)
-        lines += ["G[:] = 0.0"] if gram else []
-        lines += ["limit = 0.0", "for i in range(n - 1):", *_indent(interval)]
-        lines += [*self.observe("n - 1"), *_lanes(leave)]
-        if gram:
-            lines += ["for a in range(used):", *_indent(_lanes(["gram[b, a, l] = G[a * LANES + l]"]))]
+        for row, (name, at_rest) in enumerate(
+            zip(remembered[len(self.network.nodes) :], rest, strict=True), start=len(self.network.nodes)
+        ):
+            body += [f"{name} = start[b, {row}, l]", f"{name} = {name} if {name} == {name} else {at_rest}"]
+        for name in remembered:
+            body.append(f"W[{self.row(name) * n} + l] = {name}")
+        if cost:
+            enter += [f"{self.at(f'sse{j}')} = 0.0" for j in range(self.m)]
+        lines = [f"for l in range({n}):", *indent([*enter, *body])]
+        lines += self.loop(self.coefficients("fixed", late=False, lane=True))
+        lines += self.delays.enter() if self.delays else []
+        lines += ["G[:] = 0.0"] if self.mode == "gram" else []
+        inner = self.loop(self.substep())
+        if self.delays:
+            inner = [*self.delays.look(), *inner, *self.delays.advance()]
+        interval = [f"u{c} = inputs[i, {c}]" for c in range(len(self.network.input_columns)) if c not in s.driven]
+        interval += [*self.observe("i"), *self.drive(), *self.refresh()]
+        interval += [*[f"h{i} = h / {i}.0" for i in range(2, 9)], "for step in range(steps):", *indent(inner)]
+        lines += ["limit = 0.0", "known_h = -1.0", "fresh = True", "for i in range(first, n - 1):", *indent(interval)]
+        lines += self.observe("n - 1")
+        leave = [f"end[b, {j}, l] = W[{self.row(name) * n} + l]" for j, name in enumerate(remembered)]
+        if cost:
+            leave += [f"sse[b, {j}, l] = {self.at(f'sse{j}')}" for j in range(self.m)]
+        lines += [f"for l in range({n}):", *indent(leave)]
+        if self.delays:
+            lines += self.delays.leave()
+        if self.mode == "gram":
+            lines += ["for a in range(used):", f"    for l in range({n}):", f"        gram[b, a, l] = G[a * {n} + l]"]
         return lines
 
     def source(self) -> str:
+        s, n = self.system, self.lanes
         measured = "" if self.mode == "trace" else "y, weight, "
         used = "used, " if self.mode == "gram" else ""
         out = {"cost": "sse", "trace": "Y", "gram": "gram, sse"}[self.mode]
-        head = ["n = time.shape[0]", f"W = np.empty({self.rows * LANES})", "R = np.empty(LANES)"]
+        block = self.block()
+        head = ["n = time.shape[0]", f"W = np.empty({len(self.rows) * n})", f"R = np.empty({n})"]
         if self.mode == "gram":
-            head += [f"E = np.empty({self.m * LANES})", "G = np.empty(LANES * LANES)"]
-        head += [f"p{i} = base[{i}]" for i in range(len(self.network.ids)) if i not in self.lane]
+            head += [f"E = np.empty({self.m * n})", f"G = np.empty({n * n})"]
+        if self.delays:
+            head += self.delays.head()
+        head += [f"p{i} = base[{i}]" for i in range(len(self.network.ids)) if f"p{i}" not in self.parameters]
+        head += self.coefficients("fixed", late=False, lane=False)
         jit = f"{_SIGNATURE[self.mode]!r}, cache=True, fastmath=FAST, nogil=True, error_model='numpy'"
+        functions = _FUNCTIONS + (_ARRIVED if any(d.dead_time for _, d in s.drives) else "")
         return "\n".join(
             [
-                f'"""Generated: {self.mode} kernel of a network of {self.k} nodes. Changes here are lost."""',
+                f'"""Generated: {self.mode} kernel of a network of {self.k} states. Changes here are lost."""',
                 "",
                 "from math import log",
                 "",
                 "import numba as nb",
                 "import numpy as np",
                 "",
-                f"LANES = {LANES}",
+                f"LANES = {n}",
+                f"SLOTS = {SLOTS}",
                 f"PER_STEP = {1.0 / STEP_LIMIT!r}",
                 f"LONGEST = {MOST_STEPS * STEP_LIMIT!r}",
                 "FAST = {'contract', 'nsz', 'arcp'}",
                 "",
-                "",
-                "@nb.njit(inline='always')",
-                _EXP.strip(),
-                "",
+                functions,
+                DELAY_FUNCTIONS if self.delays else "",
                 "",
                 f"@nb.njit({jit})",
-                f"def kernel(base, lanes, start, time, inputs, {measured}{used}{out}, end):",
-                *_indent([*head, "for b in range(start.shape[0]):", *_indent(self.block())]),
+                f"def kernel(base, lanes, start, past, first, time, inputs, {measured}{used}{out}, end, future):",
+                *indent([*head, "for b in range(start.shape[0]):", *indent(block)]),
                 "",
             ]
         )
 
 
+_HEAD = "f8[::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], i8, f8[::1], f8[:,::1]"
 _SIGNATURE: dict[Mode, str] = {
-    "cost": "void(f8[::1], f8[:,:,::1], f8[:,:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1],"
-    " f8[:,:,::1], f8[:,:,::1])",
-    "trace": "void(f8[::1], f8[:,:,::1], f8[:,:,::1], f8[::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1])",
-    "gram": "void(f8[::1], f8[:,:,::1], f8[:,:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1],"
-    " i8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])",
+    "cost": f"void({_HEAD}, f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1])",
+    "trace": f"void({_HEAD}, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1])",
+    "gram": f"void({_HEAD}, f8[:,::1], f8[:,::1], i8, f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1])",
 }
 
 
-def _lanes(lines: list[str]) -> list[str]:
-    return ["for l in range(LANES):", *_indent(lines)]
+def ordered(form: Form) -> str:
+    """Text of a form as a chain of multiply-adds."""
+    total = form.offset
+    for name, slope in form.slopes.items():
+        total = plus(total, times(slope, name))
+    return total
 
 
-def _indent(lines: list[str]) -> list[str]:
+def renamed(text: str, names: dict[str, str]) -> str:
+    """The expression with whole names replaced."""
+    return re.sub(r"[A-Za-z_]\w*", lambda m: names.get(m.group(), m.group()), text)
+
+
+def indent(lines: list[str]) -> list[str]:
     return ["    " + line for line in lines]
+
+
+__all__ = ["LANES", "MODES", "Mode", "kernel_source", "python_source"]

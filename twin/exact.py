@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.codegen import python_source
+from twin.assembly import python_source
 from twin.kernel import clean_time, held
 from twin.network import Array, Network, TwinFileError
 

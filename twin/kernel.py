@@ -25,7 +25,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.codegen import LANES, Mode, kernel_source
+from twin.memory import Memory
 from twin.network import Array, Network, TwinFileError
+
+CHUNK = 4096
+"""Particles handed to a cost kernel at once, so that a swarm of any size needs little memory."""
 
 
 @dataclass(frozen=True)
@@ -51,43 +55,59 @@ class Kernel:
     Parameter vectors are always full ones, (p,) or (P, p) in the order of ``network.ids``; columns outside
     `lane_ids` must be the same for all particles of a call.
 
-    Arrays: time (n,) s, not decreasing; inputs (n, c); measured (n, m) degC with NaN where masked; state (k,)
-    or (P, k) degC at the first sample. Inputs hold from a sample to the next; NaN in an input holds the last
-    good value (the network's nominal before the first).
+    Arrays: time (n,) s, not decreasing; inputs (n, c); measured (n, m) degC with NaN where masked. Inputs hold from
+    a sample to the next; NaN in an input holds the last good value (the network's nominal before the first).
+
+    A state is (k,) or (P, k), the node temperatures in degC at the first sample, with everything that the elements
+    remember at rest; or (size,) or (P, size), what an earlier call handed out, from which it goes on. Its first k
+    entries are the node temperatures. For a network without memory the two are the same.
     """
 
     def __init__(self, network: Network, lane_ids: tuple[str, ...] | None = None) -> None:
         self.network = network
         self.lane_ids = network.ids if lane_ids is None else tuple(dict.fromkeys(lane_ids))
         self.lane = network.index(self.lane_ids)
-        self._variants: dict[Mode, Callable[..., None]] = {}
+        self._memory = Memory(network, self.lane_ids)
+        self._variants: dict[tuple[Mode, int], Callable[..., None]] = {}
 
-    def _variant(self, mode: Mode) -> Callable[..., None]:
-        if mode not in self._variants:
-            self._variants[mode] = compiled(kernel_source(self.network, mode, self.lane_ids))
-        return self._variants[mode]
+    @property
+    def size(self) -> int:
+        """Length of a full state."""
+        return self._memory.size
+
+    def _variant(self, mode: Mode, lanes: int = LANES) -> Callable[..., None]:
+        if (mode, lanes) not in self._variants:
+            self._variants[mode, lanes] = compiled(kernel_source(self.network, mode, self.lane_ids, lanes))
+        return self._variants[mode, lanes]
 
     def cost(
         self, parameters: Array, state: Array, time: Array, inputs: Array, measured: Array, weight: Array
     ) -> tuple[Array, Array]:
-        """Sum of squared weighted residuals per particle and sensor (P, m), and end states (P, k).
+        """Sum of squared weighted residuals per particle and sensor (P, m), and end temperatures (P, k).
 
         Args:
             measured, weight: (n, m); entries of weight 0 are ignored (`masked` makes both).
         """
-        lanes, start, count = self._blocks(parameters, state)
-        blocks, k, m = start.shape[0], len(self.network.nodes), len(self.network.sensors)
-        sse, end = np.empty((blocks, m, LANES)), np.empty((blocks, k, LANES))
-        self._variant("cost")(self._base(parameters), lanes, start, time, inputs, measured, weight, sse, end)
-        return _particles(sse, count), _particles(end, count)
+        parameters, state = np.atleast_2d(parameters), np.atleast_2d(state)
+        count, k, m = max(len(parameters), len(state)), len(self.network.nodes), len(self.network.sensors)
+        sse, end = np.empty((count, m)), np.empty((count, k))
+        for low in range(0, count, CHUNK):
+            part = slice(low, low + CHUNK)
+            rows = [a if len(a) == 1 else a[part] for a in (parameters, state)]
+            call = self._call(rows[0], rows[1], time, inputs, min(CHUNK, count - low))
+            out = np.empty((call.blocks, m, LANES))
+            call.run(self._variant("cost"), *call.later(measured, weight), out, call.end, call.no_future)
+            sse[part], end[part] = call.particles(out), call.particles(call.end)[:, :k]
+        return sse, end
 
     def trace(self, parameters: Array, state: Array, time: Array, inputs: Array) -> tuple[Array, Array]:
-        """Readings (P, n, m) at every sample, and end states (P, k)."""
-        lanes, start, count = self._blocks(parameters, state)
-        blocks, k, m = start.shape[0], len(self.network.nodes), len(self.network.sensors)
-        readings, end = np.empty((blocks, time.size, m, LANES)), np.empty((blocks, k, LANES))
-        self._variant("trace")(self._base(parameters), lanes, start, time, inputs, readings, end)
-        return np.moveaxis(readings, 3, 1).reshape(-1, time.size, m)[:count], _particles(end, count)
+        """Readings (P, n, m) at every sample, and full end states (P, size)."""
+        call = self._call(parameters, state, time, inputs)
+        m = len(self.network.sensors)
+        readings = np.empty((call.blocks, len(call.time), m, call.lanes))
+        call.run(self._variant("trace", call.lanes), readings, call.end, call.future)
+        rows = np.moveaxis(readings[:, call.first :], 3, 1).reshape(-1, len(time), m)
+        return rows[: call.count], call.ends(time, inputs)
 
     def linearise(
         self,
@@ -105,29 +125,81 @@ class Kernel:
             parameters: (1 + q, p). state: (1 + q, k). steps: (q,), the size of each row's difference.
             measured, weight: (n, m) as `cost`. q is at most LANES - 1.
         """
-        lanes, start, count = self._blocks(parameters, state)
+        count = max(len(np.atleast_2d(parameters)), len(np.atleast_2d(state)))
         if count > LANES:
             raise ValueError(f"at most {LANES - 1} quantities can be varied at once, got {count - 1}")
-        k, m = len(self.network.nodes), len(self.network.sensors)
-        gram, sse, end = np.empty((1, LANES, LANES)), np.zeros((1, m)), np.empty((1, k, LANES))
-        self._variant("gram")(
-            self._base(parameters), lanes, start, time, inputs, measured, weight, count, gram, sse, end
-        )
+        call = self._call(parameters, state, time, inputs, count, lanes=LANES)
+        m = len(self.network.sensors)
+        gram, sse = np.empty((1, LANES, LANES)), np.zeros((1, m))
+        call.run(
+            self._variant("gram"), *call.later(measured, weight), count, gram, sse, call.end, call.future
+        )  # fmt: skip
         inner = gram[0, 1:count, 1:count] / np.outer(steps, steps)
-        return GaussNewton(inner, gram[0, 0, 1:count] / steps, sse[0], end[0, :, 0].copy())
+        return GaussNewton(inner, gram[0, 0, 1:count] / steps, sse[0], call.ends(time, inputs)[0])
 
-    def _base(self, parameters: Array) -> Array:
-        return np.array(np.atleast_2d(parameters)[0])
-
-    def _blocks(self, parameters: Array, state: Array) -> tuple[Array, Array, int]:
-        """Particles laid out in blocks of lanes; a last partial block repeats its final particle."""
+    def _call(
+        self,
+        parameters: Array,
+        state: Array,
+        time: Array,
+        inputs: Array,
+        count: int | None = None,
+        lanes: int | None = None,
+    ) -> Call:
         parameters, state = np.atleast_2d(parameters), np.atleast_2d(state)
-        count = max(parameters.shape[0], state.shape[0])
-        lanes = _laid_out(parameters[:, self.lane], count)
-        start = _laid_out(state, count)
-        if not (np.isfinite(lanes).all() and np.isfinite(start).all()):
+        count = count or max(len(parameters), len(state))
+        lanes = lanes or (1 if count == 1 else LANES)
+        return Call(self._memory, parameters, state, time, inputs, count, lanes, self.lane)
+
+
+class Call:
+    """Arguments of one call of a compiled kernel, laid out in blocks of lanes."""
+
+    def __init__(
+        self,
+        memory: Memory,
+        parameters: Array,
+        state: Array,
+        time: Array,
+        inputs: Array,
+        count: int,
+        lanes: int,
+        lane: np.ndarray,
+    ) -> None:
+        self.memory, self.count, self.lanes = memory, count, lanes
+        self.blocks = -(-count // lanes)
+        self._base = np.array(parameters[0])
+        self._lane = _laid_out(parameters[:, lane], count, lanes)
+        temperatures, past, history = memory.taken_apart(state)
+        if not (np.isfinite(self._lane).all() and np.isfinite(state[:, : memory.nodes]).all()):
             raise ValueError("parameters and initial states must be finite")
-        return lanes, start, count
+        self._start = _laid_out(temperatures, count, lanes)
+        self._past = np.empty((0, 0, 0)) if past is None else _laid_out(past, count, lanes)
+        self.history = history
+        self.time, self.inputs = memory.extended(history, time, inputs)
+        self.first = len(self.time) - len(time)
+        self.end = np.empty((self.blocks, self._start.shape[1], lanes))
+        self.no_future = np.empty((0, 0, 0))
+        self.future = np.empty((self.blocks if memory.rows else 0, memory.rows, lanes))
+
+    def run(self, kernel: Callable[..., None], *rest: Any) -> None:
+        kernel(self._base, self._lane, self._start, self._past, self.first, self.time, self.inputs, *rest)
+
+    def later(self, *arrays: Array) -> list[Array]:
+        """Arrays over the samples with rows put before them for the samples that are history."""
+        if not self.first:
+            return list(arrays)
+        return [np.vstack([np.zeros((self.first, a.shape[1])), a]) for a in arrays]
+
+    def particles(self, lanes: Array) -> Array:
+        """(blocks, q, lanes) -> (P, q)."""
+        blocks, q, width = lanes.shape
+        return lanes.transpose(0, 2, 1).reshape(blocks * width, q)[: self.count]
+
+    def ends(self, time: Array, inputs: Array) -> Array:
+        """Full states (P, size) at the last sample."""
+        history = self.memory.remembered(self.time, self.inputs)
+        return self.memory.put_together(self.particles(self.end), self.particles(self.future), history)
 
 
 def simulate(
@@ -179,19 +251,14 @@ def masked(measured: ArrayLike, sigma: Array | float = 1.0) -> tuple[Array, Arra
     return np.ascontiguousarray(np.where(good, y, 0.0)), np.ascontiguousarray(weight)
 
 
-def _laid_out(rows: Array, count: int) -> Array:
-    """(P or 1, q) -> (blocks, q, LANES)."""
-    blocks = -(-count // LANES)
+def _laid_out(rows: Array, count: int, lanes: int) -> Array:
+    """(P or 1, q) -> (blocks, q, lanes); a last partial block repeats its final particle."""
+    blocks = -(-count // lanes)
     if rows.shape[0] == 1:
-        laid: Array = np.repeat(rows[0][None, :], blocks * LANES, axis=0).reshape(blocks, LANES, -1)
+        laid: Array = np.repeat(rows[0][None, :], blocks * lanes, axis=0).reshape(blocks, lanes, -1)
         return np.array(laid.transpose(0, 2, 1), order="C")
-    take = np.minimum(np.arange(blocks * LANES), count - 1).reshape(blocks, LANES)
+    take = np.minimum(np.arange(blocks * lanes), count - 1).reshape(blocks, lanes)
     return np.array(rows[take].transpose(0, 2, 1), order="C")
-
-
-def _particles(lanes: Array, count: int) -> Array:
-    """(blocks, q, LANES) -> (P, q)."""
-    return lanes.transpose(0, 2, 1).reshape(-1, lanes.shape[1])[:count]
 
 
 @functools.lru_cache(maxsize=64)

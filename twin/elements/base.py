@@ -6,10 +6,18 @@ fused loop over lanes. Text rather than calls, because only then does one loop h
 
 The levels of an expression, cheapest first:
 
-``uniform``  once per sample interval, the same for every lane: inputs only (``log(fan/100)``)
-``sample``   once per sample interval and lane, only when an input it uses has changed: parameters and inputs
-``stage``    in each stage of the integrator: temperatures too
+``uniform``  inputs only, the same for every lane (``log(fan/100)``)
+``sample``   parameters and inputs; computed again only when an input it uses has changed
+``stage``    temperatures too
 ``heat``     the result, W into each node
+
+An element may also remember. A `State` is a temperature of its own that is integrated with those of the nodes; a
+`Lag` follows a temperature without acting on it; a `Delay` hands on water after the flow has pushed it through; a
+`Drive` stands between an input column and what the elements see of it.
+
+Whatever is affine in the temperatures is taken apart by the kernel generator, so an element need not care how it
+writes it down. Every parameter that switches an effect off should do so at exactly 0 or 1: while such a parameter is
+fixed there, `Names.constant` tells, and the element may leave the effect out.
 """
 
 from __future__ import annotations
@@ -57,6 +65,70 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class State:
+    """A temperature of the element's own, integrated like a node's; `Names.state` is its placeholder.
+
+    Attributes:
+        name: within the element. rate: dT/dt, K/s. start: temperature at rest, in node temperatures.
+        speed: upper bound on how strongly the rate depends on the state itself, 1/s, free of temperatures.
+    """
+
+    name: str
+    rate: str
+    start: str
+    speed: str
+
+
+@dataclass(frozen=True)
+class Lag:
+    """A first-order follower, constant * dz/dt = of - z, that nothing but a reading depends on.
+
+    Attributes:
+        name: within the element; `Names.lagged` is the placeholder of z.
+        of: weighted mean of temperatures. constant: time constant in s, free of temperatures, 0 allowed.
+    """
+
+    name: str
+    of: str
+    constant: str
+
+
+@dataclass(frozen=True)
+class Delay:
+    """Water that comes out when the flow has pushed `volume` through: plug flow.
+
+    The kernel provides two names. ``Names.outlet()`` is the temperature of what comes out after the delay, and
+    ``Names.local("late")`` the share of the water that is delayed: 1, but for a volume that the flow fills in less
+    than one step, where the rest passes at once and the mean delay stays right. So the outlet is
+    ``(1 - late) * water + late * outlet``, which is continuous in the volume down to 0.
+
+    Attributes:
+        water: temperature of the water that enters. flow: L/s. volume: L, free of temperatures.
+        start: what the pipe is filled with at rest, in node temperatures.
+    """
+
+    water: str
+    flow: str
+    volume: str
+    start: str
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the elements see of an input column, instead of the column.
+
+    Attributes:
+        column: the input. value: expression of ``Names.arrived()``, the command after dead time and lag.
+        dead_time, lag: s, parameters only, or None.
+    """
+
+    column: str
+    value: str
+    dead_time: str | None = None
+    lag: str | None = None
+
+
+@dataclass(frozen=True)
 class Fragment:
     """What an element adds to the kernel.
 
@@ -68,6 +140,7 @@ class Fragment:
         conductance: node -> expression of `uniform`, `sample` and parameters only: an upper bound on how
             strongly the heat depends on the node's own temperature, W/K. It sets the substeps.
         observe: expression of a sensor's reading, degC, or None.
+        states, lags, delay, drive: what the element remembers.
     """
 
     uniform: tuple[tuple[str, str], ...] = ()
@@ -76,6 +149,19 @@ class Fragment:
     heat: Mapping[str, str] = field(default_factory=dict)
     conductance: Mapping[str, str] = field(default_factory=dict)
     observe: str | None = None
+    states: tuple[State, ...] = ()
+    lags: tuple[Lag, ...] = ()
+    delay: Delay | None = None
+    drive: Drive | None = None
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Which flow feeds a node: the flow's name, the node before it ("" at an inlet) and the pipe between ("")."""
+
+    flow: str
+    before: str
+    pipe: str
 
 
 @dataclass(frozen=True)
@@ -84,6 +170,7 @@ class Names:
 
     element: str
     constants: Mapping[str, float] = field(default_factory=dict)
+    streams: Mapping[str, Stream] = field(default_factory=dict)
 
     def constant(self, name: str) -> float | None:
         """Value of an own parameter that this kernel may take for granted (exactly 0 or 1), or None."""
@@ -101,9 +188,29 @@ class Names:
         """Input column, held from one sample to the next (zero-order hold)."""
         return f"<U:{column}>"
 
-    def local(self, name: str) -> str:
-        """A name of the element's own for a `uniform`, `sample` or `stage` expression."""
-        return f"<L:{self.element}.{name}>"
+    def local(self, name: str, element: str = "") -> str:
+        """A name of the element's own (or of another's) for a `uniform`, `sample` or `stage` expression."""
+        return f"<L:{element or self.element}.{name}>"
+
+    def state(self, name: str) -> str:
+        """Temperature of the element's own `State`, degC."""
+        return f"<T:{self.element}.{name}>"
+
+    def lagged(self, name: str) -> str:
+        """Value of the element's own `Lag`, degC."""
+        return f"<F:{self.element}.{name}>"
+
+    def outlet(self) -> str:
+        """What the element's own `Delay` lets out, degC."""
+        return f"<D:{self.element}>"
+
+    def arrived(self) -> str:
+        """The command that has come through the element's own `Drive`, in the column's unit."""
+        return f"<A:{self.element}>"
+
+    def time(self) -> str:
+        """Stamp of the sample, s; for readings only."""
+        return "<S:time>"
 
 
 def place(role: Literal["node", "nodes", "input", "columns", "choice"], about: str, **extra: Any) -> Any:
@@ -157,6 +264,10 @@ class Element(ABC):
                 value = getattr(self, f.name)
                 found.extend((value,) if isinstance(value, str) else (value or ()))
         return tuple(found)
+
+    def feeds(self) -> Mapping[str, str]:
+        """Node -> node before it on the element's flow path ("" at an inlet); flows only."""
+        return {}
 
     def nodes(self) -> tuple[str, ...]:
         """Nodes that the element touches."""

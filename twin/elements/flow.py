@@ -1,7 +1,8 @@
-"""Coolant pumped around a closed path of nodes.
+"""Coolant pumped along a path of nodes, which closes by itself unless an inlet is given.
 
-    m = nominal * pump/100 * factor
-    heat into node j = a_j * m * cp * (w_in - T_j)
+    q = nominal * pump/100 * factor / 60             L/s
+    m cp = q * density * cp                          W/K
+    heat into node j = a_j * m cp * (w_in - T_j)
     water leaving j:  w_j = w_in - a_j * (w_in - T_j)        (outlet = "exchanged")
                       w_j = T_j                              (outlet = "volume")
 
@@ -14,8 +15,12 @@ conserved for every a_j, and it is the default.
 Between 0 and 2 each node passes on at most what it gets, |w_j / w_in| <= 1 at every frequency, so the ring is
 stable; beyond 2 it is not, hence the bounds.
 
-The path is a ring, so the water temperatures solve w_0 = P w_0 + r with P the product of (1 - a_j): one
-division per sample interval.
+A closed path in which no node is well mixed is solved for the water that comes round, w_0 = P w_0 + r with P the
+product of what the stations let through. With an inlet (a column with the temperature of the water that comes in)
+the path is open and what leaves the last node is gone.
+
+A pipe before a node takes the water leaving the node before (`to_<node>`) and gives back
+``through * water + rest``; see `pipe`.
 """
 
 from __future__ import annotations
@@ -32,7 +37,7 @@ WATER_DENSITY = 0.997
 
 @dataclass(frozen=True)
 class Flow(Element):
-    """An advective loop with a pump law proportional to speed."""
+    """An advective path with a pump law proportional to speed."""
 
     kind: ClassVar[str] = "flow"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
@@ -44,6 +49,10 @@ class Flow(Element):
     path: tuple[str, ...] = place("nodes", "nodes in the order in which the water meets them; it closes by itself")
     pump: str = place("input", "input column with the pump speed in %")
     outlet: str = place("choice", "what leaves a node", choices=("exchanged", "volume"), default="exchanged")
+    inlet: str = place("input", "input column with the temperature of the water that comes in", default="")
+
+    def inputs(self) -> tuple[str, ...]:
+        return (self.pump, self.inlet) if self.inlet else (self.pump,)
 
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:
         source = "coolant flow factor of Table 1, as the share of the way to equilibrium"
@@ -52,41 +61,52 @@ class Flow(Element):
         )
         return self.parameters + stations
 
+    def feeds(self) -> Mapping[str, str]:
+        before = ("" if self.inlet else self.path[-1], *self.path[:-1])
+        return dict(zip(self.path, before, strict=True))
+
     def problem(self, values: Mapping[str, float]) -> str | None:
-        if len(self.path) < 2 or len(set(self.path)) != len(self.path):
-            return "the flow path must name at least two different nodes, each once; the loop closes by itself"
+        if len(set(self.path)) != len(self.path) or (len(self.path) < 2 and not self.inlet):
+            return (
+                "the flow path must name at least two different nodes, each once; the loop closes by itself, and a "
+                "path of one node needs an inlet"
+            )
         return None
 
     def emit(self, n: Names) -> Fragment:
-        mcp = n.local("mcp")
+        flow, mcp = n.local("q"), n.local("mcp")
         sample = [
-            (
-                mcp,
-                f"{n.par('nominal')} * {WATER_DENSITY / 60.0!r} * {n.par('factor')} * {n.par('cp')}"
-                f" * max({n.input(self.pump)} * 0.01, 0.0)",
-            )
+            (flow, f"{n.par('nominal')} / 60.0 * {n.par('factor')} * max({n.input(self.pump)} * 0.01, 0.0)"),
+            (mcp, f"{flow} * {WATER_DENSITY!r} * {n.par('cp')}"),
         ]
         mixed = {node: n.constant(f"effectiveness_{node}") == 1.0 for node in self.path}
         share = {node: "1.0" if mixed[node] else n.par(f"effectiveness_{node}") for node in self.path}
-        last = self.path[-1]
-        stage: list[tuple[str, str]] = []
-        if self.outlet == "volume" or mixed[last]:
-            inlet = n.temperature(last)
+        handed_on = {node: self.outlet == "volume" or mixed[node] for node in self.path}
+        path, stage = self.path, []
+        closed_by = [k for k, node in enumerate(path) if handed_on[node]]
+        if self.inlet:
+            water = n.input(self.inlet)
+        elif closed_by:
+            path = path[closed_by[-1] + 1 :] + path[: closed_by[-1] + 1]
+            water = n.temperature(path[-1])
         else:
-            inlet = n.local("w0")
-            sample.append((n.local("ring"), _ring(share)))
-            stage.append((inlet, f"{_once_around(n, share)} * {n.local('ring')}"))
+            water = n.local("w0")
+            sample.append((n.local("ring"), f"1.0 / (1.0 - {_let_through(n, share)})"))
+            stage.append((water, f"{_once_around(n, share)} * {n.local('ring')}"))
         heat: dict[str, str] = {}
-        for k, node in enumerate(self.path, start=1):
-            gain = n.local(f"d{k}")
-            difference = f"{inlet} - {n.temperature(node)}"
-            stage.append((gain, difference if mixed[node] else f"{share[node]} * ({difference})"))
+        for node in path:
+            stream = n.streams.get(node)
+            if stream and stream.pipe:
+                stage.append((n.local(f"to_{node}"), water))
+                water = _arriving(n, stream.pipe, n.local(f"to_{node}"))
+            gain, left = n.local(f"d_{node}"), n.local(f"w_{node}")
+            stage.append((gain, f"{share[node]} * (({water}) - {n.temperature(node)})"))
             heat[node] = f"{mcp} * {gain}"
-            if self.outlet == "volume" or mixed[node]:
-                inlet = n.temperature(node)
-            elif node != last:
-                stage.append((n.local(f"w{k}"), f"{inlet} - {gain}"))
-                inlet = n.local(f"w{k}")
+            if handed_on[node]:
+                water = n.temperature(node)
+            else:
+                stage.append((left, f"({water}) - {gain}"))
+                water = left
         return Fragment(
             sample=tuple(sample),
             stage=tuple(stage),
@@ -95,14 +115,23 @@ class Flow(Element):
         )
 
 
-def _ring(share: Mapping[str, str]) -> str:
-    """1 / (1 - product of (1 - a)); the bounds of a keep the product well below 1."""
-    return f"1.0 / (1.0 - {' * '.join(f'(1.0 - {a})' for a in share.values())})"
+def _arriving(n: Names, pipe: str, water: str) -> str:
+    return f"({n.local('through', pipe)} * ({water}) + {n.local('rest', pipe)})"
+
+
+def _let_through(n: Names, share: Mapping[str, str]) -> str:
+    """How much of a change of the water comes round again; the bounds keep it well below 1."""
+    factors = [f"(1.0 - {a})" for a in share.values()]
+    factors += [n.local("through", s.pipe) for s in (n.streams.get(node) for node in share) if s and s.pipe]
+    return " * ".join(factors)
 
 
 def _once_around(n: Names, share: Mapping[str, str]) -> str:
     """Water temperature after one turn that began at 0."""
     turn = "0.0"
     for node, a in share.items():
-        turn = n.temperature(node) if a == "1.0" else f"(({turn}) * (1.0 - {a}) + {a} * {n.temperature(node)})"
+        stream = n.streams.get(node)
+        if stream and stream.pipe:
+            turn = _arriving(n, stream.pipe, turn)
+        turn = f"(({turn}) * (1.0 - {a}) + {a} * {n.temperature(node)})"
     return turn

@@ -1,7 +1,15 @@
-"""A thermometer, or several whose mean is read as one: reading = T(node) + noise.
+"""A thermometer, or several whose mean is read as one.
 
-The noise of a mean of k thermometers is sigma / sqrt(k). Missing columns of a list are left out of the mean;
-a sample with none left is masked.
+    seen    = (1 - cross_talk) * T(node) + cross_talk * T(other)
+    lag_s * dz/dt = seen - z
+    reading = gain * z + bias_K + drift_K_per_h * t / 3600 + noise
+
+with t the time stamp in s. `other` is a node whose temperature the thermometer picks up (through its sheath, or a
+common reference junction); without it there is no cross-talk. The noise of a mean of k thermometers is
+sigma / sqrt(k). Missing columns of a list are left out of the mean; a sample with none left is masked.
+
+Source: first-order thermometer (Doebelin, Measurement Systems, 5th ed., sec. 3.3); gain, bias and drift as in the
+Guide to the Expression of Uncertainty in Measurement, JCGM 100:2008, annex H.3.
 """
 
 from __future__ import annotations
@@ -10,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Element, Fragment, Lag, Names, ParameterSpec, place
 
 
 @dataclass(frozen=True)
@@ -20,16 +28,46 @@ class Sensor(Element):
     kind: ClassVar[str] = "sensor"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
         ParameterSpec("sigma", "K", 0.05, 1.0e-4, 10.0, "fixed", "standard deviation of one thermometer"),
+        ParameterSpec("lag_s", "s", 0.0, 0.0, 3600.0, "fixed", "time constant of the thermometer"),
+        ParameterSpec("bias_K", "K", 0.0, -20.0, 20.0, "fixed", "offset; 0 for a thermometer in calibration"),
+        ParameterSpec("drift_K_per_h", "K/h", 0.0, -1.0, 1.0, "fixed", "0 for a thermometer in calibration"),
+        ParameterSpec("gain", "1", 1.0, 0.5, 1.5, "fixed", "1 for a thermometer in calibration"),
     )
 
     node: str = place("node", "node whose temperature is read")
     measured: tuple[str, ...] = place("columns", "measured columns that are averaged", key="columns")
+    other: str = place("node", "node whose temperature is picked up as well", default="")
+
+    def nodes(self) -> tuple[str, ...]:
+        return (self.node, self.other) if self.other else (self.node,)
+
+    def parameter_specs(self) -> tuple[ParameterSpec, ...]:
+        if not self.other:
+            return self.parameters
+        spec = ParameterSpec("cross_talk", "1", 0.0, 0.0, 1.0, "fixed", "share of the other node in the reading")
+        return (*self.parameters, spec)
 
     def problem(self, values: Mapping[str, float]) -> str | None:
         bad = [column for column in self.measured if not column.endswith("_C")]
         if bad:
             return f"column {bad[0]!r} is not a temperature in degC: its name does not end in _C"
+        if self.other == self.node:
+            return "the other node is the node itself"
         return None
 
     def emit(self, n: Names) -> Fragment:
-        return Fragment(observe=n.temperature(self.node))
+        reading = n.temperature(self.node)
+        if self.other and n.constant("cross_talk") != 0.0:
+            share = n.par("cross_talk")
+            reading = f"((1.0 - {share}) * {reading} + {share} * {n.temperature(self.other)})"
+        lags: tuple[Lag, ...] = ()
+        if n.constant("lag_s") != 0.0:
+            lags = (Lag("z", of=reading, constant=n.par("lag_s")),)
+            reading = n.lagged("z")
+        if n.constant("gain") != 1.0:
+            reading = f"{n.par('gain')} * {reading}"
+        if n.constant("bias_K") != 0.0:
+            reading += f" + {n.par('bias_K')}"
+        if n.constant("drift_K_per_h") != 0.0:
+            reading += f" + {n.par('drift_K_per_h')} * {n.time()} * {1.0 / 3600.0!r}"
+        return Fragment(observe=reading, lags=lags)

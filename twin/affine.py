@@ -1,0 +1,121 @@
+"""Expressions taken apart: which part is affine in the temperatures, and with what coefficients.
+
+The coefficients come out as text again, in names that do not depend on temperature; the kernel computes them when
+an input changes and is left with sums of products in its innermost loop.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+ONE, ZERO = "1.0", "0.0"
+
+
+class NotAffine(Exception):
+    """The expression is not affine in the temperatures."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """slopes[v] * v summed over the variables v, plus `offset`; all as text."""
+
+    slopes: Mapping[str, str] = field(default_factory=dict)
+    offset: str = ZERO
+
+    def __add__(self, other: Form) -> Form:
+        slopes = dict(self.slopes)
+        for name, text in other.slopes.items():
+            slopes[name] = plus(slopes.get(name, ZERO), text)
+        return Form({name: text for name, text in slopes.items() if text != ZERO}, plus(self.offset, other.offset))
+
+    def scaled(self, factor: str) -> Form:
+        """The form times a factor that does not depend on temperature."""
+        slopes = {name: times(text, factor) for name, text in self.slopes.items()}
+        return Form({name: text for name, text in slopes.items() if text != ZERO}, times(self.offset, factor))
+
+    def text(self) -> str:
+        """The form as one expression."""
+        total = self.offset
+        for name, slope in self.slopes.items():
+            total = plus(total, times(slope, name))
+        return total
+
+
+def affine(text: str, variables: Iterable[str], known: Mapping[str, Form]) -> Form:
+    """Affine form of an expression in `variables`; names in `known` stand for forms of their own.
+
+    Raises:
+        NotAffine: a variable occurs other than linearly.
+    """
+    return _form(ast.parse(text, mode="eval").body, frozenset(variables), known)
+
+
+def names_in(text: str) -> set[str]:
+    """Names that occur in an expression."""
+    return {node.id for node in ast.walk(ast.parse(text, mode="eval")) if isinstance(node, ast.Name)}
+
+
+def plus(a: str, b: str) -> str:
+    if a == ZERO:
+        return b
+    if b == ZERO:
+        return a
+    return f"{a} + {b}"
+
+
+def times(a: str, b: str) -> str:
+    if ZERO in (a, b):
+        return ZERO
+    if a == ONE:
+        return b
+    if b == ONE:
+        return a
+    if a == "-1.0":
+        return negative(b)
+    if b == "-1.0":
+        return negative(a)
+    return f"{_factor(a)} * {_factor(b)}"
+
+
+def negative(a: str) -> str:
+    return ZERO if a == ZERO else f"-{_factor(a)}" if a != ONE else "-1.0"
+
+
+def _factor(a: str) -> str:
+    return a if a.replace("_", "").replace(".", "").isalnum() else f"({a})"
+
+
+def _form(node: ast.expr, variables: frozenset[str], known: Mapping[str, Form]) -> Form:
+    touched = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
+    if not touched & variables and not touched & known.keys():
+        return Form(offset=_constant(node))
+    if isinstance(node, ast.Name):
+        return known[node.id] if node.id in known else Form({node.id: ONE})
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+        inner = _form(node.operand, variables, known)
+        return inner.scaled("-1.0") if isinstance(node.op, ast.USub) else inner
+    if isinstance(node, ast.BinOp):
+        left, right = _form(node.left, variables, known), _form(node.right, variables, known)
+        if isinstance(node.op, ast.Add):
+            return left + right
+        if isinstance(node.op, ast.Sub):
+            return left + right.scaled("-1.0")
+        if isinstance(node.op, ast.Mult) and not (left.slopes and right.slopes):
+            return right.scaled(left.offset) if right.slopes else left.scaled(right.offset)
+        if isinstance(node.op, ast.Div) and not right.slopes:
+            return left.scaled(f"1.0 / {_factor(right.offset)}")
+    raise NotAffine(ast.unparse(node))
+
+
+def _constant(node: ast.expr) -> str:
+    """Text of an expression without variables, with products by 0 and 1 and sums with 0 left out."""
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        return negative(_constant(node.operand))
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub | ast.Mult):
+        left, right = _constant(node.left), _constant(node.right)
+        if isinstance(node.op, ast.Mult):
+            return times(left, right)
+        return plus(left, right if isinstance(node.op, ast.Add) else negative(right))
+    return ast.unparse(node)

@@ -1,0 +1,293 @@
+"""A network's elements put together: one system of states, coefficients and affine rates, still as text.
+
+Names in the text: ``x3`` state, ``p12`` parameter, ``u2`` input as the elements see it, ``D0`` outlet of a delay,
+``f1`` lagged value, ``a0`` command that has arrived, ``L_pipe__late`` a name of an element's own, ``now`` the stamp.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from twin.affine import ZERO, Form, NotAffine, affine, names_in, plus, times
+from twin.elements import Fragment, Names
+from twin.elements.base import Drive, Stream
+from twin.network import Network
+
+_TOKEN = re.compile(r"<([PTULDFAS]):([^>]+)>")
+
+
+@dataclass(frozen=True)
+class DelayLine:
+    """A delay: its index among those of the same flow, and its expressions."""
+
+    element: str
+    line: int
+    late: str
+    water: str
+    volume: str
+    start: str
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A lag: weighted temperatures, time constant."""
+
+    name: str
+    of: Form
+    constant: str
+
+
+class System:
+    """Everything that a kernel has to compute, for a network with `free` parameters.
+
+    Attributes:
+        states: names of the integrated states, nodes first. lags, drives, delays: what is remembered besides.
+        coefficients: name -> expression free of temperatures, each after those that it needs.
+        locals_: name -> expression of temperatures, likewise in order.
+        slopes: per state {variable: coefficient}, offset, and remainder (text or ""), of capacitance * dT/dt.
+    """
+
+    def __init__(self, network: Network, free: tuple[str, ...]) -> None:
+        self.network = network
+        self._named: dict[str, str] = {}
+        self._index = {
+            "P": {name: k for k, name in enumerate(network.ids)},
+            "U": {name: k for k, name in enumerate(network.input_columns)},
+        }
+        streams = streams_of(network)
+        neutral = {
+            p.id: p.value
+            for p in network.parameters.values()
+            if p.status == "fixed" and p.value in (0.0, 1.0) and p.id not in free
+        }
+        parts: list[tuple[str, Fragment]] = []
+        for e in network.elements:
+            own = {name[len(e.name) + 1 :]: v for name, v in neutral.items() if name.startswith(f"{e.name}.")}
+            parts.append((e.name, e.emit(Names(e.name, own, streams))))
+        self.parts = tuple(parts)
+        self.states = (*network.nodes, *(f"{name}.{s.name}" for name, f in parts for s in f.states))
+        self._index["T"] = {name: k for k, name in enumerate(self.states)}
+        self._index["D"] = {name: k for k, name in enumerate(n for n, f in parts if f.delay)}
+        self.lags = tuple(f"{name}.{lag.name}" for name, f in parts for lag in f.lags)
+        self._index["F"] = {name: k for k, name in enumerate(self.lags)}
+        self.drives: tuple[tuple[str, Drive], ...] = tuple((name, f.drive) for name, f in parts if f.drive)
+        self._index["A"] = {name: k for k, (name, _) in enumerate(self.drives)}
+        self.driven = {self._index["U"][d.column] for _, d in self.drives}
+
+    def text(self, text: str) -> str:
+        """An element's expression in the names of the system."""
+        return _TOKEN.sub(self._one, text)
+
+    def _one(self, match: re.Match[str]) -> str:
+        sort, name = match.groups()
+        if sort == "L":
+            return "L_" + name.replace(".", "__")
+        if sort == "S":
+            return "now"
+        return {"P": "p", "T": "x", "U": "u", "D": "D", "F": "f", "A": "a"}[sort] + str(self._index[sort][name])
+
+    @cached_property
+    def delays(self) -> tuple[DelayLine, ...]:
+        lines = []
+        flows = self.flows
+        for name, f in self.parts:
+            if f.delay:
+                d = f.delay
+                late = self.text(f"<L:{name}.late>")
+                line = flows.index(self.text(d.flow))
+                lines.append(DelayLine(name, line, late, self.text(d.water), self.text(d.volume), self.text(d.start)))
+        return tuple(lines)
+
+    @cached_property
+    def flows(self) -> tuple[str, ...]:
+        """Names of the flows, L/s, that push water through delays."""
+        return tuple(dict.fromkeys(self.text(f.delay.flow) for _, f in self.parts if f.delay))
+
+    @cached_property
+    def coefficients(self) -> dict[str, str]:
+        found = {self.text(name): self.text(value) for _, f in self.parts for name, value in (*f.uniform, *f.sample)}
+        for j, node in enumerate(self.network.nodes):
+            found[f"c{j}"] = f"1.0 / {self.text(f'<P:{node}.capacitance>')}"
+        for part in (self._forms, self.slopes, self.followers, self.waters):
+            assert part is not None  # each names coefficients of its own
+        return _in_order({**found, **self._named})
+
+    @cached_property
+    def locals_(self) -> dict[str, str]:
+        return _in_order({self.text(name): self.text(value) for _, f in self.parts for name, value in f.stage})
+
+    @cached_property
+    def variables(self) -> frozenset[str]:
+        """Names that stand for temperatures: states and outlets of delays."""
+        count = len(self._index["D"])
+        return frozenset((*(f"x{j}" for j in range(len(self.states))), *(f"D{k}" for k in range(count))))
+
+    @cached_property
+    def _forms(self) -> tuple[dict[str, Form], dict[str, str]]:
+        """Stage locals that are affine, and the others."""
+        forms: dict[str, Form] = {}
+        others: dict[str, str] = {}
+        for name, value in self.locals_.items():
+            try:
+                if names_in(value) & others.keys():
+                    raise NotAffine(name)
+                forms[name] = self._name_terms(affine(value, self.variables, forms))
+            except NotAffine:
+                others[name] = value
+        return forms, others
+
+    def form(self, text: str) -> Form:
+        """Affine form of an expression.
+
+        Raises:
+            NotAffine: it has none.
+        """
+        forms, others = self._forms
+        if names_in(text) & others.keys():
+            raise NotAffine(text)
+        return affine(text, self.variables, forms)
+
+    def _name_terms(self, form: Form) -> Form:
+        """The form with a name for every coefficient that is more than a name, so that texts stay short."""
+        return Form({v: self._short(t) for v, t in form.slopes.items()}, self._short(form.offset))
+
+    def _short(self, text: str) -> str:
+        if re.fullmatch(r"-?[\w.]+", text):
+            return text
+        for name, known in self._named.items():
+            if known == text:
+                return name
+        name = f"k{len(self._named)}"
+        self._named[name] = text
+        return name
+
+    @cached_property
+    def slopes(self) -> tuple[tuple[Form, str], ...]:
+        """Per state the affine form of its rate, K/s, and what is not affine, W or K/s."""
+        rows = []
+        for j, node in enumerate(self.network.nodes):
+            form, rest = self._sum([self.text(f.heat[node]) for _, f in self.parts if node in f.heat])
+            rows.append((form.scaled(f"c{j}"), times(rest, f"c{j}")))
+        for _, f in self.parts:
+            rows += [self._sum([self.text(s.rate)]) for s in f.states]
+        return tuple((self._name_terms(form), rest) for form, rest in rows)
+
+    def _sum(self, terms: Iterable[str]) -> tuple[Form, str]:
+        form, rest = Form(), ZERO
+        for term in terms:
+            try:
+                form = form + self.form(term)
+            except NotAffine:
+                rest = plus(rest, f"({term})")
+        return form, rest
+
+    @cached_property
+    def curved(self) -> dict[str, str]:
+        """Stage locals, in order, that the parts which are not affine need."""
+        wanted = set().union(*(names_in(rest) for _, rest in self.slopes))
+        kept: dict[str, str] = {}
+        for name, value in reversed(self.locals_.items()):
+            if name in wanted:
+                kept[name] = value
+                wanted |= names_in(value)
+        return dict(reversed(kept.items()))
+
+    @cached_property
+    def linear(self) -> bool:
+        return all(rest == ZERO for _, rest in self.slopes)
+
+    @cached_property
+    def rates(self) -> tuple[str, ...]:
+        """Bounds on each state's own rate, 1/s."""
+        rows = []
+        for j, node in enumerate(self.network.nodes):
+            found = [f"({self.text(f.conductance[node])})" for _, f in self.parts if node in f.conductance]
+            rows.append(f"({' + '.join(found) or ZERO}) * c{j}")
+        rows += [self.text(s.speed) for _, f in self.parts for s in f.states]
+        return tuple(rows)
+
+    @cached_property
+    def readings(self) -> tuple[str, ...]:
+        """Each sensor's reading, in the network's order."""
+        return tuple(self.text(f.observe) for _, f in self.parts if f.observe is not None)
+
+    @cached_property
+    def followers(self) -> tuple[Follower, ...]:
+        return tuple(
+            Follower(f"{name}.{lag.name}", self._name_terms(self.form(self.text(lag.of))), self.text(lag.constant))
+            for name, f in self.parts
+            for lag in f.lags
+        )
+
+    @cached_property
+    def waters(self) -> tuple[Form, ...]:
+        """Per delay, the water that enters."""
+        return tuple(self._name_terms(self.form(d.water)) for d in self.delays)
+
+    @cached_property
+    def starts(self) -> tuple[str, ...]:
+        """Values at rest, in node temperatures: of the states after the nodes, then of the lags."""
+        states = [self.text(s.start) for _, f in self.parts for s in f.states]
+        return (*states, *(self.text(lag.of) for _, f in self.parts for lag in f.lags))
+
+
+def streams_of(network: Network) -> Mapping[str, Stream]:
+    """Node -> the flow that feeds it, the node before it and the pipe between."""
+    pipes = {e.to: e.name for e in network.elements if e.kind == "pipe"}  # type: ignore[attr-defined]
+    return {
+        node: Stream(e.name, before, pipes.get(node, ""))
+        for e in network.elements
+        for node, before in e.feeds().items()
+    }
+
+
+def python_source(network: Network) -> str:
+    """Source of ``rhs(T, u, p) -> list of dT/dt`` in plain Python: the reference for tests and oracles.
+
+    T holds the node temperatures and the states of elements. It knows the present only: no dead time, no lag of an
+    actuator, and pipes without delay. Any parameter may differ from the network's, but for those of elements with
+    states, which are left out while they are neutral.
+    """
+    remembering = {name for name, f in System(network, network.ids).parts if f.states}
+    system = System(network, tuple(p.id for p in network.parameters.values() if p.element not in remembering))
+    body: list[str] = []
+    for name, drive in system.drives:
+        column = network.input_columns.index(drive.column)
+        body.append(f"{system.text(f'<A:{name}>')} = u{column}")
+        body.append(f"u{column} = {system.text(drive.value)}")
+    for line in system.delays:
+        body += [f"{line.late} = 0.0"]
+    for k in range(len(system.delays)):
+        body.append(f"D{k} = 0.0")
+    steps = _in_order({**system.coefficients, **system.locals_})
+    body += [f"{name} = {value}" for name, value in steps.items()]
+    rows = []
+    for j, node in enumerate(network.nodes):
+        heat = " + ".join(f"({system.text(f.heat[node])})" for _, f in system.parts if node in f.heat) or ZERO
+        rows.append(f"({heat}) * c{j}")
+    rows += [system.text(s.rate) for _, f in system.parts for s in f.states]
+    used = "\n".join((*body, *rows))
+    head = ["from math import exp, log", "", "", "def rhs(T, u, p):"]
+    for letter, vector in (("x", "T"), ("u", "u"), ("p", "p")):
+        wanted = sorted({int(k) for k in re.findall(rf"\b{letter}(\d+)\b", used)})
+        head += [f"    {letter}{k} = {vector}[{k}]" for k in wanted]
+    return "\n".join([*head, *(f"    {line}" for line in body), f"    return [{', '.join(rows)}]", ""])
+
+
+def _in_order(expressions: Mapping[str, str]) -> dict[str, str]:
+    """The same, each after those that it needs."""
+    needs = {name: names_in(value) & expressions.keys() for name, value in expressions.items()}
+    done: dict[str, str] = {}
+    while len(done) < len(expressions):
+        ready = [name for name in expressions if name not in done and needs[name] <= done.keys()]
+        if not ready:
+            raise ValueError(f"expressions need one another: {', '.join(sorted(expressions.keys() - done.keys()))}")
+        for name in ready:
+            done[name] = expressions[name]
+    return done
+
+
+__all__ = ["DelayLine", "Follower", "System", "python_source", "streams_of"]

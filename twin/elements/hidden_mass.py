@@ -1,0 +1,47 @@
+"""A mass that the model does not show, behind a conductance at a node.
+
+    C dT_h/dt = g (T - T_h),      heat into the node = -g (T - T_h)
+    g = G C / (C + G LEAST_S)
+
+It takes no part in a steady state and slows every change. With G = `conductance`, g is G in series with the mass's own
+resistance LEAST_S / C, which keeps the time constant C / g above LEAST_S; with no capacity or no conductance there
+is nothing. Source: the two-node lumped model (Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., sec. 5.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from twin.elements.base import Element, Fragment, Names, ParameterSpec, State, place
+
+LEAST_S = 1.0
+
+
+@dataclass(frozen=True)
+class HiddenMass(Element):
+    """A capacity without a sensor that exchanges heat with one node."""
+
+    kind: ClassVar[str] = "hidden_mass"
+    parameters: ClassVar[tuple[ParameterSpec, ...]] = (
+        ParameterSpec("capacity", "J/K", None, 0.0, 1.0e7, "tunable", "mass times specific heat"),
+        ParameterSpec("conductance", "W/K", None, 0.0, 1.0e4, "tunable", "between the mass and the node"),
+    )
+
+    node: str = place("node", "node that the mass exchanges heat with")
+
+    def emit(self, n: Names) -> Fragment:
+        if n.constant("capacity") == 0.0 or n.constant("conductance") == 0.0:
+            return Fragment()
+        speed, mass, node = n.local("speed"), n.state("mass"), n.temperature(self.node)
+        capacity, conductance = n.par("capacity"), n.par("conductance")
+        strength = n.local("g")
+        return Fragment(
+            sample=(
+                (speed, f"{conductance} / ({capacity} + {LEAST_S!r} * {conductance} + 1e-9)"),
+                (strength, f"{speed} * {capacity}"),
+            ),
+            heat={self.node: f"{strength} * ({mass} - {node})"},
+            conductance={self.node: strength},
+            states=(State("mass", rate=f"{speed} * ({node} - {mass})", start=node, speed=speed),),
+        )

@@ -1,0 +1,84 @@
+"""A pipe before a node: plug flow, a wall that takes part, a loss to the room.
+
+    w_d(t)  = w(t - t'),  t' such that the flow from t - t' to t is the volume           plug flow
+    w_e     = w_d - e (w_d - T_w),     e = 1 - exp(-wall_hA / m cp)                      wall
+    C_w dT_w/dt = m cp e (w_d - T_w)
+    w_out   = T_amb + (w_e - T_amb) exp(-loss_hA / m cp)                                 loss
+
+with w the water leaving the node before it on the flow path. The wall stands at the outlet, as one capacity
+that exchanges with what passes: heat is conserved and the mean delay is (volume + C_w / density cp) / q, as in a
+pipe whose wall is heated along its length. Every term is nothing at all at 0: no volume, no wall, no loss.
+
+Sources: van der Heijde et al., Dynamic equation-based thermo-hydraulic pipe model for district heating and cooling
+systems, Energy Conversion and Management 151 (2017) 158-169 (plug flow, wall capacity lumped at the outlet, loss by
+residence); Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., sec. 8.3 (exponentials in UA / m cp).
+
+A wall that follows the water faster than LEAST_S counts as slower: e is reduced by C_w / (C_w + m cp e LEAST_S), which
+ends at no exchange with no capacity and keeps the time constants of the network finite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from twin.elements.base import Delay, Element, Fragment, Names, ParameterSpec, State, place
+
+LEAST_S = 1.0
+_STILL = "1e-9"
+
+
+@dataclass(frozen=True)
+class Pipe(Element):
+    """Delay, wall and loss of the water on its way to a node."""
+
+    kind: ClassVar[str] = "pipe"
+    parameters: ClassVar[tuple[ParameterSpec, ...]] = (
+        ParameterSpec("volume", "L", None, 0.0, 1.0e4, "fixed", "inner cross section times length"),
+        ParameterSpec("wall_capacity", "J/K", 0.0, 0.0, 1.0e7, "fixed", "mass of the wall times its specific heat"),
+        ParameterSpec("wall_hA", "W/K", 1000.0, 0.0, 1.0e6, "fixed", "water to wall, Incropera 8.5"),
+        ParameterSpec("loss_hA", "W/K", 0.0, 0.0, 1000.0, "fixed", "through the insulation to the room"),
+    )
+
+    to: str = place("node", "node that the pipe leads to; it must be on a flow path")
+    ambient: str = place("input", "input column with the room temperature in degC", default="T_ambient_C")
+
+    def problem(self, values: Mapping[str, float]) -> str | None:
+        return None
+
+    def emit(self, n: Names) -> Fragment:
+        stream = n.streams[self.to]
+        water, flow = n.local(f"to_{self.to}", stream.flow), n.local("q", stream.flow)
+        mcp = n.local("mcp", stream.flow)
+        through, sample, stage = ["1.0"], [], []
+        states: tuple[State, ...] = ()
+        delay = None
+        start = n.temperature(stream.before or self.to)
+        passing = water
+        if n.constant("volume") != 0.0:
+            delay = Delay(water=water, flow=flow, volume=n.par("volume"), start=start)
+            late, passing = n.local("late"), n.local("passing")
+            stage.append((passing, f"(1.0 - {late}) * {water} + {late} * {n.outlet()}"))
+            through.append(f"(1.0 - {late})")
+        rest = f"{n.local('late')} * {n.outlet()}" if delay else "0.0"
+        if n.constant("wall_capacity") != 0.0:
+            share, speed, wall = n.local("share"), n.local("speed"), n.state("wall")
+            full, capacity = n.local("full"), n.par("wall_capacity")
+            bottom = f"({capacity} + {LEAST_S!r} * {mcp} * {full} + {_STILL})"
+            sample += [
+                (full, f"1.0 - exp(-{n.par('wall_hA')} / max({mcp}, {_STILL}))"),
+                (speed, f"{mcp} * {full} / {bottom}"),
+                (share, f"{full} * {capacity} / {bottom}"),
+            ]
+            states = (State("wall", rate=f"{speed} * ({passing} - {wall})", start=start, speed=speed),)
+            through.append(f"(1.0 - {share})")
+            rest = f"((1.0 - {share}) * ({rest}) + {share} * {wall})"
+        if n.constant("loss_hA") != 0.0:
+            kept = n.local("kept")
+            sample.append((kept, f"exp(-{n.par('loss_hA')} / max({mcp}, {_STILL}))"))
+            through.append(kept)
+            rest = f"{kept} * ({rest}) + (1.0 - {kept}) * {n.input(self.ambient)}"
+        sample.append((n.local("through"), " * ".join(through)))
+        stage.append((n.local("rest"), rest))
+        return Fragment(sample=tuple(sample), stage=tuple(stage), states=states, delay=delay)

@@ -1,0 +1,98 @@
+"""What a network remembers from one call of its kernel to the next, as one flat vector.
+
+    node temperatures | states and lags of elements | contents of delay lines | recent commands
+
+Its shape depends on the network alone, never on which parameters a kernel varies, so that a state handed out by one
+kernel can be taken up by another. Memory that a kernel has beyond that (a lag that is varied round 0, say) starts at
+rest in every call.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.assembly import System
+from twin.delays import memory_rows
+from twin.network import Array, Network, TwinFileError
+
+COMMANDS = 64
+"""Changes of a command that are remembered for its dead time."""
+
+
+class Memory:
+    """Full states of a network, (P, size), for a kernel with `free` parameters.
+
+    Attributes:
+        nodes: number of node temperatures. size: length of a full state. rows: rows of delay lines.
+    """
+
+    def __init__(self, network: Network, free: tuple[str, ...]) -> None:
+        self._name = network.name
+        own, inner = System(network, ()), System(network, free)
+        self.nodes = len(network.nodes)
+        names, wanted = _names(own), _names(inner)
+        self._width = len(names)
+        self._take = np.array([names.index(n) if n in names else -1 for n in wanted])
+        self._give = np.array([wanted.index(n) for n in names])
+        same = [d.element for d in own.delays] == [d.element for d in inner.delays]
+        self._lines = memory_rows(own)
+        self.rows = self._lines if same else 0
+        columns = [network.input_columns.index(d.column) for _, d in own.drives if d.dead_time]
+        self._columns = np.array(columns, dtype=np.intp)
+        self._commands = COMMANDS * (1 + len(columns)) if columns else 0
+        self.size = self._width + self._lines + self._commands
+
+    def taken_apart(self, state: Array) -> tuple[Array, Array | None, Array | None]:
+        """Start values (P, inner width) with NaN for what is at rest; delay lines and commands, or None."""
+        if state.shape[1] not in (self.nodes, self.size):
+            raise TwinFileError(
+                f"a state of twin {self._name!r} has {self.nodes} temperatures, or {self.size} entries with what it "
+                f"remembers; got {state.shape[1]}"
+            )
+        full = state.shape[1] == self.size
+        known = state if full else np.hstack([state, np.full((len(state), self._width - self.nodes), np.nan)])
+        start = np.where(self._take >= 0, known[:, np.maximum(self._take, 0)], np.nan)
+        at = self._width
+        past = state[:, at : at + self.rows] if full and self.rows else None
+        at += self._lines
+        commands = state[0, at:] if full and self._commands else None
+        return start, past, commands
+
+    def put_together(self, end: Array, lines: Array, commands: Array) -> Array:
+        """Full states (P, size) from a kernel's end values, its delay lines and the recent commands."""
+        full = np.zeros((len(end), self.size))
+        full[:, : self._width] = end[:, self._give]
+        if self.rows:
+            full[:, self._width : self._width + self._lines] = lines
+        full[:, self._width + self._lines :] = commands
+        return full
+
+    def extended(self, commands: Array | None, time: Array, inputs: Array) -> tuple[Array, Array]:
+        """Time and inputs with the remembered commands put before them."""
+        if commands is None:
+            return time, inputs
+        rows = commands.reshape(COMMANDS, -1)
+        rows = rows[np.isfinite(rows[:, 0])]
+        if not len(rows):
+            return time, inputs
+        before = np.tile(inputs[0], (len(rows), 1))
+        before[:, self._columns] = rows[:, 1:]
+        return np.concatenate([time[0] + rows[:, 0], time]), np.vstack([before, inputs])
+
+    def remembered(self, time: Array, inputs: Array) -> Array:
+        """The latest changes of the commands with a dead time: their age (<= 0, s) and values, flat."""
+        if not self._commands:
+            return np.empty(0)
+        values = inputs[:, self._columns]
+        change = np.concatenate([[True], (np.diff(values, axis=0) != 0.0).any(axis=1)])
+        change[-1] = False
+        latest = np.flatnonzero(change)[-COMMANDS:]
+        rows = np.full((COMMANDS, 1 + len(self._columns)), np.nan)
+        if len(latest):
+            rows[-len(latest) :] = np.column_stack([time[latest] - time[-1], values[latest]])
+        return rows.ravel()
+
+
+def _names(system: System) -> list[str]:
+    driven = [f"{name}.arrived" for name, drive in system.drives if drive.lag]
+    return [*system.states, *system.lags, *driven]
