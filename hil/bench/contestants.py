@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hil.bench.peers import Absent
+from hil.bench.peers.formulas import sensor_rows
 from hil.bench.windows import Job
 from twin.exact import right_side, simulate_exact
 from twin.kernel import Kernel
@@ -54,6 +55,15 @@ def our_readings(job: Job) -> Callable[[], Array]:
     """Readings (n, m) of particle 0 by the generated kernel."""
     kernel = Kernel(job.network, job.ids)
     return lambda: kernel.trace(job.particles[:1], job.state, job.time, job.inputs)[0][0]
+
+
+def our_error(job: Job) -> float:
+    """Largest error of our readings over all particles, K; infinite where one is not finite."""
+    kernel, reads = Kernel(job.network, job.ids), sensor_rows(job.network)
+    readings, _ = kernel.trace(job.particles, job.state, job.time, job.inputs)
+    exact = np.stack([oracle(replace(job, particles=row[None]))[:, reads] for row in job.particles])
+    error = np.abs(readings - exact)
+    return float(error.max()) if np.isfinite(error).all() else float("inf")
 
 
 def singles() -> list[Single]:

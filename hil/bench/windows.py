@@ -89,6 +89,16 @@ def job(
     return Job(network, ids, schedule, time, inputs, measured, weight, state, particles)
 
 
+def corners(window: Job) -> Job:
+    """The same job with a particle in every corner of the bounds of its tunables."""
+    low, high = window.network.bounds(window.ids)
+    q = len(window.ids)
+    upper = (np.arange(2**q)[:, None] >> np.arange(q)) & 1
+    particles = np.tile(window.network.values, (2**q, 1))
+    particles[:, window.network.index(window.ids)] = np.where(upper == 1, high, low)
+    return replace(window, particles=particles)
+
+
 def steady_start(network: Network) -> Array:
     """A plausible warm state (k,): falling along the network's order of nodes."""
     return np.linspace(38.0, 34.0, len(network.nodes))
