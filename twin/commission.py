@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twin.calibrators.base import rmse
+from twin.calibrators.identifiability import CANNOT_TELL, condition
 from twin.gauss_newton import Data, Fit, Prior, Scaling, descend
 from twin.kernel import Kernel, clean_time, held, masked
 from twin.network import Array, Network, Revision, TwinFileError
 
 FIRST_SAMPLES = 30
-CANNOT_TELL = 0.5
-"""A parameter whose posterior is wider than this share of its prior was not told by the record."""
 SE90 = 1.6449
 
 
@@ -159,7 +159,7 @@ def commission(
         rmse_after=errors[1],
         rmse_fitted=errors[2],
         held_out_s=(float(t[split]), float(t[-1])),
-        condition=_condition(best.normal[: len(ids), : len(ids)]),
+        condition=condition(best.normal[: len(ids), : len(ids)]),
         state=best.state,
         evaluations=sum(f.evaluations for f in fits) + best.evaluations,
         notes=tuple(notes),
@@ -170,15 +170,6 @@ def weak_prior(scaling: Scaling, values: Array, state: Array, state_sd: float = 
     """Prior centred on `values` (q,) and `state` (k,), as wide as `Scaling.prior_sd` and `state_sd` K."""
     sd = np.concatenate([scaling.prior_sd(), np.full(state.size, state_sd)])
     return Prior(np.concatenate([scaling.to_z(values), state]), np.diag(sd**-2.0))
-
-
-def rmse(residual: Array) -> list[float]:
-    """Root mean square of each column over its finite entries; NaN for a column without any."""
-    good = np.isfinite(residual)
-    total = np.where(good, residual, 0.0)
-    count = good.sum(axis=0)
-    mean = np.where(count > 0, (total**2).sum(axis=0) / np.maximum(count, 1), np.nan)
-    return [float(v) for v in np.sqrt(mean)]
 
 
 def _inflation(residual: Array, sigma: Array) -> float:
@@ -201,12 +192,6 @@ def _inflation(residual: Array, sigma: Array) -> float:
         until = int(negative[0]) if negative.size else correlation.size
         worst = max(worst, chi * (1.0 + 2.0 * float(correlation[1:until].sum())))
     return worst
-
-
-def _condition(normal: Array) -> float:
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    values = np.linalg.eigvalsh(normal / np.outer(scale, scale))
-    return float(values[-1] / max(values[0], 1e-16))
 
 
 def _notes(

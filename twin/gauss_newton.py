@@ -109,22 +109,28 @@ class Fit:
     """Result of one descent.
 
     Attributes:
-        values: physical (q,). state: (k,) at the first sample. end: (k,) at the last.
-        readings: (n, m) degC.
-        normal: (q + k, q + k) J'J of the data alone, in z and K.
-        cost: weighted squares plus prior. sse: (m,) weighted squares per sensor.
+        v: (q + k,) the minimum, [z, initial state]. values: physical (q,). state: (k,) at the first sample.
+        data: residuals linearised there. cost: weighted squares plus prior.
         at_bound: (q,) bool. evaluations: linearisations made.
     """
 
+    v: Array
     values: Array
     state: Array
-    end: Array
-    readings: Array
-    normal: Array
+    data: Linearisation
     cost: float
-    sse: Array
     at_bound: np.ndarray
     evaluations: int
+
+    @property
+    def sse(self) -> Array:
+        """Weighted squares per sensor (m,)."""
+        return self.data.sse
+
+    @property
+    def normal(self) -> Array:
+        """J'J of the data alone (q + k, q + k), in z and K."""
+        return self.data.jtj
 
 
 def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, data: Data) -> Linearisation:
@@ -155,63 +161,70 @@ def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, dat
 
 
 class Problem:
-    """Weighted squares plus prior as a function of v = [z (q,), initial state (k,)].
+    """Weighted squares of a record as a function of v = [z (q,), initial state (k,)].
 
     Args:
-        base: full parameter vector (p,); entries of `scaling.index` are replaced.
+        base: full parameter vector (p,); entries of `scaling.index` are replaced. states: k.
     """
 
-    def __init__(self, kernel: Kernel, scaling: Scaling, base: Array, data: Data, prior: Prior) -> None:
-        self.q, self.k = len(scaling.ids), prior.mean.size - len(scaling.ids)
-        if self.q + self.k >= LANES:
+    def __init__(self, kernel: Kernel, scaling: Scaling, base: Array, data: Data, states: int) -> None:
+        self.q = len(scaling.ids)
+        if self.q + states >= LANES:
             raise TwinFileError(
-                f"{self.q} tunables and {self.k} nodes are too many for one fit; at most {LANES - 1} together"
+                f"{self.q} tunables and {states} nodes are too many for one fit; at most {LANES - 1} together"
             )
-        self.kernel, self.scaling, self.data, self.prior = kernel, scaling, data, prior
-        self.low = np.concatenate([scaling.to_z(scaling.lower), np.full(self.k, -np.inf)])
-        self.high = np.concatenate([scaling.to_z(scaling.upper), np.full(self.k, np.inf)])
-        self._steps = np.concatenate([np.full(self.q, _STEP), np.full(self.k, 1e-2)])
-        self._full = np.tile(base, (1 + self.q + self.k, 1))
+        self.kernel, self.scaling, self.data = kernel, scaling, data
+        self.low = np.concatenate([scaling.to_z(scaling.lower), np.full(states, -np.inf)])
+        self.high = np.concatenate([scaling.to_z(scaling.upper), np.full(states, np.inf)])
+        self._steps = np.concatenate([np.full(self.q, _STEP), np.full(states, 1e-2)])
+        self._full = np.tile(base, (1 + self.q + states, 1))
         self.evaluations = 0
 
-    def evaluate(self, v: Array) -> tuple[float, Linearisation]:
-        """Cost at v (q + k,), and the data's normal equations there."""
+    def linearise(self, v: Array) -> Linearisation:
+        """Residuals and their derivatives at v (q + k,)."""
         self.evaluations += 1
         steps = np.where(v + self._steps > self.high, -self._steps, self._steps)
         rows = v + np.vstack([np.zeros(v.size), np.diag(steps)])
         self._full[:, self.scaling.index] = self.scaling.to_values(rows[:, : self.q])
-        out = linearise(self.kernel, self._full, rows[:, self.q :], steps, self.data)
-        away = v - self.prior.mean
-        return float(out.sse.sum() + away @ self.prior.precision @ away), out
+        return linearise(self.kernel, self._full, rows[:, self.q :], steps, self.data)
 
     def minimise(
         self,
         v: Array,
-        first: tuple[float, Linearisation] | None = None,
+        prior: Prior,
+        *,
+        first: Linearisation | None = None,
         held: np.ndarray | None = None,
         most: int = 40,
         tolerance: float = 1e-6,
     ) -> Fit:
-        """Descend from v (q + k,).
+        """Descend from v (q + k,) on squares plus prior.
 
         Args:
-            first: what `evaluate` gave at v, if it is known. held: (q + k,) bool, variables that stay.
-            tolerance: relative decrease of the cost below which the descent ends.
+            first: what `linearise` gave at v, if it is known. held: (q + k,) bool, variables that stay.
+            most: linearisations. tolerance: relative decrease of the cost below which the descent ends.
         """
-        low, high, prior, q = self.low, self.high, self.prior, self.q
+        low, high, q = self.low, self.high, self.q
         open_ = np.ones(v.size, dtype=bool) if held is None else ~held
-        cost, out = first or self.evaluate(v)
+
+        def total(v: Array, out: Linearisation) -> float:
+            away = v - prior.mean
+            return float(out.sse.sum() + away @ prior.precision @ away)
+
+        out = first or self.linearise(v)
+        cost = total(v, out)
         damping, growth = 1e-3, 2.0
         for _ in range(most - 1):
             hessian = out.jtj + prior.precision
             gradient = out.jtr + prior.precision @ (v - prior.mean)
             free = open_ & ~(((v <= low) & (gradient > 0.0)) | ((v >= high) & (gradient < 0.0)))
             step = _bounded_step(hessian, gradient, free, damping, low - v, high - v)
-            predicted = -(2.0 * gradient @ step + step @ hessian @ step)
+            predicted = -float(2.0 * gradient @ step + step @ hessian @ step)
             if predicted <= tolerance * max(cost, 1e-300) * 1e-2 or not np.isfinite(predicted):
                 break
             trial = v + step
-            new_cost, new_out = self.evaluate(trial)
+            new_out = self.linearise(trial)
+            new_cost = total(trial, new_out)
             ratio = (cost - new_cost) / predicted
             if new_cost < cost:
                 done = cost - new_cost < tolerance * cost
@@ -224,10 +237,7 @@ class Problem:
                 if damping > 1e12:
                     break
         at_bound = (v[:q] <= low[:q] + 1e-9) | (v[:q] >= high[:q] - 1e-9)
-        values = self.scaling.to_values(v[:q])
-        return Fit(
-            values, v[q:].copy(), out.end, out.readings, out.jtj, cost, out.sse, at_bound, self.evaluations
-        )  # fmt: skip
+        return Fit(v, self.scaling.to_values(v[:q]), v[q:].copy(), out, cost, at_bound, self.evaluations)
 
 
 def descend(
@@ -247,9 +257,9 @@ def descend(
         base: full parameter vector (p,); entries of `scaling.index` are replaced.
         values, state: where to start, (q,) and (k,).
     """
-    problem = Problem(kernel, scaling, base, data, prior)
+    problem = Problem(kernel, scaling, base, data, state.size)
     v = np.clip(np.concatenate([scaling.to_z(values), state]), problem.low, problem.high)
-    return problem.minimise(v, most=most, tolerance=tolerance)
+    return problem.minimise(v, prior, most=most, tolerance=tolerance)
 
 
 def _bounded_step(hessian: Array, gradient: Array, free: np.ndarray, damping: float, low: Array, high: Array) -> Array:

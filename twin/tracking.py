@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.calibrators import Calibration, Calibrator, make
+from twin.calibrators.locate import Localiser
 from twin.calibrators.outcome import skip
 from twin.calibrators.windows import assemble, last_of_window, window_index
 from twin.kernel import Kernel, held
@@ -76,6 +77,7 @@ class TwinTracker:
         self.network = network
         self.calibrator = make(calibrator, network, tunables, seed) if isinstance(calibrator, str) else calibrator
         self._kernel = Kernel(network, self.calibrator.ids)
+        self._localiser = Localiser(network)
         k, m, c = len(network.nodes), len(network.sensors), len(network.inputs)
         self._parameters = network.values.copy()
         self._last_good = network.nominal_inputs.copy()
@@ -238,7 +240,8 @@ class TwinTracker:
         if window.kind == "skipped":
             done = skip(self.network, window, self.calibrator.ids, self._tracked.copy())
         else:
-            done = self.calibrator.calibrate(window)
+            place = self._localiser.locate(window)
+            done = place.enter(self.calibrator.calibrate(window))
             self._count(2, done.fitted - window.measured)
         self._parameters[self.network.index(self.calibrator.ids)] = list(done.values.values())
         self._tracked = done.end.copy()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -49,6 +49,11 @@ class Calibration:
         window, start_s, end_s: which window. kind: its cost.
         values: parameter id -> value, for the calibrated tunables.
         covariance: (q, q) of `values` in their own units, or None where the method gives none.
+        frozen: parameters that this window cannot tell and that were therefore left as they were; their
+            numbers are older than the window.
+        alone: parameter id -> standard error that this window alone would give, with all tunables and the
+            initial state unknown; huge where it says nothing. Empty where nothing was fitted.
+        condition: condition number of that information, scaled to unit diagonal; None where nothing was fitted.
         cost: dimensionless value of the window's cost at these values.
         rmse: sensor -> K over the window after calibration (NaN without a measurement); the values were
             fitted on these very samples.
@@ -58,6 +63,9 @@ class Calibration:
         fitted: (n, m) degC, readings after calibration. state: (k,) fitted or carried state at the first
             sample. end: (k,) state at the last sample, from which the live twin goes on.
         flags: plain words on anything unusual. evaluations: simulations of the window.
+        disturbed: node in which an unknown power explains what the live twin missed in this window, or None.
+        disturbed_W, disturbed_interval90_W, disturbed_since_s: that power and its onset.
+        explains: node -> share of the mismatch that a power there explains; empty in quiet windows.
     """
 
     window: int
@@ -76,6 +84,14 @@ class Calibration:
     end: Array
     flags: tuple[str, ...]
     evaluations: int
+    frozen: tuple[str, ...] = ()
+    alone: Mapping[str, float] = field(default_factory=dict)
+    condition: float | None = None
+    disturbed: str | None = None
+    disturbed_W: float | None = None
+    disturbed_interval90_W: tuple[float, float] | None = None
+    disturbed_since_s: float | None = None
+    explains: Mapping[str, float] = field(default_factory=dict)
 
 
 class Calibrator(Protocol):
@@ -101,3 +117,12 @@ def total_rmse(residual: Array) -> float:
     """Root mean square over all finite entries, K; 0 if there is none."""
     good = residual[np.isfinite(residual)]
     return float(np.sqrt(np.mean(good**2))) if good.size else 0.0
+
+
+def rmse(residual: Array) -> list[float]:
+    """Root mean square of each column over its finite entries; NaN for a column without any."""
+    good = np.isfinite(residual)
+    total = np.where(good, residual, 0.0)
+    count = good.sum(axis=0)
+    mean = np.where(count > 0, (total**2).sum(axis=0) / np.maximum(count, 1), np.nan)
+    return [float(v) for v in np.sqrt(mean)]

@@ -1,9 +1,9 @@
 """Bounded least squares, window by window, with what earlier windows told as the prior.
 
 The posterior of a window (parameters, in the optimiser's variables) widened by a process noise is the prior of
-the next, so that a direction that no single window can tell is still pinned by many. The process noise grows
-with the error that the live twin made: a change of the rig opens the parameters, quiet closes them. The
-initial state is estimated with the carried state as its prior.
+the next. The process noise grows with the error that the live twin made: a change of the rig opens the
+parameters, quiet closes them. What a window cannot tell is held (see `posterior`). The initial state is estimated
+with the carried state as its prior.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import numpy as np
 
 from twin.calibrators.base import Calibration, Window
 from twin.calibrators.outcome import conclude
-from twin.gauss_newton import Data, Prior, Scaling, descend
+from twin.calibrators.posterior import fit_window
+from twin.gauss_newton import Scaling
 from twin.kernel import Kernel, masked
 from twin.network import Array, Network
 
@@ -23,7 +24,6 @@ FIRST_SHARE = 0.3
 """Width of the first prior, round the commissioned values, as a share of the full prior."""
 QUIET_SHARE = 0.02
 """Process noise per window, as a share of the full prior, while the live twin errs by noise only."""
-CANNOT_TELL = 0.5
 
 
 class LeastSquares:
@@ -36,41 +36,22 @@ class LeastSquares:
         self.ids = network.tunables(tunables)
         self.kernel = Kernel(network, self.ids)
         self._scaling = Scaling.of(network, self.ids)
-        self._index = network.index(self.ids)
-        self._mean = self._scaling.to_z(network.values[self._index])
+        self._mean = self._scaling.to_z(network.values[self._scaling.index])
         self._covariance = np.diag((FIRST_SHARE * self._scaling.prior_sd()) ** 2)
 
     def calibrate(self, window: Window) -> Calibration:
-        q, k = len(self.ids), window.state.size
-        sigma = self.network.sigma
-        y, weight = masked(window.measured, sigma)
-        data = Data(window.time, window.inputs, y, weight)
-        count = max(int((weight > 0.0).sum()), 1)
-        misfit = float(np.sqrt((((window.live - y) * weight) ** 2).sum() / count))
-        wide = self._scaling.prior_sd()
-        opened = np.clip(0.3 * (misfit - 1.0), QUIET_SHARE, 1.0)
-        covariance = self._covariance + np.diag((opened * wide) ** 2)
-        state_sd = max(window.error_K, 0.02)
-        prior = Prior(
-            np.concatenate([self._mean, window.state]),
-            _blocks(np.asarray(np.linalg.inv(covariance)), np.eye(k) / state_sd**2),
-        )
-        start = self._scaling.to_values(self._mean)
-        fit = descend(self.kernel, self._scaling, window.parameters, data, start, window.state, prior, most=25)
-        chi = max(float(fit.sse.sum()) / count, 1.0)
-        posterior = np.linalg.inv(fit.normal / chi + prior.precision)[:q, :q]
-        self._mean = self._scaling.to_z(fit.values)
-        self._covariance = _no_wider(0.5 * (posterior + posterior.T), wide)
-        spread = np.sqrt(np.diag(posterior))
-        flags = [
-            f"cannot tell {name}" for name, s, w in zip(self.ids, spread, wide, strict=True) if s > CANNOT_TELL * w
-        ]
-        flags += [f"{name} at its bound" for name, hit in zip(self.ids, fit.at_bound, strict=True) if hit]
-        slope = self._scaling.slope(fit.values)
+        sigma, scaling = self.network.sigma, self._scaling
+        wide = scaling.prior_sd()
+        opened = np.clip(0.3 * (misfit(window, sigma) - 1.0), QUIET_SHARE, 1.0)
+        prior = self._covariance + np.diag((opened * wide) ** 2)
+        done = fit_window(self.kernel, scaling, sigma, window, self._mean, prior, window.state)
+        if np.isfinite(done.fit.cost) and np.isfinite(done.covariance).all():
+            self._mean = done.fit.v[: len(self.ids)].copy()
+            self._covariance = no_wider(done.covariance, wide)
         return conclude(
-            self.network, self.kernel, window, self.ids, fit.values, fit.state,
-            cost=np.sqrt(chi), covariance=posterior * np.outer(slope, slope), flags=tuple(flags),
-            evaluations=fit.evaluations * (1 + q + k),
+            self.network, window, self.ids, done.fit.values, done.fit.state, done.fit.data.readings, done.fit.data.end,
+            cost=float(np.sqrt(done.chi)), evaluations=done.fit.evaluations * (1 + done.fit.v.size),
+            report=done.report(scaling),
         )  # fmt: skip
 
     def state(self) -> dict[str, Any]:
@@ -81,13 +62,15 @@ class LeastSquares:
         self._covariance = np.array(state["covariance"], dtype=np.float64)
 
 
-def _blocks(a: Array, b: Array) -> Array:
-    out = np.zeros((len(a) + len(b), len(a) + len(b)))
-    out[: len(a), : len(a)], out[len(a) :, len(a) :] = a, b
-    return out
+def misfit(window: Window, sigma: Array) -> float:
+    """Root mean square of the live twin's mismatch in units of the noise."""
+    y, weight = masked(window.measured, sigma)
+    count = max(int((weight > 0.0).sum()), 1)
+    return float(np.sqrt((((window.live - y) * weight) ** 2).sum() / count))
 
 
-def _no_wider(covariance: Array, wide: Array) -> Array:
+def no_wider(covariance: Array, wide: Array) -> Array:
     """Shrink a covariance whose standard deviations exceed `wide`, keeping its correlations."""
     factor = np.minimum(wide / np.sqrt(np.diag(covariance)), 1.0)
-    return covariance * np.outer(factor, factor)
+    shrunk: Array = covariance * np.outer(factor, factor)
+    return shrunk

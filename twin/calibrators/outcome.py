@@ -1,34 +1,47 @@
-"""The last step of every calibrator: run the window once with the values found, and say how it went."""
+"""The last step of every calibrator: how the window went with the values found."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
 import numpy as np
 
-from twin.calibrators.base import Calibration, Window, total_rmse
-from twin.kernel import Kernel
+from twin.calibrators.base import Calibration, Window, rmse, total_rmse
 from twin.network import Array, Network
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a calibrator says beside its values; the names are those of `Calibration`."""
+
+    covariance: Array | None = None
+    flags: tuple[str, ...] = ()
+    frozen: tuple[str, ...] = ()
+    alone: Mapping[str, float] = field(default_factory=dict)
+    condition: float | None = None
 
 
 def conclude(
     network: Network,
-    kernel: Kernel,
     window: Window,
     ids: tuple[str, ...],
     values: Array,
     start: Array,
+    readings: Array,
+    end: Array,
     *,
     cost: float,
-    covariance: Array | None,
-    flags: tuple[str, ...],
     evaluations: int,
+    report: Report,
 ) -> Calibration:
-    """Calibration of `window` with tunables `ids` at `values` (q,) and initial state `start` (k,)."""
-    from twin.commission import rmse
+    """Calibration of `window`.
 
-    full = window.parameters.copy()
-    full[network.index(ids)] = values
-    fitted, end = kernel.trace(full, start, window.time, window.inputs)
-    residual = fitted[0] - window.measured
+    Args:
+        values: (q,) of the tunables `ids`. start, end: (k,) state at the first and last sample.
+        readings: (n, m) degC, simulated with these.
+    """
+    residual = readings - window.measured
     error = total_rmse(residual)
     return Calibration(
         window=window.number,
@@ -36,24 +49,25 @@ def conclude(
         end_s=float(window.time[-1]),
         kind=window.kind,
         values=dict(zip(ids, values.tolist(), strict=True)),
-        covariance=covariance,
+        covariance=report.covariance,
         cost=float(cost),
         rmse=dict(zip(network.sensor_names, rmse(residual), strict=True)),
         error_before_K=window.error_K,
         error_K=error,
         calibrated=bool(np.isfinite(window.measured).any()) and error < network.rules.calibrated_K,
-        fitted=fitted[0],
+        fitted=readings,
         state=start.copy(),
-        end=end[0].copy(),
-        flags=flags,
-        evaluations=evaluations + 1,
+        end=end.copy(),
+        flags=report.flags,
+        evaluations=evaluations,
+        frozen=report.frozen,
+        alone=report.alone,
+        condition=report.condition,
     )
 
 
 def skip(network: Network, window: Window, ids: tuple[str, ...], end: Array) -> Calibration:
     """A window with too little data: nothing moves."""
-    from twin.commission import rmse
-
     residual = window.live - window.measured
     values = window.parameters[network.index(ids)]
     return Calibration(

@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 
 from twin.calibrators.base import Calibration, Window
+from twin.calibrators.identifiability import Told, told_by
 from twin.calibrators.outcome import conclude
-from twin.gauss_newton import Data, Scaling, align
+from twin.calibrators.posterior import fit_window, weighted
+from twin.gauss_newton import Data, Problem, Scaling, align
 from twin.kernel import Kernel, masked
 from twin.network import Array, Network, TunableSet, TwinFileError
 
@@ -36,6 +38,8 @@ class Settings:
         run_up: recovery and stall windows are simulated from the start of the window before.
         realign: recovery and stall windows estimate the initial state instead.
         per_component: random factors per component rather than per particle.
+        polish: parameters that the window cannot tell are held, and the best position is the start of a few
+            Gauss-Newton steps.
     """
 
     particles: int = 5
@@ -51,6 +55,7 @@ class Settings:
     run_up: bool = True
     realign: bool = False
     per_component: bool = False
+    polish: bool = False
 
 
 PAPER = Settings()
@@ -67,8 +72,11 @@ TUNED = Settings(
     scaled=True,
     realign=True,
     per_component=True,
+    polish=True,
 )
 PRESETS: Mapping[str, Settings] = {"paper": PAPER, "tuned": TUNED}
+POLISH = 6
+"""Linearisations in the polish, at most."""
 LEAST_PERTURBATION = 0.02
 """Share of the full perturbation that is left when the live twin errs by nothing but noise."""
 
@@ -95,6 +103,7 @@ class Swarm:
         self.network, self.settings = network, settings
         self.ids = network.tunables(tunables)
         self.kernel = Kernel(network, self.ids)
+        self._scaling = Scaling.of(network, self.ids)
         self._space = _OwnRange(network, self.ids) if settings.own_range else _Normalised(network, tunables)
         self._rng = np.random.default_rng(seed)
         self.last: tuple[Array, Array, Array] = (np.zeros(0), np.zeros((0, 0)), np.zeros(0))
@@ -105,10 +114,12 @@ class Swarm:
 
     def calibrate(self, window: Window) -> Calibration:
         settings, space = self.settings, self._space
-        cost = _Cost(self, window)
+        cost, told = _Cost(self, window), self._told(window)
         self._gather(window)
         assert self._positions is not None
         positions, velocities = self._positions, self._velocities
+        if settings.polish:
+            positions = np.where(told.untold, self._best, positions)
         everyone = cost(np.vstack([self._best, positions]))
         best, best_cost = self._best, float(everyone[0])
         own, own_cost = positions.copy(), everyone[1:]
@@ -130,6 +141,8 @@ class Swarm:
                 + settings.social * r2 * (best - positions)
             )
             velocities = np.clip(velocities, -settings.velocity, settings.velocity)
+            if settings.polish:
+                velocities = np.where(told.untold, 0.0, velocities)
             positions = np.clip(positions + velocities, space.lower, space.upper)
             inertia *= settings.damping
             costs = cost(positions)
@@ -142,11 +155,36 @@ class Swarm:
         self.last = (window.time, window.inputs, cost.start(best))
         self._last_number = window.number
         self._best, self._positions, self._velocities = best, positions, velocities
-        flags = ("initial state estimated",) if cost.realigned else ()
+        return self._conclude(window, cost, best, best_cost, told)
+
+    def _conclude(self, window: Window, cost: _Cost, best: Array, best_cost: float, told: Told) -> Calibration:
+        """The window at the swarm's best position; a polished swarm descends from there first."""
+        values, start = self._space.values(best), cost.start(best)
+        if self.settings.polish:
+            scaling = self._scaling
+            mean, prior = scaling.to_z(values), np.diag(scaling.prior_sd() ** 2)
+            sigma = self.network.sigma
+            done = fit_window(self.kernel, scaling, sigma, window, mean, prior, start, told=told, most=POLISH)
+            if np.isfinite(done.fit.cost):
+                self._best = self._space.positions(done.fit.values)
+                self.last = (window.time, window.inputs, done.fit.state)
+                return conclude(
+                    self.network, window, self.ids, done.fit.values, done.fit.state, done.fit.data.readings,
+                    done.fit.data.end, cost=float(np.sqrt(done.chi)), report=done.report(scaling),
+                    evaluations=cost.evaluations + done.fit.evaluations * (1 + done.fit.v.size),
+                )  # fmt: skip
+        readings, end = self.kernel.trace(cost.full(best[None]), start, window.time, window.inputs)
         return conclude(
-            self.network, self.kernel, window, self.ids, space.values(best), cost.start(best),
-            cost=best_cost, covariance=None, flags=flags, evaluations=cost.evaluations,
+            self.network, window, self.ids, values, start, readings[0], end[0],
+            cost=best_cost, evaluations=cost.evaluations + 1, report=told.warning(self._scaling, values),
         )  # fmt: skip
+
+    def _told(self, window: Window) -> Told:
+        """What the window can tell, judged where the live twin is."""
+        scaling, data = self._scaling, weighted(window, self.network.sigma)
+        problem = Problem(self.kernel, scaling, window.parameters, data, window.state.size)
+        here = np.concatenate([scaling.to_z(window.parameters[scaling.index]), window.state])
+        return told_by(problem.linearise(here).jtj, scaling.prior_sd())
 
     def _gather(self, window: Window) -> None:
         """Positions and velocities at the start of a window."""

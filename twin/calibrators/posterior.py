@@ -1,0 +1,145 @@
+"""One window against a Gaussian prior: which parameters it can tell, their values, what is known afterwards.
+
+A parameter is held at its prior mean if the window neither tells it (`identifiability`) nor contradicts the held
+value. The latter is a score test (Rao, Proc. Camb. Phil. Soc. 44 (1948) 50) on each held parameter after the fit of
+the others; what fails it is released, so that holding never stands in the way of following a change. A released
+parameter moves, but loosely: it stands for others with the same effect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.calibrators.base import Window
+from twin.calibrators.identifiability import Told, told_by
+from twin.calibrators.outcome import Report
+from twin.gauss_newton import Data, Fit, Prior, Problem, Scaling
+from twin.kernel import Kernel, masked
+from twin.network import Array
+
+CONTRADICTED = 9.0
+"""Score statistic (chi-square, one degree of freedom) above which a held parameter is released."""
+ROUNDS = 3
+TOLERANCE = 1e-5
+STATE_SD = 0.02
+"""K, least prior standard deviation of a carried state."""
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What is known after a window, for q parameters.
+
+    Attributes:
+        fit: the minimum. covariance: (q, q) in z; held parameters keep their prior variance, uncorrelated.
+        held, loose: (q,) bool, parameters that stayed, and that moved though the window cannot tell them apart.
+        told: information of the window alone. chi: reduced chi-square of the data, at least 1.
+    """
+
+    fit: Fit
+    covariance: Array
+    held: np.ndarray
+    loose: np.ndarray
+    told: Told
+    chi: float
+
+    def report(self, scaling: Scaling) -> Report:
+        """Covariance in physical units, and the warnings that go with the numbers."""
+        slope = scaling.slope(self.fit.values)
+        frozen = tuple(i for i, hit in zip(scaling.ids, self.held, strict=True) if hit)
+        flags = [f"cannot tell {i}: held" for i in frozen]
+        flags += [
+            f"cannot tell {i} apart: it stands for others too"
+            for i, hit in zip(scaling.ids, self.loose, strict=True)
+            if hit
+        ]
+        bound = self.fit.at_bound & ~self.held
+        flags += [f"{i} at its bound" for i, hit in zip(scaling.ids, bound, strict=True) if hit]
+        return Report(
+            covariance=self.covariance * np.outer(slope, slope),
+            flags=tuple(flags),
+            frozen=frozen,
+            alone=self.told.alone(scaling, self.fit.values),
+            condition=self.told.condition,
+        )
+
+
+def fit_window(
+    kernel: Kernel,
+    scaling: Scaling,
+    sigma: Array,
+    window: Window,
+    mean: Array,
+    covariance: Array,
+    state: Array,
+    *,
+    told: Told | None = None,
+    most: int = 25,
+) -> Posterior:
+    """Fit tunables and initial state to a window.
+
+    Args:
+        sigma: (m,) K noise of the sensors. mean, covariance: (q,), (q, q) prior in z. state: (k,) K, prior mean.
+        told: what the window tells, if it is known already. most: linearisations in one descent.
+    """
+    q, k = mean.size, state.size
+    data = weighted(window, sigma)
+    count = max(int((data.weight > 0.0).sum()), 1)
+    state_precision = np.eye(k) * max(window.error_K, STATE_SD) ** -2
+    centre = np.concatenate([mean, state])
+    of_state = np.zeros(k, dtype=bool)
+    problem = Problem(kernel, scaling, window.parameters, data, k)
+    v, at = centre, problem.linearise(centre)
+    told = told or told_by(at.jtj, scaling.prior_sd())
+    held = told.untold
+    for _ in range(ROUNDS):
+        inverse = np.asarray(np.linalg.inv(_independent(covariance, held)))
+        prior = Prior(centre, _blocks(inverse, state_precision))
+        of_all = np.concatenate([held, of_state])
+        fit = problem.minimise(v, prior, first=at, held=of_all, most=most, tolerance=TOLERANCE)
+        chi = max(float(fit.sse.sum()) / count, 1.0)
+        release = _contradicted(fit, held, prior, chi)
+        if not release.any():
+            break
+        held, v, at = held & ~release, fit.v, fit.data
+    information = fit.normal / chi
+    information[:q][held] = 0.0
+    information[:, :q][:, held] = 0.0
+    posterior = np.asarray(np.linalg.inv(information + prior.precision))[:q, :q]
+    return Posterior(fit, 0.5 * (posterior + posterior.T), held, told.untold & ~held, told, chi)
+
+
+def weighted(window: Window, sigma: Array) -> Data:
+    """The window's samples with their weights."""
+    return Data(window.time, window.inputs, *masked(window.measured, sigma))
+
+
+def _contradicted(fit: Fit, held: np.ndarray, prior: Prior, chi: float) -> np.ndarray:
+    """Held parameters (q,) that would lower the cost significantly if they alone were released."""
+    q = held.size
+    out = np.zeros(q, dtype=bool)
+    if not held.any():
+        return out
+    hessian = fit.normal / chi + prior.precision
+    gradient = fit.data.jtr / chi + prior.precision @ (fit.v - prior.mean)
+    free = np.concatenate([~held & ~fit.at_bound, np.ones(fit.v.size - q, dtype=bool)])
+    which = np.flatnonzero(held)
+    cross = hessian[np.ix_(which, free)]
+    solved = np.linalg.solve(hessian[np.ix_(free, free)], np.column_stack([cross.T, gradient[free]]))
+    information = np.diag(hessian)[which] - (cross * solved[:, :-1].T).sum(axis=1)
+    pull = gradient[which] - cross @ solved[:, -1]
+    out[which] = pull**2 > CONTRADICTED * np.maximum(information, 1e-300)
+    return out
+
+
+def _blocks(a: Array, b: Array) -> Array:
+    out = np.zeros((len(a) + len(b), len(a) + len(b)))
+    out[: len(a), : len(a)], out[len(a) :, len(a) :] = a, b
+    return out
+
+
+def _independent(covariance: Array, held: np.ndarray) -> Array:
+    """The covariance with correlations between held and open parameters dropped."""
+    independent: Array = covariance * (held[:, None] == held[None, :])
+    return independent
