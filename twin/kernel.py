@@ -94,7 +94,7 @@ class Kernel:
         for low in range(0, count, CHUNK):
             part = slice(low, low + CHUNK)
             rows = [a if len(a) == 1 else a[part] for a in (parameters, state)]
-            call = self._call(rows[0], rows[1], time, inputs, min(CHUNK, count - low))
+            call = self._call(rows[0], rows[1], time, inputs, min(CHUNK, count - low), LANES)
             out = np.empty((call.blocks, m, LANES))
             call.run(self._variant("cost"), *call.later(measured, weight), out, call.end, call.no_future)
             sse[part], end[part] = call.particles(out), call.particles(call.end)[:, :k]
@@ -128,7 +128,7 @@ class Kernel:
         count = max(len(np.atleast_2d(parameters)), len(np.atleast_2d(state)))
         if count > LANES:
             raise ValueError(f"at most {LANES - 1} quantities can be varied at once, got {count - 1}")
-        call = self._call(parameters, state, time, inputs, count, lanes=LANES)
+        call = self._call(parameters, state, time, inputs, count, LANES)
         m = len(self.network.sensors)
         gram, sse = np.empty((1, LANES, LANES)), np.zeros((1, m))
         call.run(

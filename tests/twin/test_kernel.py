@@ -94,6 +94,7 @@ def test_cost_is_the_sum_over_the_trace(loop: Network, twelve: Kernel) -> None:
     by_hand = np.nansum(((readings - measured) / loop.sigma) ** 2, axis=1)
     assert sse == pytest.approx(by_hand, rel=1e-9, abs=1e-12)
     assert (sse[:, 3] == 0.0).all()
+    assert twelve.cost(full[:1], START, t, u, y, weight)[0] == pytest.approx(by_hand[:1], rel=1e-9, abs=1e-12)
     assert np.array_equal(end, end2)
 
 
