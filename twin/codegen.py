@@ -384,11 +384,13 @@ class _Kernel:
         lines += self.loop(self.coefficients("fixed", late=False, lane=True))
         lines += self.delays.enter() if self.delays else []
         lines += ["G[:] = 0.0"] if self.mode == "gram" else []
+        # Before the substep: it gives the rows that the substep reads.
+        refresh = self.refresh()
         inner = self.loop(self.substep())
         if self.delays:
             inner = [*self.delays.look(), *inner, *self.delays.advance()]
         interval = [f"u{c} = inputs[i, {c}]" for c in range(len(self.network.input_columns)) if c not in s.driven]
-        interval += [*self.observe("i"), *self.drive(), *self.refresh()]
+        interval += [*self.observe("i"), *self.drive(), *refresh]
         interval += [*[f"h{i} = h / {i}.0" for i in range(2, 9)], "for step in range(steps):", *indent(inner)]
         lines += ["limit = 0.0", "known_h = -1.0", "fresh = True", "for i in range(first, n - 1):", *indent(interval)]
         lines += self.observe("n - 1")

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from tests.twin.two_nodes import U, drivers, heat, network, worst_error
-from twin.exact import simulate_exact
+from twin.exact import right_side, simulate_exact
 from twin.kernel import Kernel, masked, simulate
 from twin.network import TwinFileError
 
@@ -96,3 +97,23 @@ def test_places_that_make_no_sense() -> None:
     with pytest.raises(TwinFileError, match="same node"):
         network('[elements.x]\nkind = "radiation"\nnode = "a"\nto = "a"\narea = 1.0\n')
     assert U.size == len(network(ROOM).inputs)
+
+
+def test_lagging_sensor_follows_a_radiating_node() -> None:
+    lagging = '[elements.T_slow_C]\nkind = "sensor"\nnode = "a"\ncolumns = ["T_slow_C"]\nlag_s = 20.0\n'
+    net = network(ROOM + lagging)
+    t, u = drivers(40)
+    readings = simulate(net, t, u, np.array([70.0, 25.0]))
+    rhs = right_side(net)
+    state = np.array([70.0, 25.0, 70.0])
+    for i in range(t.size - 1):
+        done = solve_ivp(
+            lambda _, x, now: [*rhs(x[:2], now, net.values), (x[0] - x[2]) / 20.0],
+            (0.0, float(t[i + 1] - t[i])),
+            state,
+            args=(u[i],),
+            rtol=1e-9,
+            atol=1e-9,
+        )
+        state = done.y[:, -1]
+        assert readings[i + 1, 2] == pytest.approx(state[2], abs=1e-3)
