@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.exact import right_side
-from twin.kernel import held
+from twin.kernel import Kernel, held
 from twin.network import Array, Network, TwinFileError
 
+_MOST_STATES = 1024
 _PROBE_K = 1.0e-3
 _RESTS_K = 1.0e-9
 _SLOWEST_S = 1.0e9
@@ -34,15 +35,20 @@ def steady_state(
         start: (k,) degC to begin from; matters only where a network has several steady states.
 
     Returns:
-        (k,) or (n, k) in the order of ``network.nodes``.
+        (k,) or (n, k) in the order of ``network.nodes``. Delays and lags have passed, what elements remember rests.
 
     Raises:
         TwinFileError: a row has no steady state, because heat has no way out or too much comes in.
     """
     u = held(network, inputs)
     values = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
-    guess = np.full(len(network.nodes), 25.0) if start is None else np.asarray(start, dtype=np.float64)
     rhs = right_side(network)
+    # The right side also takes what elements remember, after the nodes; its answer tells how much that is.
+    size, nodes = len(rhs(np.full(_MOST_STATES, 25.0), u[0], values)), len(network.nodes)
+    guess = np.full(size, 25.0)
+    if start is not None:
+        guess[:nodes] = np.asarray(start, dtype=np.float64)
+        guess[nodes:] = guess[:nodes].mean()
     rows = []
     for i, row in enumerate(u):
         state = guess.copy()
@@ -61,11 +67,15 @@ def steady_state(
                 break
         else:
             raise TwinFileError(f"twin {network.name!r} does not come to rest at row {i} of the inputs")
-        rows.append(state)
+        rows.append(state[:nodes])
     return rows[0] if np.ndim(inputs) == 1 else np.array(rows)
 
 
 def steady_readings(network: Network, inputs: ArrayLike, parameters: ArrayLike | None = None) -> Array:
     """What the sensors show at rest, (n, m) degC in the order of ``network.sensor_names``, for inputs (n, c)."""
-    states = np.atleast_2d(steady_state(network, np.atleast_2d(np.asarray(inputs, dtype=np.float64)), parameters))
-    return states[:, [network.nodes.index(sensor.node) for sensor in network.sensors]]
+    u = held(network, inputs)
+    values = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
+    states = steady_state(network, u, values)
+    kernel = Kernel(network, ())
+    now = np.zeros(1)
+    return np.array([kernel.trace(values, s, now, u[i : i + 1])[0][0, 0] for i, s in enumerate(states)])

@@ -9,16 +9,13 @@ from twin.kernel import simulate
 from twin.network import Network, TwinFileError
 from twin.twinfile import parse
 
-PAST = (
-    '\n[elements.short]\nkind = "bypass"\nflow = "circuit"\npump = "pump_speed_pct"\nbefore = "{}"\naround = {}\n'
-    'after = "{}"\nfraction = {}\n'
-)
+PAST = '\n[elements.short]\nkind = "bypass"\naround = {}\nfraction = {{ value = {}, status = "tunable" }}\n'
 U = np.array([750.0, 90.0, 60.0, 21.0])
 T = np.array([39.0, 37.0, 35.0, 34.0])
 
 
-def past(loop_text: str, before: str, around: str, after: str, fraction: float) -> Network:
-    return parse(loop_text + PAST.format(before, around, after, fraction))
+def past(loop_text: str, around: str, fraction: float) -> Network:
+    return parse(loop_text + PAST.format(around, fraction))
 
 
 def rates(net: Network) -> np.ndarray:
@@ -26,7 +23,7 @@ def rates(net: Network) -> np.ndarray:
 
 
 def test_past_one_node_it_is_an_effectiveness(loop: Network, loop_text: str) -> None:
-    net = past(loop_text, "heater", '["modules"]', "radiator", 0.3)
+    net = past(loop_text, '["modules"]', 0.3)
     same = loop.with_values({"circuit.effectiveness_modules": 0.7})
     assert rates(net) == pytest.approx(rates(same), rel=1e-12)
     t, u = drive(900)
@@ -34,7 +31,7 @@ def test_past_one_node_it_is_an_effectiveness(loop: Network, loop_text: str) -> 
 
 
 def test_heat_is_only_rearranged(loop: Network, loop_text: str) -> None:
-    net = past(loop_text, "heater", '["modules", "radiator"]', "tank", 0.4)
+    net = past(loop_text, '["modules", "radiator"]', 0.4)
     capacity = np.array([loop.parameters[f"{node}.capacitance"].value for node in loop.nodes])
     moved = (rates(net) - rates(loop)) * capacity
     mcp = 3.785 * 0.997 / 60.0 * 4180.0 * 0.9
@@ -44,12 +41,14 @@ def test_heat_is_only_rearranged(loop: Network, loop_text: str) -> None:
 
 def test_kernel_is_exact_and_neutral_at_zero(loop: Network, loop_text: str) -> None:
     t, u = drive(900, every=True)
-    net = past(loop_text, "radiator", '["tank"]', "heater", 0.9)
+    net = past(loop_text, '["tank"]', 0.9)
     assert np.abs(simulate(net, t, u, START) - simulate_exact(net, t, u, START)).max() < 1e-6
-    none = past(loop_text, "radiator", '["tank"]', "heater", 0.0)
+    none = past(loop_text, '["tank"]', 0.0)
     assert np.abs(simulate(none, t, u, START) - simulate(loop, t, u, START)).max() < 1e-6
 
 
 def test_places_that_make_no_sense(loop_text: str) -> None:
-    with pytest.raises(TwinFileError, match="must differ"):
-        past(loop_text, "heater", '["heater"]', "radiator", 0.1)
+    with pytest.raises(TwinFileError, match="named twice"):
+        past(loop_text, '["heater", "heater"]', 0.1)
+    with pytest.raises(ValueError, match="do not follow one another"):
+        rates(past(loop_text, '["heater", "tank"]', 0.1))
