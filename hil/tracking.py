@@ -98,9 +98,27 @@ def calibration_document(calibration: Calibration) -> dict[str, Any]:
         "calibrated": bool(calibration.calibrated),
         "parameters": dict(calibration.values),
         "standard_errors": errors,
+        "frozen": list(calibration.frozen),
+        "condition": None if calibration.condition is None else _finite(calibration.condition),
+        "disturbed": calibration.disturbed,
+        "disturbed_W": calibration.disturbed_W,
+        "disturbed_interval90_W": calibration.disturbed_interval90_W,
+        "disturbed_since_s": calibration.disturbed_since_s,
         "flags": list(calibration.flags),
         "evaluations": calibration.evaluations,
     }
+
+
+def disturbance(document: dict[str, Any]) -> str | None:
+    """What a calibration says of an unknown power in one of the rig's volumes, as a sentence, or None."""
+    where, power, interval = (document.get(f"disturbed{end}") for end in ("", "_W", "_interval90_W"))
+    if where is None or power is None:
+        return None
+    spread = f" ({interval[0]:.0f} to {interval[1]:.0f})" if interval is not None else ""
+    since = document.get("disturbed_since_s")
+    when = f" since {since / 3600:.2f} h" if since is not None else ""
+    gives = "takes up" if power < 0 else "gives off"
+    return f"{where} {gives} {abs(power):.0f} W{spread} that the twin does not know of{when}"
 
 
 def _finite(value: float) -> float | None:
@@ -260,6 +278,10 @@ class TrackingProcess:
                 self._journal.twin_outputs(twin, message.ticks, message.time_s, values)
             for calibration in message.calibrations:
                 self._journal.calibration(*calibration)
+                name, _, end_s, document = calibration
+                found = disturbance(document) if name == self._config.calibrators[0] else None
+                if found is not None:
+                    self._journal.event(message.ticks[-1], end_s, "WARN", f"{name}: {found}")
             self._pump()
         elif isinstance(message, ErrorTable):
             self._table = message

@@ -39,7 +39,7 @@ def command(record: Path, twin: Path, calibrators: tuple[str, ...], seed: int, o
 
     from hil.record import read_record
     from hil.terminal import Steps, console, error_table
-    from hil.tracking import TrackingConfig, make_trackers, track_arrays
+    from hil.tracking import TrackingConfig, disturbance, make_trackers, track_arrays
     from hil.tracking import error_table as errors_of
 
     data = read_record(record)
@@ -49,26 +49,33 @@ def command(record: Path, twin: Path, calibrators: tuple[str, ...], seed: int, o
     began = time.monotonic()
     outputs: dict[str, list[NDArray[np.float64]]] = {}
     windows: dict[str, dict[str, int]] = {name: {} for name in trackers}
+    disturbed: list[dict[str, object]] = []
     with Steps("tracking", len(data.time_s), quiet=as_json) as steps:
         for message in data.messages:
             steps.say(message)
         for done, block_outputs, calibrations in track_arrays(trackers, data.time_s, data.columns, BLOCK_ROWS):
             for name, values in block_outputs.items():
                 outputs.setdefault(name, []).append(values)
-            for name, _, _, document in calibrations:
+            for name, _, end_s, document in calibrations:
                 windows[name][document["kind"]] = windows[name].get(document["kind"], 0) + 1
+                if (found := disturbance(document)) is not None:
+                    disturbed.append({"calibrator": name, "window_end_s": end_s, "found": found})
             steps.update(done)
     errors = errors_of(trackers)
     if out is not None:
         _write_predictions(out, data.time_s, network.sensor_names, outputs)
     if as_json:
-        click.echo(json.dumps({"errors_K": dataclasses.asdict(errors), "windows": windows}, indent=1))
+        click.echo(
+            json.dumps({"errors_K": dataclasses.asdict(errors), "windows": windows, "disturbed": disturbed}, indent=1)
+        )
         return
     to = console()
     to.print(error_table(errors, f"RMSE in K over {data.time_s[-1] / 3600:.1f} h of {record}"))
     for name, counts in windows.items():
         listed = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none complete"
         to.print(f"{name}: windows: {listed}")
+    for item in disturbed:
+        to.print(f"{item['calibrator']}, window to {float(str(item['window_end_s'])) / 3600:.2f} h: {item['found']}")
     to.print(f"{len(data.time_s)} samples in {time.monotonic() - began:.1f} s")
 
 

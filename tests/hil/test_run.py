@@ -81,6 +81,16 @@ def test_the_tracked_twin_follows_what_the_static_one_cannot_know(finished):
         assert row["least_squares fitted"] < 1.6 * errors["noise_K"][sensor], sensor
 
 
+def test_the_operator_is_told_where_something_entered_the_rig(finished):
+    reader = JournalReader(finished.folder.journal)
+    warnings = [(row.time_s, row.text) for row in reader.events() if row.level == "WARN"]
+    reader.close()
+    time_s, text = warnings[0]
+    assert time_s == pytest.approx(1200, abs=2)  # the end of the first window after it began
+    assert "pso: modules gives off" in text
+    assert "that the twin does not know of since 0.1" in text
+
+
 def test_the_table_is_that_of_the_journal(finished):
     reader = JournalReader(finished.folder.journal)
     samples = reader.samples()
