@@ -11,19 +11,26 @@ from typing import Any
 
 from hil.bench.peers import Absent
 from hil.bench.report import Cell, Table
+from hil.terminal import Steps
 
 
-def measure(data: Path) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
     """Tables of the public records under `data`, and a line where there is nothing to run."""
     if importlib.util.find_spec("hil.bench.records") is None:
         return (), ("records: this version has no hil.bench.records",)
     if not (data / "real").is_dir():
         return (), (f"records: no {data / 'real'}; set HIL_DATA to the folder that holds 'real'",)
-    try:
-        found = importlib.import_module("hil.bench.records").run(data)
-    except Absent as why:
-        return (), (str(why),)
-    return tuple(tables_of("records", "Public records", found)), ()
+    with Steps("public records", 1.0) as bar:
+        bar.say("fitting and simulating the public records, under a minute")
+        try:
+            found = importlib.import_module("hil.bench.records").run(data, seed=seed)
+        except Absent as why:
+            return (), (str(why),)
+    tables = list(tables_of("records", "Public records", found))
+    said = tuple(getattr(found, "messages", ()))
+    if tables and said:
+        tables[0] = dataclasses.replace(tables[0], notes=(*tables[0].notes, *said))
+    return tuple(tables), ()
 
 
 def tables_of(key: str, title: str, found: Any) -> Iterable[Table]:
@@ -39,7 +46,7 @@ def tables_of(key: str, title: str, found: Any) -> Iterable[Table]:
     if any(nested):
         for item, inner in zip(items, nested, strict=True):
             name = str(getattr(item, "name", getattr(item, "title", title)))
-            alone = {k: v for k, v in _fields(item).items() if k not in inner}
+            alone = {k: v for k, v in _fields(item).items() if k not in inner and k != "messages"}
             if alone:
                 yield Table(_key(name), name, ("what", "value"), tuple((k, _cell(v)) for k, v in alone.items()))
             for field, rows in inner.items():

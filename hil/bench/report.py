@@ -18,6 +18,8 @@ from hil.terminal import console
 Cell = str | float | int | None
 WIDTH = 100
 """Columns that every table fits into."""
+LONG_FIGURE = 14
+"""A longer cell is prose, and stands to the left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +79,8 @@ def show(report: Report, to: Console | None = None) -> None:
     for table in report.tables:
         drawn = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
         for position, column in enumerate(table.columns):
-            drawn.add_column(column, justify="left" if position == 0 else "right", no_wrap=position == 0)
+            prose = position == 0 or _is_prose([row[position] for row in table.rows])
+            drawn.add_column(column, justify="left" if prose else "right", no_wrap=position == 0)
         for row in table.rows:
             drawn.add_row(*(number(cell) for cell in row))
         out.print(drawn, width=min(WIDTH, out.width), markup=False)
@@ -88,6 +91,12 @@ def show(report: Report, to: Console | None = None) -> None:
         out.print(f"left out: {line}", markup=False, width=min(WIDTH, out.width))
     machine = report.manifest["machine"]
     out.print(f"{machine['cpu']}, {machine['cores']} cores; {report.manifest['date']}", markup=False)
+
+
+def _is_prose(cells: list[Cell]) -> bool:
+    """Whether a column holds words rather than figures."""
+    words = [cell for cell in cells if isinstance(cell, str)]
+    return any(len(word) > LONG_FIGURE for word in words)
 
 
 def as_json(report: Report) -> str:

@@ -185,5 +185,5 @@ def records_command(seed: int, out: Path | None, as_json: bool) -> None:
     """
     from hil.bench.public import measure
 
-    tables, skipped = measure(_data_folder())
+    tables, skipped = measure(_data_folder(), seed)
     _finish("records", seed, tables, skipped, out, as_json)
