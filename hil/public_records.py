@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,7 @@ def heated_pipe(real: Path, test: str) -> Columns:
         column = table[name]
         if np.ptp(column[np.isfinite(column)]) == 0.0:
             messages.append(f"{name} shows {column[0]:g} degC from beginning to end; dead channel, left out")
-            column = np.full_like(column, np.nan)
+            column = np.full(column.size, np.nan)
         columns[name] = column
     return Columns(test, table["time_s"], columns, tuple(messages))
 
@@ -96,18 +97,20 @@ def held_steady(states: Columns, measured: tuple[str, ...], hold_s: float = HOLD
     Each state is held for `hold_s`; the columns named in `measured` appear at the end of its hold only, when the
     network has come to rest.
     """
-    rows = np.repeat(np.arange(states.time_s.size), HOLD_ROWS)
-    last = np.tile(np.arange(HOLD_ROWS) == HOLD_ROWS - 1, states.time_s.size)
+    count = len(states.time_s)
+    rows = np.repeat(np.arange(count), HOLD_ROWS)
+    last = np.tile(np.arange(HOLD_ROWS) == HOLD_ROWS - 1, count)
     columns = {name: column[rows] for name, column in states.columns.items()}
     for name in measured:
         columns[name] = np.where(last, columns[name], np.nan)
-    return Columns(states.name, np.arange(rows.size) * (hold_s / HOLD_ROWS), columns, states.messages)
+    time_s = np.arange(rows.size, dtype=np.float64) * (hold_s / HOLD_ROWS)
+    return Columns(states.name, time_s, columns, states.messages)
 
 
 def _read(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
     """Columns of a CSV file with one header line, as floats; what is not a number is NaN."""
     try:
-        table = np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64)
+        table: Any = np.genfromtxt(path, delimiter=",", names=True)
     except OSError:
         raise PublicRecordError(f"{path}: cannot be read; set HIL_DATA to the folder that holds 'real'") from None
     except ValueError as error:
@@ -115,4 +118,4 @@ def _read(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
     missing = [name for name in names if name not in (table.dtype.names or ())]
     if missing:
         raise PublicRecordError(f"{path}: lacks {', '.join(missing)}; it has {', '.join(table.dtype.names or ())}")
-    return {name: np.atleast_1d(table[name]) for name in names}
+    return {name: np.atleast_1d(np.asarray(table[name], dtype=np.float64)) for name in names}
