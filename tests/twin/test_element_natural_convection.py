@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.twin.two_nodes import U, drivers, heat, network, worst_error
@@ -21,6 +21,7 @@ def test_exponent_one_is_the_linear_loss() -> None:
     assert heat(LOSS + "exponent = 1.0\n") == pytest.approx(heat(linear))
 
 
+@settings(deadline=None)
 @given(difference=st.floats(-60.0, 60.0))
 def test_odd_in_the_difference_and_close_to_the_law(difference: float) -> None:
     warm = heat(LOSS, (20.0 + difference, 20.0))[0]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
@@ -26,6 +26,7 @@ def test_between_nodes_nothing_is_lost() -> None:
     assert heat(PAIR).sum() == pytest.approx(0.0, abs=1e-9)
 
 
+@settings(deadline=None)
 @given(a=st.floats(-40.0, 150.0), b=st.floats(-40.0, 150.0))
 def test_heat_flows_from_hot_to_cold(a: float, b: float) -> None:
     q = heat(PAIR, (a, b))[0]
