@@ -185,7 +185,7 @@ def _single_table(found: _Found, size: Size) -> Table:
         error = max(pair[1] for pair in by_schedule.values())
         here = by_schedule.get(last, (np.nan, np.nan))[0]
         rows.append((name, *(1e3 * t for t in times), 1.0 / here, error, here / mine, here / best))
-    columns = ("one vector", *size.schedules, "windows/s", "error K", "x ours (1)", "x ours")
+    columns = ("one vector", *size.schedules, "windows/s", "error K", "x ours", "x swarm")
     return Table(
         "single",
         f"One window of {size.samples} s, one parameter vector: CPU ms where the inputs are ..",
@@ -194,7 +194,7 @@ def _single_table(found: _Found, size: Size) -> Table:
         (
             f"error: the largest against matrix exponentials over all schedules. Ratios and windows/s: {last}.",
             "ivp: scipy.integrate.solve_ivp; restarted: wherever an input changes, so that no step crosses a jump.",
-            "x ours (1): times our one vector; x ours: times our window in the best swarm. Peers get their "
+            "x ours: times our one vector; x swarm: times our window in the best swarm. Peers get their "
             "coefficients made beforehand; ours includes everything from parameters to cost.",
         ),
     )
@@ -217,14 +217,19 @@ def _swarm_table(found: _Found, size: Size) -> Table:
     return Table(
         "swarm",
         f"Swarms: windows of {size.samples} s per CPU second, cost only, one thread",
-        ("method", "inputs", *(f"N={c:,}".replace(",", " ") for c in size.counts), "cost off by", "ours is x"),
+        ("method", "inputs", *(f"N={_short(c)}" for c in size.counts), "cost off", "ours is x"),
         tuple(rows),
         (
-            f"cost off by: largest relative difference to the exact cost over {JUDGED} particles. "
+            f"cost off: largest relative difference to the exact cost over {JUDGED} particles. "
             "ours is x: at the largest swarm that both did. C is one Taylor step of order 5 a second, which is as "
             "accurate; jit, scan and eager as their makers advise. In brackets: volumes of another network.",
         ),
     )
+
+
+def _short(count: int) -> str:
+    """`10k` for ten thousand."""
+    return f"{count // 1000}k" if count >= 1000 else str(count)
 
 
 def _goal_table(found: _Found, size: Size, whole: list[tuple[Cell, ...]], facts: dict[str, float]) -> Table:
