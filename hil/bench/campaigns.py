@@ -108,7 +108,7 @@ def stranger(change: str, data: Path) -> Campaign:
     sheet = from_datasheet(folder / "datasheet.json")
     healthy = read_record(folder / "commissioning.parquet")
     done = commission(sheet, healthy.time_s, *sheet.select(healthy.columns))
-    return _read(f"stranger {folder.name}", change, folder / "campaign.parquet", done.network, sheet)
+    return _read(f"rig {folder.name}", change, folder / "campaign.parquet", done.network, sheet)
 
 
 def inverse_crime(change: str, hours: float, seed: int, onset_s: float = ONSET_S) -> Campaign:

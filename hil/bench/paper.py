@@ -207,12 +207,12 @@ def changed(experiment: str, here: list[Campaign], size: Size, seed: int) -> Tab
     return Table(
         experiment,
         f"{words.capitalize()} at 3.5 h: windows until back below 0.1 K, and RMSE in K after the change",
-        ("rig", "calibrator", "fitted", "ahead", "first at", "static K", "ahead K", "fitted K", "later K", "at h"),
+        ("rig", "calibrator", "fitted", "ahead", "first at", "static K", "ahead K", "fit K", "later K", "at h"),
         tuple(rows),
         (
             "fitted, ahead: windows until the fit, and until the prediction, stays below 0.1 K. first at: sensor "
             "whose prediction errs most in the first window. later K: worst predicted window from one hour after "
-            "the change on, and its hour. RMSE: over all sensors, from the change on.",
+            "the change on, and its hour. RMSE: over all sensors, from the change on. rig d1, d2: strangers.",
         ),
     )
 

@@ -58,10 +58,7 @@ def _finish(
     from hil.bench.report import Report, show, write
     from hil.bench.report import as_json as json_of
 
-    words = (
-        " ".join(["hil", *sys.argv[1:]]) if Path(sys.argv[0]).name in ("hil", "__main__.py") else f"hil bench {name}"
-    )
-    report = Report(name, tables, skipped, manifest(words, seed))
+    report = Report(name, tables, skipped, manifest(_typed(name), seed))
     if as_json:
         click.echo(json_of(report), nl=False)
     else:
@@ -69,6 +66,15 @@ def _finish(
     if out is not None:
         for path in write(report, out):
             click.echo(str(path), err=True)
+
+
+def _typed(name: str) -> str:
+    """The command as it was typed, without where its results go."""
+    if Path(sys.argv[0]).name not in ("hil", "__main__.py"):
+        return f"hil bench {name}"
+    words = sys.argv[1:]
+    kept = [w for i, w in enumerate(words) if not w.startswith("--out") and (i == 0 or words[i - 1] != "--out")]
+    return " ".join(["hil", *kept])
 
 
 @command.command("twin")
