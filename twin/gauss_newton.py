@@ -93,7 +93,7 @@ class Linearisation:
     """Noise-weighted residuals and what a change of q quantities does to them.
 
     Attributes:
-        readings: (n, m) degC at the centre. end: (k,) state at the last sample.
+        readings: (n, m) degC at the centre. end: state at the last sample.
         jtj: (q, q). jtr: (q,) gradient of half the squares. sse: (m,) weighted squares per sensor.
     """
 
@@ -109,7 +109,7 @@ class Fit:
     """Result of one descent.
 
     Attributes:
-        v: (q + k,) the minimum, [z, initial state]. values: physical (q,). state: (k,) at the first sample.
+        v: (q + k,) the minimum, [z, initial temperatures]. values: physical (q,). state: at the first sample.
         data: residuals linearised there. cost: weighted squares plus prior.
         at_bound: (q,) bool. evaluations: linearisations made.
     """
@@ -137,7 +137,7 @@ def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, dat
     """Normal equations by forward differences across lanes: row 0 is the centre, row a differs by steps[a - 1].
 
     Args:
-        parameters: (1 + q, p) full vectors. state: (1 + q, k). steps: (q,) size of each row's difference.
+        parameters: (1 + q, p) full vectors. state: 1 + q states. steps: (q,) size of each row's difference.
     """
     n, m = data.measured.shape
     q = steps.size
@@ -161,14 +161,15 @@ def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, dat
 
 
 class Problem:
-    """Weighted squares of a record as a function of v = [z (q,), initial state (k,)].
+    """Weighted squares of a record as a function of v = [z (q,), initial node temperatures (k,)].
 
     Args:
-        base: full parameter vector (p,); entries of `scaling.index` are replaced. states: k.
+        base: full parameter vector (p,); entries of `scaling.index` are replaced.
+        state: at the first sample; what it holds beyond the k temperatures (`twin.memory`) is taken as known.
     """
 
-    def __init__(self, kernel: Kernel, scaling: Scaling, base: Array, data: Data, states: int) -> None:
-        self.q = len(scaling.ids)
+    def __init__(self, kernel: Kernel, scaling: Scaling, base: Array, data: Data, state: Array) -> None:
+        self.q, states = len(scaling.ids), len(kernel.network.nodes)
         if self.q + states >= LANES:
             raise TwinFileError(
                 f"{self.q} tunables and {states} nodes are too many for one fit; at most {LANES - 1} together"
@@ -178,6 +179,7 @@ class Problem:
         self.high = np.concatenate([scaling.to_z(scaling.upper), np.full(states, np.inf)])
         self._steps = np.concatenate([np.full(self.q, _STEP), np.full(states, 1e-2)])
         self._full = np.tile(base, (1 + self.q + states, 1))
+        self._states = np.tile(state, (1 + self.q + states, 1))
         self.evaluations = 0
 
     def linearise(self, v: Array) -> Linearisation:
@@ -186,7 +188,8 @@ class Problem:
         steps = np.where(v + self._steps > self.high, -self._steps, self._steps)
         rows = v + np.vstack([np.zeros(v.size), np.diag(steps)])
         self._full[:, self.scaling.index] = self.scaling.to_values(rows[:, : self.q])
-        return linearise(self.kernel, self._full, rows[:, self.q :], steps, self.data)
+        self._states[:, : v.size - self.q] = rows[:, self.q :]
+        return linearise(self.kernel, self._full, self._states, steps, self.data)
 
     def minimise(
         self,
@@ -237,7 +240,9 @@ class Problem:
                 if damping > 1e12:
                     break
         at_bound = (v[:q] <= low[:q] + 1e-9) | (v[:q] >= high[:q] - 1e-9)
-        return Fit(v, self.scaling.to_values(v[:q]), v[q:].copy(), out, cost, at_bound, self.evaluations)
+        state = self._states[0].copy()
+        state[: v.size - q] = v[q:]
+        return Fit(v, self.scaling.to_values(v[:q]), state, out, cost, at_bound, self.evaluations)
 
 
 def descend(
@@ -255,10 +260,11 @@ def descend(
 
     Args:
         base: full parameter vector (p,); entries of `scaling.index` are replaced.
-        values, state: where to start, (q,) and (k,).
+        values, state: where to start, (q,) and a state.
     """
-    problem = Problem(kernel, scaling, base, data, state.size)
-    v = np.clip(np.concatenate([scaling.to_z(values), state]), problem.low, problem.high)
+    problem = Problem(kernel, scaling, base, data, state)
+    temperatures = state[: len(kernel.network.nodes)]
+    v = np.clip(np.concatenate([scaling.to_z(values), temperatures]), problem.low, problem.high)
     return problem.minimise(v, prior, most=most, tolerance=tolerance)
 
 
@@ -282,20 +288,20 @@ def _bounded_step(hessian: Array, gradient: Array, free: np.ndarray, damping: fl
 
 
 def align(kernel: Kernel, base: Array, state: Array, data: Data, sd: Array | float, most: int = 3) -> Array:
-    """Initial state (k,) that fits `data` at fixed parameters, with a prior of `sd` K round `state`.
+    """Initial state that fits `data` at fixed parameters, with a prior of `sd` K round the temperatures of `state`.
 
     One step is exact for a linear network; the others are for elements that are not.
     """
-    k = state.size
+    k = len(kernel.network.nodes)
     weight = np.broadcast_to(np.asarray(sd, dtype=np.float64), (k,)) ** -2.0
     steps = np.full(k, 1e-2)
     best = state.copy()
+    full, rows = np.tile(base, (1 + k, 1)), np.tile(state, (1 + k, 1))
     for _ in range(most):
-        rows = best + np.vstack([np.zeros(k), np.diag(steps)])
-        full = np.tile(base, (1 + k, 1))
+        rows[:, :k] = best[:k] + np.vstack([np.zeros(k), np.diag(steps)])
         out = linearise(kernel, full, rows, steps, data)
-        step = np.linalg.solve(out.jtj + np.diag(weight), -out.jtr - weight * (best - state))
-        best = best + step
+        step = np.linalg.solve(out.jtj + np.diag(weight), -out.jtr - weight * (best[:k] - state[:k]))
+        best[:k] += step
         if np.abs(step).max() < 1e-6:
             break
     return best

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.calibrators import Calibration, Calibrator, make
+from twin.calibrators.base import Follower, from_plain, plain
 from twin.calibrators.locate import Localiser
 from twin.calibrators.outcome import skip
 from twin.calibrators.windows import assemble, last_of_window, window_index
@@ -38,12 +39,17 @@ class Update:
         calibrations: of the windows completed inside the block, in order.
         skipped: samples whose stamp does not advance (or is not finite): predicted with the state as it
             was, left out of every fit.
+        filtered, spread: (n, m) degC and K, what a calibrator that follows every sample makes of it once it has
+            seen it, with one standard deviation; no prediction. None for the other calibrators. Until the
+            filter begins, `filtered` is `tracked` and `spread` NaN.
     """
 
     static: Array
     tracked: Array
     calibrations: tuple[Calibration, ...]
     skipped: int
+    filtered: Array | None = None
+    spread: Array | None = None
 
 
 @dataclass
@@ -123,18 +129,21 @@ class TwinTracker:
         y = np.where(np.isfinite(y), y, np.nan)
         self._last_good = u[-1].copy()
         rows = self._advancing(t)
-        out = np.empty((2, rows.size, m))
+        follows = isinstance(self.calibrator, Follower)
+        out = np.full((4 if follows else 2, rows.size, m), np.nan)
         calibrations: list[Calibration] = []
         at = 0
         before = self._readings() if rows.size < n and self._origin is not None else None
         ahead = (t, u, y) if rows.size == n else (t[rows], u[rows], y[rows])
         while at < rows.size:
             at += self._some(ahead[0][at:], ahead[1][at:], ahead[2][at:], out[:, at:], calibrations)
+        if follows:
+            out[2] = np.where(np.isfinite(out[2]), out[2], out[1])
         self._count(0, out[0] - ahead[2])
         self._count(1, out[1] - ahead[2])
         if rows.size < n:
             out = self._repeat(out, rows, n, before, y)
-        return Update(out[0], out[1], tuple(calibrations), n - rows.size)
+        return Update(out[0], out[1], tuple(calibrations), n - rows.size, *out[2:])
 
     def table(self) -> dict[str, dict[str, float]]:
         """Sensor -> K: ``static`` and ``tracked`` RMSE (both predictions), ``fitted`` (same window), ``noise``.
@@ -165,7 +174,7 @@ class TwinTracker:
             self._static = self.network.initial_state(y[0])
             self._tracked = self._static.copy()
             self._seen[[k for j, k in self._reads if np.isfinite(y[0, j])]] = 1.0
-            out[:, 0] = self._readings()
+            out[:2, 0] = self._readings()
             self._time, self._inputs = float(t[0]), u[0].copy()
             return 1
         if t[0] - self._origin < SETTLE_S:
@@ -192,6 +201,9 @@ class TwinTracker:
         buffer.inputs.append(u[:take].copy())
         buffer.measured.append(y[:take].copy())
         buffer.live.append(out[1, :take].copy())
+        if isinstance(self.calibrator, Follower):
+            seen = self.calibrator.follow(t[:take], u[:take], y[:take], buffer.state)
+            out[2, :take], out[3, :take] = seen.filtered, seen.spread
         if last is not None:
             self._complete(calibrations)
             self._window += 1
@@ -201,10 +213,10 @@ class TwinTracker:
         """Predict samples at `t` (n,) with both twins; inputs of the sample before hold up to the first."""
         times = np.concatenate([[self._time], t])
         drive = np.vstack([self._inputs, u])
-        for row, parameters, state in ((0, self.network.values, self._static), (1, self._parameters, self._tracked)):
-            readings, end = self._kernel.trace(parameters, state, times, drive)
-            out[row, : len(t)] = readings[0, 1:]
-            state[:] = end[0]
+        readings, end = self._kernel.trace(self.network.values, self._static, times, drive)
+        out[0, : len(t)], self._static = readings[0, 1:], end[0]
+        readings, end = self._kernel.trace(self._parameters, self._tracked, times, drive)
+        out[1, : len(t)], self._tracked = readings[0, 1:], end[0]
         self._pace = float(times[-1] - times[-2])
         self._time, self._inputs = float(t[-1]), u[-1].copy()
 
@@ -255,10 +267,11 @@ class TwinTracker:
         self._sums[row + 3] += good.sum(axis=0)
 
     def _repeat(self, out: Array, rows: np.ndarray, n: int, before: Array | None, y: Array) -> Array:
-        """Predictions (2, n, m): a sample that does not advance repeats the one before it."""
+        """Predictions (2 or 4, n, m): a sample that does not advance repeats the one before it."""
         if before is None:
             first = self.network.initial_state(y[0])
             before = np.stack([first[[k for _, k in self._reads]]] * 2)
+        before = np.vstack([before, before[1:], np.full_like(before[1:], np.nan)])[: len(out)]
         known = np.concatenate([before[:, None, :], out], axis=1)
         position = np.searchsorted(rows, np.arange(n), side="right")
         return known[:, position]
@@ -271,12 +284,12 @@ class TwinTracker:
             "network": self.network.name,
             "calibrator": {"name": self.calibrator.name, "state": self.calibrator.state()},
             "scalars": [self._origin, self._time, self._pace, self._window, self._number],
-            "arrays": {key: _plain(getattr(self, f"_{key}")) for key in _ARRAYS},
+            "arrays": {key: plain(getattr(self, f"_{key}")) for key in _ARRAYS},
             "buffer": None
             if buffer.state is None
             else {
-                "state": _plain(buffer.state),
-                **{key: _plain(np.concatenate(getattr(buffer, key))) for key in _BUFFERED},
+                "state": plain(buffer.state),
+                **{key: plain(np.concatenate(getattr(buffer, key))) for key in _BUFFERED},
             },
         }
 
@@ -295,23 +308,13 @@ class TwinTracker:
         self.calibrator.restore(state["calibrator"]["state"])
         self._origin, self._time, self._pace, self._window, self._number = state["scalars"]
         for key in _ARRAYS:
-            setattr(self, f"_{key}", _array(state["arrays"][key]))
+            setattr(self, f"_{key}", from_plain(state["arrays"][key]))
         self._buffer = _Buffer()
         if state["buffer"] is not None:
-            self._buffer.state = _array(state["buffer"]["state"])
+            self._buffer.state = from_plain(state["buffer"]["state"])
             for key in _BUFFERED:
-                getattr(self._buffer, key).append(_array(state["buffer"][key]))
+                getattr(self._buffer, key).append(from_plain(state["buffer"][key]))
 
 
 _ARRAYS = ("parameters", "last_good", "inputs", "static", "tracked", "seen", "sums")
 _BUFFERED = ("time", "inputs", "measured", "live")
-
-
-def _plain(a: Array) -> Any:
-    plain = a.astype(object)
-    plain[~np.isfinite(a)] = None
-    return plain.tolist()
-
-
-def _array(data: Any) -> Array:
-    return np.array(data, dtype=np.float64)

@@ -70,7 +70,7 @@ def test_a_window_with_too_little_data_is_skipped(loop: Network) -> None:
     assert assemble(0, t, u, y, START, loop.values, live, RULES).kind == "skipped"
 
 
-@pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares"])
+@pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares", "kalman"])
 def test_same_seed_same_answer_and_a_saved_state_goes_on(loop: Network, name: str) -> None:
     truth = loop.with_values({"fins.UA_100": 75.0, "heater_power.factor": 0.95})
     a, b = make(name, loop, seed=3), make(name, loop, seed=3)
@@ -96,19 +96,19 @@ def test_never_worse_than_what_it_had(loop: Network, settings) -> None:  # type:
     assert ((np.array(list(done.values.values())) >= low) & (np.array(list(done.values.values())) <= high)).all()
 
 
-@pytest.mark.parametrize("name", ["pso", "least_squares"])
+@pytest.mark.parametrize("name", ["pso", "least_squares", "kalman"])
 def test_reaches_the_noise_when_the_truth_is_within_reach(loop: Network, name: str) -> None:
     truth = loop.with_values({"fins.UA_100": 80.0, "modules_power.power": 120.0})
     calibrator: Calibrator = make(name, loop, "nine", seed=0)
     done = calibrator.calibrate(window(loop, truth))
     assert done.calibrated
     floor = float(np.sqrt(np.mean(loop.sigma**2)))
-    assert done.error_K < (1.5 if name == "pso" else 1.05) * floor
+    assert done.error_K < 1.05 * floor
     assert done.error_before_K > 5.0 * floor
     assert done.fitted.shape == (600, 4)
 
 
-@pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares"])
+@pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares", "kalman"])
 def test_a_wrong_state_is_corrected(loop: Network, name: str) -> None:
     w = window(loop, loop, offset=2.0)
     assert w.kind == "recovery"

@@ -12,7 +12,7 @@ from tests.twin.conftest import LOOP, START, drive
 from twin.kernel import simulate
 from twin.network import Network, TwinFileError
 from twin.tracking import TwinTracker, Update
-from twin.twinfile import load
+from twin.twinfile import load, parse
 
 Stream = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -63,7 +63,7 @@ def whole(name: str) -> tuple[Network, Stream, tuple, dict]:
     return _WHOLE[name]
 
 
-@pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares"])
+@pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares", "kalman"])
 @settings(max_examples=6, deadline=None)
 @given(cuts=st.lists(st.integers(1, 2499), max_size=25))
 def test_results_do_not_depend_on_the_cut(name: str, cuts: list[int]) -> None:
@@ -133,7 +133,7 @@ def test_tracked_is_a_prediction(loop: Network) -> None:
     assert not np.array_equal(a.calibrations[2].fitted, b.calibrations[2].fitted)
 
 
-@pytest.mark.parametrize("name", ["pso", "least_squares"])
+@pytest.mark.parametrize("name", ["pso", "least_squares", "kalman"])
 def test_follows_a_change(loop: Network, name: str) -> None:
     n = 6000
     t, u = drive(n)
@@ -155,7 +155,7 @@ def test_follows_a_change(loop: Network, name: str) -> None:
     assert table["T_modules_C"]["fitted"] < table["T_modules_C"]["static"]
 
 
-@pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares"])
+@pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares", "kalman"])
 def test_nothing_measured_gives_predictions_and_keeps_parameters(loop: Network, name: str) -> None:
     t, u, y = stream(loop, 1800)
     y[:] = np.nan
@@ -168,7 +168,7 @@ def test_nothing_measured_gives_predictions_and_keeps_parameters(loop: Network, 
     assert np.isnan(tracker.table()["T_tank_C"]["static"])
 
 
-@pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares"])
+@pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares", "kalman"])
 def test_hard_streams_never_give_nan(loop: Network, name: str) -> None:
     t, u, y = stream(loop, 1800)
     u[:] = u[0]
@@ -214,3 +214,31 @@ def test_forty_hours_take_seconds(loop: Network) -> None:
     update = TwinTracker(loop).push(*s)
     assert len(update.calibrations) == 240
     assert time.perf_counter() - began < 10.0
+
+
+REMEMBERS = """
+[elements.return_pipe]
+kind = "pipe"
+to = "heater"
+volume = { value = 0.45 }
+
+[elements.plates]
+kind = "hidden_mass"
+node = "modules"
+capacity = { value = 900.0 }
+conductance = { value = 20.0 }
+"""
+
+
+@pytest.mark.parametrize("name", ["least_squares", "kalman"])
+def test_a_network_that_remembers_is_tracked_and_goes_on(loop_text: str, name: str) -> None:
+    net = parse(loop_text + REMEMBERS)
+    s = stream(net, 1900, truth=net.with_values({"fins.UA_100": 66.0}))
+    whole = TwinTracker(net, name).push(*s)
+    assert all(c.calibrated for c in whole.calibrations[1:])
+    first, second = TwinTracker(net, name), TwinTracker(net, name)
+    first.push(*(x[:1300] for x in s))
+    second.restore(json.loads(json.dumps(first.state(), allow_nan=False)))
+    rest = second.push(*(x[1300:] for x in s))
+    assert np.abs(whole.tracked[1300:] - rest.tracked).max() < 1e-6
+    assert np.abs(whole.static[1300:] - rest.static).max() < 1e-6

@@ -7,11 +7,12 @@ from twin.network import Network, TwinFileError
 
 __all__ = ["NAMES", "Calibration", "Calibrator", "Kind", "Window", "make"]
 
-NAMES = ("pso", "pso_paper", "least_squares")
+NAMES = ("pso", "pso_paper", "least_squares", "kalman")
 
 
 def make(name: str, network: Network, tunables: str | None = None, seed: int = 0) -> Calibrator:
-    """Calibrator by name: ``pso`` (tuned swarm), ``pso_paper`` (Table 2 to the letter), ``least_squares``.
+    """Calibrator by name: ``pso`` (tuned swarm), ``pso_paper`` (Table 2 to the letter), ``least_squares``,
+    ``kalman`` (filter).
 
     Args:
         tunables: a set of the twin; each calibrator has its own default.
@@ -28,4 +29,8 @@ def make(name: str, network: Network, tunables: str | None = None, seed: int = 0
         from twin.calibrators.least_squares import LeastSquares
 
         return LeastSquares(network, tunables or "nine")
+    if name == "kalman":
+        from twin.calibrators.kalman import KalmanFilter
+
+        return KalmanFilter(network, tunables or "nine")
     raise TwinFileError(f"no calibrator {name!r}; there are: {', '.join(NAMES)}")

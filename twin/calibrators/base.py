@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -20,7 +20,7 @@ class Window:
     Attributes:
         number: from 0; windows without a sample are not made.
         time: (n,) s. inputs: (n, c), without NaN. measured: (n, m) degC, NaN where masked.
-        state: (k,) state of the live twin at the first sample. parameters: (p,) full vector it ran with.
+        state: of the live twin at the first sample. parameters: (p,) full vector it ran with.
         live: (n, m) its readings, made before the window was seen.
         first: how many samples count as the beginning of the window.
         initial_mismatch_K: root mean square over sensors of the mean mismatch in that beginning.
@@ -60,8 +60,8 @@ class Calibration:
         error_before_K: of the live twin over the window and all sensors, a prediction.
         error_K: the same after calibration.
         calibrated: error_K below the twin's threshold.
-        fitted: (n, m) degC, readings after calibration. state: (k,) fitted or carried state at the first
-            sample. end: (k,) state at the last sample, from which the live twin goes on.
+        fitted: (n, m) degC, readings after calibration. state: fitted or carried, at the first sample.
+            end: at the last sample, from which the live twin goes on.
         flags: plain words on anything unusual. evaluations: simulations of the window.
         disturbed: node in which an unknown power explains what the live twin missed in this window, or None.
         disturbed_W, disturbed_interval90_W, disturbed_since_s: that power and its onset.
@@ -111,6 +111,42 @@ class Calibrator(Protocol):
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what `state` gave."""
         ...
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Readings that have seen the samples they describe: filtered (n, m) degC, spread (n, m) K, one sigma."""
+
+    filtered: Array
+    spread: Array
+
+
+@runtime_checkable
+class Follower(Protocol):
+    """A calibrator that works sample by sample as well."""
+
+    def follow(self, time: Array, inputs: Array, measured: Array, state: Array) -> Estimate:
+        """Take in samples, in order; `state`, that of the live twin at their first, is for a start from nothing."""
+        ...
+
+
+def plain(a: Array) -> Any:
+    """Nested lists with None for what is not finite: strict JSON."""
+    out = a.astype(object)
+    out[~np.isfinite(a)] = None
+    return out.tolist()
+
+
+def from_plain(data: Any) -> Array:
+    """The array that `plain` took apart, with NaN for None."""
+    return np.array(data, dtype=np.float64)
+
+
+def misfit(window: Window, sigma: Array) -> float:
+    """Root mean square of the live twin's mismatch in units of the noise (m,) K; 1 without a measurement."""
+    r = (window.live - window.measured) / sigma
+    good = np.isfinite(r)
+    return float(np.sqrt(np.mean(r[good] ** 2))) if good.any() else 1.0
 
 
 def total_rmse(residual: Array) -> float:

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from twin.calibrators.base import Calibration, Window
+from twin.calibrators.base import Calibration, Window, misfit
 from twin.calibrators.outcome import conclude
-from twin.calibrators.posterior import fit_window
+from twin.calibrators.posterior import fit_window, no_wider
 from twin.gauss_newton import Scaling
-from twin.kernel import Kernel, masked
-from twin.network import Array, Network
+from twin.kernel import Kernel
+from twin.network import Network
 
 FIRST_SHARE = 0.3
 """Width of the first prior, round the commissioned values, as a share of the full prior."""
@@ -60,17 +60,3 @@ class LeastSquares:
     def restore(self, state: Mapping[str, Any]) -> None:
         self._mean = np.array(state["mean"], dtype=np.float64)
         self._covariance = np.array(state["covariance"], dtype=np.float64)
-
-
-def misfit(window: Window, sigma: Array) -> float:
-    """Root mean square of the live twin's mismatch in units of the noise."""
-    y, weight = masked(window.measured, sigma)
-    count = max(int((weight > 0.0).sum()), 1)
-    return float(np.sqrt((((window.live - y) * weight) ** 2).sum() / count))
-
-
-def no_wider(covariance: Array, wide: Array) -> Array:
-    """Shrink a covariance whose standard deviations exceed `wide`, keeping its correlations."""
-    factor = np.minimum(wide / np.sqrt(np.diag(covariance)), 1.0)
-    shrunk: Array = covariance * np.outer(factor, factor)
-    return shrunk

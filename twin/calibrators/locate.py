@@ -139,11 +139,11 @@ class Localiser:
 
     def _responses(self, window: Window) -> tuple[Array, list[float]]:
         """Responses (states + onsets x nodes, n, m) to 1 K and 1 W, and the onsets in s."""
-        k, nodes = window.state.size, len(self._powers)
+        k = nodes = len(self._powers)
         edges = np.unique(np.searchsorted(window.time, np.linspace(window.time[0], window.time[-1], ONSETS + 1)[:-1]))
         rows = np.tile(np.concatenate([window.parameters, np.zeros(nodes)]), (1 + k + edges.size * nodes, 1))
         state = np.tile(window.state, (len(rows), 1))
-        state[1 : 1 + k] += np.diag(np.full(k, _STATE_STEP))
+        state[1 : 1 + k, :k] += np.diag(np.full(k, _STATE_STEP))
         power = self._probed.index(self._powers)
         traced = np.empty((len(rows), *window.measured.shape))
         bounds = [*edges.tolist(), window.time.size - 1]

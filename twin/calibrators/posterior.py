@@ -80,16 +80,16 @@ def fit_window(
     """Fit tunables and initial state to a window.
 
     Args:
-        sigma: (m,) K noise of the sensors. mean, covariance: (q,), (q, q) prior in z. state: (k,) K, prior mean.
+        sigma: (m,) K noise of the sensors. mean, covariance: (q,), (q, q) prior in z. state: K, prior mean.
         told: what the window tells, if it is known already. most: linearisations in one descent.
     """
-    q, k = mean.size, state.size
+    q, k = mean.size, len(kernel.network.nodes)
     data = weighted(window, sigma)
     count = max(int((data.weight > 0.0).sum()), 1)
     state_precision = np.eye(k) * max(window.error_K, STATE_SD) ** -2
-    centre = np.concatenate([mean, state])
+    centre = np.concatenate([mean, state[:k]])
     of_state = np.zeros(k, dtype=bool)
-    problem = Problem(kernel, scaling, window.parameters, data, k)
+    problem = Problem(kernel, scaling, window.parameters, data, state)
     v, at = centre, problem.linearise(centre)
     told = told or told_by(at.jtj, scaling.prior_sd())
     held = told.untold
@@ -143,3 +143,10 @@ def _independent(covariance: Array, held: np.ndarray) -> Array:
     """The covariance with correlations between held and open parameters dropped."""
     independent: Array = covariance * (held[:, None] == held[None, :])
     return independent
+
+
+def no_wider(covariance: Array, wide: Array) -> Array:
+    """Shrink a covariance whose standard deviations exceed `wide`, keeping its correlations."""
+    factor = np.minimum(wide / np.sqrt(np.diag(covariance)), 1.0)
+    shrunk: Array = covariance * np.outer(factor, factor)
+    return shrunk

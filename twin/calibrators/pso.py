@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.calibrators.base import Calibration, Window
+from twin.calibrators.base import Calibration, Window, from_plain, plain
 from twin.calibrators.identifiability import Told, told_by
 from twin.calibrators.outcome import conclude
 from twin.calibrators.posterior import fit_window, weighted
@@ -182,8 +182,8 @@ class Swarm:
     def _told(self, window: Window) -> Told:
         """What the window can tell, judged where the live twin is."""
         scaling, data = self._scaling, weighted(window, self.network.sigma)
-        problem = Problem(self.kernel, scaling, window.parameters, data, window.state.size)
-        here = np.concatenate([scaling.to_z(window.parameters[scaling.index]), window.state])
+        problem = Problem(self.kernel, scaling, window.parameters, data, window.state)
+        here = np.concatenate([scaling.to_z(window.parameters[scaling.index]), window.state[: len(self.network.nodes)]])
         return told_by(problem.linearise(here).jtj, scaling.prior_sd())
 
     def _gather(self, window: Window) -> None:
@@ -212,7 +212,7 @@ class Swarm:
             "best": self._best.tolist(),
             "positions": None if self._positions is None else self._positions.tolist(),
             "velocities": self._velocities.tolist(),
-            "last": [self._last_number, *(a.tolist() for a in self.last)],
+            "last": [self._last_number, *(plain(a) for a in self.last)],
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -222,7 +222,7 @@ class Swarm:
         self._positions = None if positions is None else np.array(positions, dtype=np.float64)
         self._velocities = np.array(state["velocities"], dtype=np.float64)
         self._last_number, *last = state["last"]
-        time, inputs, start = (np.array(a, dtype=np.float64) for a in last)
+        time, inputs, start = (from_plain(a) for a in last)
         self.last = (time, inputs, start)
 
 

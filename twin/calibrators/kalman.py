@@ -1,0 +1,301 @@
+"""Joint state and parameter Kalman filter: an estimate with every sample, a calibration with every window.
+
+The extended filter of Jazwinski (Stochastic Processes and Filtering Theory, 1970, sec. 8.3) on [parameters w, node
+temperatures K]. The model is linear in the temperatures and mildly not in the parameters, so its derivatives, taken as
+lane differences along the predicted trajectory, are renewed every RENEW_S only; in between a sample costs a scalar
+update per sensor.
+
+A naive joint filter diverges with nine tunables. Hence: parameters in units of what is plausible for them, kept
+inside their bounds by a transformation w; the commissioned values as an informative prior; a small random walk; and
+innovations that are larger than they should be open the parameters again, piece by piece and only as far as it takes.
+A window that the filter could not follow even so (a change too slow for single innovations, or so large that a
+derivative at the wrong place leads astray) is fitted by least squares, from where the filter stood before it, and the
+filter goes on from there.
+
+What is compared with the other calibrators is the same as theirs: `tracked` runs free from the parameters and the
+state at the end of the last completed window; `fitted` is the window simulated again with the parameters at its end,
+from a re-estimated initial state. The filtered readings, which have seen the sample that they describe, are offered
+beside that, with their standard deviation, and belong in no table of predictions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from twin.calibrators.assimilate import assimilate
+from twin.calibrators.base import Calibration, Estimate, Window, from_plain, misfit, plain
+from twin.calibrators.identifiability import told_by
+from twin.calibrators.outcome import Report, conclude
+from twin.calibrators.posterior import Posterior, fit_window, no_wider, weighted
+from twin.gauss_newton import Linearisation, Problem, Scaling
+from twin.kernel import Kernel
+from twin.network import Array, Network
+
+RENEW_S = 30.0
+"""Length of a piece between linearisations."""
+FIRST_SHARE = 0.3
+"""Width of the first prior, round the commissioned values, as a share of what is plausible."""
+QUIET_SHARE = 0.02
+"""Random walk of the parameters in 600 s, as a share of what is plausible."""
+WALK_J = 10.0
+"""Random walk of each volume's heat in 60 s: what the model leaves out."""
+FIRST_STATE_K = 0.05
+LEAST_STATE_K = 0.02
+WIDEST_STATE_K = 5.0
+SURPRISE = 1.3
+"""Root mean square of the normalised innovations of a piece above which the parameters are opened."""
+OPENING = 0.3
+"""How far, per unit of surprise, as a share of what is plausible."""
+_ARRAYS = ("centre", "lanes", "deviation", "inputs", "covariance")
+_NUMBERS = ("began", "time", "surprise", "count")
+_INSIDE = 0.999
+_STEP = 1e-4
+_STATE_STEP = 1e-2
+
+
+class Bounded:
+    """Between z inside its bounds and w without any: z = mid + half tanh((w - mid) / half), slope 1 in the middle."""
+
+    def __init__(self, scaling: Scaling) -> None:
+        low, high = scaling.to_z(scaling.lower), scaling.to_z(scaling.upper)
+        self.mid, self.half = 0.5 * (low + high), 0.5 * (high - low)
+        reach = self.half * np.arctanh(_INSIDE)
+        self.limits = self.mid - reach, self.mid + reach
+
+    def to_w(self, z: Array) -> Array:
+        inside = np.clip((z - self.mid) / self.half, -_INSIDE, _INSIDE)
+        w: Array = self.mid + self.half * np.arctanh(inside)
+        return w
+
+    def to_z(self, w: Array) -> Array:
+        z: Array = self.mid + self.half * np.tanh((w - self.mid) / self.half)
+        return z
+
+    def slope(self, w: Array) -> Array:
+        """dz / dw."""
+        slope: Array = 1.0 - np.tanh((w - self.mid) / self.half) ** 2
+        return slope
+
+
+@dataclass
+class _Piece:
+    """Where the filter is inside a piece of RENEW_S.
+
+    Attributes:
+        centre: (N,) [w, temperatures] round which the piece was linearised, at its beginning.
+        lanes: (1 + N, s) states of the differing trajectories at the last sample.
+        deviation: (N,) estimate of the beginning less `centre`. covariance: (N, N) of it.
+        began, time: s. inputs: (c,) now held.
+        surprise, count: normalised innovations squared so far, and how many.
+    """
+
+    centre: Array
+    lanes: Array
+    deviation: Array
+    began: float
+    time: float
+    inputs: Array
+    covariance: Array
+    surprise: float = 0.0
+    count: int = 0
+
+
+class KalmanFilter:
+    """The filter as a calibrator; satisfies `Calibrator` and `Follower`. Deterministic."""
+
+    name = "kalman"
+
+    def __init__(self, network: Network, tunables: str = "nine") -> None:
+        self.network = network
+        self.ids = network.tunables(tunables)
+        self.kernel = Kernel(network, self.ids)
+        self._scaling = Scaling.of(network, self.ids)
+        self._bounded = Bounded(self._scaling)
+        self._wide = self._scaling.prior_sd()
+        q, k = len(self.ids), len(network.nodes)
+        self._steps = np.concatenate([np.full(q, _STEP), np.full(k, _STATE_STEP)])
+        self._mean = self._scaling.to_z(network.values[self._scaling.index])
+        self._covariance = np.diag((FIRST_SHARE * self._wide) ** 2)
+        capacitance = network.index(f"{node}.capacitance" for node in network.nodes)
+        self._capacitance = np.maximum(network.values[capacitance], 1.0)
+        self._piece: _Piece | None = None
+
+    def follow(self, time: Array, inputs: Array, measured: Array, state: Array) -> Estimate:
+        """Filter samples, in order; `state` counts at the very first one only."""
+        filtered, spread = np.empty_like(measured), np.empty_like(measured)
+        at = 0
+        if self._piece is None:
+            q, k = len(self.ids), len(self.network.nodes)
+            covariance = np.diag(np.full(q + k, FIRST_STATE_K**2))
+            covariance[:q, :q] = self._covariance
+            w = self._bounded.to_w(self._mean)
+            self._piece = self._new_piece(w, state, float(time[0]), inputs[0], covariance)
+        while at < time.size:
+            piece = self._piece
+            if piece.time >= piece.began + RENEW_S:
+                self._piece = piece = self._renew(piece)
+            until = int(np.searchsorted(time, piece.began + RENEW_S)) + 1
+            rows = slice(at, min(max(until, at + 1), time.size))
+            self._filter(piece, time[rows], inputs[rows], measured[rows], filtered[rows], spread[rows])
+            at = rows.stop
+        return Estimate(filtered, spread)
+
+    def _filter(self, piece: _Piece, time: Array, inputs: Array, measured: Array, *out: Array) -> None:
+        """Samples of one piece."""
+        q = len(self.ids)
+        rows = piece.centre + np.vstack([np.zeros(self._steps.size), np.diag(self._steps)])
+        full = np.tile(self.network.values, (len(rows), 1))
+        full[:, self._scaling.index] = self._values(rows[:, :q])
+        times, drive = np.concatenate([[piece.time], time]), np.vstack([piece.inputs, inputs])
+        traced, piece.lanes = self.kernel.trace(full, piece.lanes, times, drive)
+        lanes = np.moveaxis(traced, 0, 2)[1:]
+        centre = np.ascontiguousarray(lanes[:, :, 0])
+        jacobian = (lanes[:, :, 1:] - centre[:, :, None]) / self._steps
+        piece.time, piece.inputs = float(time[-1]), inputs[-1].copy()
+        variance = self.network.sigma**2
+        total, count = assimilate(jacobian, centre, measured, variance, piece.deviation, piece.covariance, *out)
+        piece.surprise += total
+        piece.count += count
+
+    def _values(self, w: Array) -> Array:
+        return self._scaling.to_values(self._bounded.to_z(w))
+
+    def _new_piece(self, w: Array, state: Array, time: float, inputs: Array, covariance: Array) -> _Piece:
+        k = len(self.network.nodes)
+        lanes = np.tile(state, (1 + self._steps.size, 1))
+        lanes[1 + len(w) :, :k] += np.diag(np.full(k, _STATE_STEP))
+        centre = np.concatenate([w, state[:k]])
+        return _Piece(centre, lanes, np.zeros(centre.size), time, time, inputs.copy(), covariance)
+
+    def _now(self, piece: _Piece) -> tuple[Array, Array, Array]:
+        """Parameters w, state at the last sample, and (N, N) how that depends on the beginning of the piece."""
+        q, k = len(self.ids), len(self.network.nodes)
+        transition = np.eye(q + k)
+        transition[q:] = ((piece.lanes[1:, :k] - piece.lanes[0, :k]) / self._steps[:, None]).T
+        state = piece.lanes[0].copy()
+        state[:k] += transition[q:] @ piece.deviation
+        return piece.centre[:q] + piece.deviation[:q], state, transition
+
+    def _renew(self, piece: _Piece) -> _Piece:
+        """Linearise again round the estimate, with the process noise of the piece that ends."""
+        k = len(self.network.nodes)
+        w, state, transition = self._now(piece)
+        span = piece.time - piece.began
+        walk = (QUIET_SHARE * self._wide) ** 2 * span / 600.0
+        drift = (WALK_J / self._capacitance) ** 2 * span / 60.0
+        surprise = float(np.sqrt(piece.surprise / piece.count)) if piece.count else 0.0
+        if surprise > SURPRISE:
+            walk = walk + (min(OPENING * (surprise - SURPRISE), 1.0) * self._wide) ** 2
+            drift = drift + (FIRST_STATE_K * surprise) ** 2
+        covariance = transition @ piece.covariance @ transition.T
+        covariance += np.diag(np.concatenate([walk, drift]))
+        widest = np.concatenate([self._wide, np.full(k, WIDEST_STATE_K)])
+        factor = np.minimum(widest / np.sqrt(np.diag(covariance)), 1.0)
+        covariance = 0.5 * (covariance + covariance.T) * np.outer(factor, factor)
+        return self._new_piece(np.clip(w, *self._bounded.limits), state, piece.time, piece.inputs, covariance)
+
+    def calibrate(self, window: Window) -> Calibration:
+        """The filter at the end of the window, which it follows first if nobody has fed it sample by sample."""
+        behind = 0 if self._piece is None else int(np.searchsorted(window.time, self._piece.time, side="right"))
+        if behind < window.time.size:
+            rows = slice(behind, None)
+            self.follow(window.time[rows], window.inputs[rows], window.measured[rows], window.state)
+        cost, v, fitted = self._fitted(window)
+        missed = misfit(window, self.network.sigma)
+        again = self._again(window, missed) if cost > SURPRISE and missed > SURPRISE else None
+        if again is not None and np.sqrt(again.fit.sse.sum()) < np.sqrt(fitted.sse.sum()):
+            self._restart(window, again)
+            report = again.report(self._scaling)
+            report = replace(report, flags=("filter started again from a fit of the window", *report.flags))
+            cost, v, fitted = float(np.sqrt(again.chi)), again.fit.v, again.fit.data
+        else:
+            report = self._report(fitted)
+        self._remember()
+        assert self._piece is not None
+        w, end, _ = self._now(self._piece)
+        start = window.state.copy()
+        start[: v.size - len(self.ids)] = v[len(self.ids) :]
+        return conclude(
+            self.network, window, self.ids, self._values(w), start, fitted.readings, end,
+            cost=cost, evaluations=2 * (1 + v.size), report=report,
+        )  # fmt: skip
+
+    def _again(self, window: Window, missed: float) -> Posterior | None:
+        """What least squares makes of a window that the filter could not follow, from what was known before it."""
+        opened = min(OPENING * (missed - 1.0), 1.0)
+        covariance = self._covariance + np.diag((opened * self._wide) ** 2)
+        done = fit_window(
+            self.kernel, self._scaling, self.network.sigma, window, self._mean, covariance, window.state
+        )  # fmt: skip
+        return done if np.isfinite(done.fit.cost) and np.isfinite(done.covariance).all() else None
+
+    def _restart(self, window: Window, done: Posterior) -> None:
+        q, k = len(self.ids), len(self.network.nodes)
+        w = np.clip(self._bounded.to_w(done.fit.v[:q]), *self._bounded.limits)
+        slope = self._bounded.slope(w)
+        covariance = np.diag(np.full(q + k, FIRST_STATE_K**2))
+        covariance[:q, :q] = no_wider(done.covariance / np.outer(slope, slope), self._wide)
+        end = float(window.time[-1])
+        self._piece = self._new_piece(w, done.fit.data.end, end, window.inputs[-1], covariance)
+
+    def _remember(self) -> None:
+        """Parameters and their covariance at the end of a window, in z."""
+        assert self._piece is not None
+        q = len(self.ids)
+        w = self._now(self._piece)[0]
+        slope = self._bounded.slope(w)
+        self._mean = self._bounded.to_z(w)
+        self._covariance = self._piece.covariance[:q, :q] * np.outer(slope, slope)
+
+    def _report(self, fitted: Linearisation) -> Report:
+        assert self._piece is not None
+        q, scaling = len(self.ids), self._scaling
+        w = self._now(self._piece)[0]
+        values = self._values(w)
+        told = told_by(fitted.jtj, self._wide)
+        names = [i for i, hit in zip(self.ids, told.untold, strict=True) if hit]
+        slope = scaling.slope(values) * self._bounded.slope(w)
+        return Report(
+            covariance=self._piece.covariance[:q, :q] * np.outer(slope, slope),
+            flags=tuple(f"cannot tell {i} apart: its number leans on earlier windows" for i in names),
+            alone=told.alone(scaling, values),
+            condition=told.condition,
+        )
+
+    def _fitted(self, window: Window) -> tuple[float, Array, Linearisation]:
+        """The window with the parameters as they are now: misfit in noises, start v, and simulation.
+
+        The state at the beginning is estimated anew; for a linear network one step does it.
+        """
+        assert self._piece is not None
+        q, data = len(self.ids), weighted(window, self.network.sigma)
+        values = self._values(self._now(self._piece)[0])
+        problem = Problem(self.kernel, self._scaling, window.parameters, data, window.state)
+        v = np.concatenate([self._scaling.to_z(values), window.state[: len(self.network.nodes)]])
+        first = problem.linearise(v)
+        precision = np.eye(v.size - q) * max(window.error_K, LEAST_STATE_K) ** -2
+        v[q:] -= np.linalg.solve(first.jtj[q:, q:] + precision, first.jtr[q:])
+        fitted = problem.linearise(v)
+        count = max(int((data.weight > 0.0).sum()), 1)
+        return float(np.sqrt(fitted.sse.sum() / count)), v, fitted
+
+    def state(self) -> dict[str, Any]:
+        piece = self._piece
+        return {
+            "mean": self._mean.tolist(),
+            "covariance": self._covariance.tolist(),
+            "piece": None
+            if piece is None
+            else {k: plain(getattr(piece, k)) for k in _ARRAYS} | {k: getattr(piece, k) for k in _NUMBERS},
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self._mean, self._covariance = from_plain(state["mean"]), from_plain(state["covariance"])
+        self._piece, piece = None, state["piece"]
+        if piece is not None:
+            entries: dict[str, Any] = {k: from_plain(piece[k]) for k in _ARRAYS}
+            self._piece = _Piece(**entries, **{k: piece[k] for k in _NUMBERS})
