@@ -54,14 +54,14 @@ class System:
         self.network = network
         self._named: dict[str, str] = {}
         self._index = {
-            "P": {name: k for k, name in enumerate(network.ids)},
+            "P": {p.id: network.ids.index(p.same_as or p.id) for p in network.parameters.values()},
             "U": {name: k for k, name in enumerate(network.input_columns)},
         }
         streams = streams_of(network)
         neutral = {
             p.id: p.value
             for p in network.parameters.values()
-            if p.status == "fixed" and p.value in (0.0, 1.0) and p.id not in free
+            if p.value in (0.0, 1.0) and _stays(network, p.same_as or p.id, free)
         }
         parts: list[tuple[str, Fragment]] = []
         for e in network.elements:
@@ -232,6 +232,10 @@ class System:
         """Values at rest, in node temperatures: of the states after the nodes, then of the lags."""
         states = [self.text(s.start) for _, f in self.parts for s in f.states]
         return (*states, *(self.text(lag.of) for _, f in self.parts for lag in f.lags))
+
+
+def _stays(network: Network, name: str, free: tuple[str, ...]) -> bool:
+    return network.parameters[name].status == "fixed" and name not in free
 
 
 def streams_of(network: Network) -> Mapping[str, Stream]:

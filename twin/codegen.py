@@ -34,6 +34,8 @@ ORDER = 5
 STEP_LIMIT = 0.2
 MOST_STEPS = 1.0e6
 """Substeps in one sample interval, at most."""
+OUTLINE_LINES = 60
+_WORDS = {"for", "in", "range", "max", "min", "exp", "log", "abs", "if", "else"}
 Mode = Literal["cost", "trace", "gram"]
 MODES: tuple[Mode, ...] = ("cost", "trace", "gram")
 
@@ -53,7 +55,7 @@ def exp(x):
     return y * y
 '''
 _ARRIVED = '''
-@nb.njit(error_model='numpy')
+@nb.njit('f8(f8[::1], f8[:,::1], i8, i8, f8)', cache=True, error_model='numpy')
 def arrived(time, inputs, column, i, dead):
     """Mean of a held input over interval i, `dead` seconds ago; before the first sample it was as then."""
     first, last = time[i] - dead, time[i + 1] - dead
@@ -86,6 +88,7 @@ class _Kernel:
         self.system = s = System(network, lane_ids)
         self.k, self.m = len(s.states), len(s.readings)
         self.rows: dict[str, int] = {}
+        self.functions: list[str] = []
         self.parameters = {f"p{i}": row for row, i in enumerate(network.index(lane_ids))}
         for name in (*self.states(), *self.memories(), *self.parameters):
             self.row(name)
@@ -162,6 +165,22 @@ class _Kernel:
             known.add(target.strip())
         return [f"for l in range({self.lanes}):", *indent([*loads, *body])]
 
+    def outlined(self, name: str, body: list[str]) -> list[str]:
+        """A loop over lanes as a function of its own: compilers take more than twice as long for twice the text."""
+        lines = self.loop(body)
+        if len(lines) < OUTLINE_LINES:
+            return lines
+        assigned = {"l", "W", *(line.strip().partition(" = ")[0] for line in lines)}
+        scalars = sorted({n for line in lines for n in re.findall(r"[A-Za-z_]\w*", line)} - assigned - _WORDS)
+        self.functions += [
+            f"@nb.njit('void(f8[::1]{', f8' * len(scalars)})', cache=True, fastmath=FAST, error_model='numpy')",
+            f"def {name}({', '.join(['W', *scalars])}):",
+            *indent(lines),
+            "",
+            "",
+        ]
+        return [f"{name}({', '.join(['W', *scalars])})"]
+
     # --- one interval ---------------------------------------------------------------------------------------
 
     def drive(self) -> list[str]:
@@ -196,12 +215,13 @@ class _Kernel:
         s, lanes = self.system, self.lanes
         bounds = ["rate = 0.0", *(f"rate = max(rate, {r})" for r in dict.fromkeys(s.rates))]
         slow = self.coefficients("slow", late=False, lane=False)
-        slow += self.loop([*self.coefficients("slow", late=False, lane=True), *bounds, "R[l] = rate"])
-        half = lanes // 2
+        at, half = self.row("rate") * lanes, lanes // 2
+        bounds.append(f"W[{at} + l] = rate")
+        slow += self.outlined("renew", [*self.coefficients("slow", late=False, lane=True), *bounds])
         while half >= 8:
-            slow += [f"for l in range({half}):", f"    R[l] = max(R[l], R[l + {half}])"]
+            slow += [f"for l in range({half}):", f"    W[{at} + l] = max(W[{at} + l], W[{at + half} + l])"]
             half //= 2
-        slow += ["limit = 0.0", f"for l in range({min(lanes, 8)}):", "    limit = max(limit, R[l])"]
+        slow += ["limit = 0.0", f"for l in range({min(lanes, 8)}):", f"    limit = max(limit, W[{at} + l])"]
         stepwise = [
             # Beyond LONGEST / limit the inputs have been constant for so many time constants that more of
             # the same changes nothing; without the cut a gap of months would take minutes.
@@ -213,9 +233,10 @@ class _Kernel:
         if self.delays:
             on_step = [*self.delays.refresh(), *on_step]
         on_step += self.coefficients("slow", late=True, lane=False)
-        on_step += self.loop(self.coefficients("slow", late=True, lane=True))
+        on_step += self.outlined("renew_late", self.coefficients("slow", late=True, lane=True))
         fast = [line for late in (False, True) for line in self.coefficients("fast", late=late, lane=False)]
-        fast += self.loop([x for late in (False, True) for x in self.coefficients("fast", late=late, lane=True)])
+        body = [x for late in (False, True) for x in self.coefficients("fast", late=late, lane=True)]
+        fast += self.outlined("renew_offsets", body)
         new = f"i == {self.first} or {self.changed(self.slow)}"
         out = [f"new = {new}", "if new:", *indent(slow), *stepwise]
         if on_step:
@@ -275,7 +296,7 @@ class _Kernel:
                 f"{self.at(f'f{j}')} = f{j}",
             ]
         if self.delays:
-            lines += self.delays.record(new)
+            lines += self.delays.water(new)
         return lines + [f"{self.at(f'x{j}')} = n{j}" for j in k]
 
     def starts_of_delays(self, letter: str) -> dict[str, str]:
@@ -380,13 +401,13 @@ class _Kernel:
             body.append(f"W[{self.row(name) * n} + l] = {name}")
         if cost:
             enter += [f"{self.at(f'sse{j}')} = 0.0" for j in range(self.m)]
-        lines = [f"for l in range({n}):", *indent([*enter, *body])]
-        lines += self.loop(self.coefficients("fixed", late=False, lane=True))
+        lines = [f"for l in range({n}):", *indent(enter), *self.loop(body)] if enter else self.loop(body)
+        lines += self.outlined("begin", self.coefficients("fixed", late=False, lane=True))
         lines += self.delays.enter() if self.delays else []
         lines += ["G[:] = 0.0"] if self.mode == "gram" else []
         # Before the substep: it gives the rows that the substep reads.
         refresh = self.refresh()
-        inner = self.loop(self.substep())
+        inner = self.outlined("advance", self.substep())
         if self.delays:
             inner = [*self.delays.look(), *inner, *self.delays.advance()]
         interval = [f"u{c} = inputs[i, {c}]" for c in range(len(self.network.input_columns)) if c not in s.driven]
@@ -410,7 +431,7 @@ class _Kernel:
         used = "used, " if self.mode == "gram" else ""
         out = {"cost": "sse", "trace": "Y", "gram": "gram, sse"}[self.mode]
         block = self.block()
-        head = ["n = time.shape[0]", f"W = np.empty({len(self.rows) * n})", f"R = np.empty({n})"]
+        head = ["n = time.shape[0]", f"W = np.empty({len(self.rows) * n})"]
         if self.mode == "gram":
             head += [f"E = np.empty({self.m * n})", f"G = np.empty({n * n})"]
         if self.delays:
@@ -437,6 +458,7 @@ class _Kernel:
                 functions,
                 DELAY_FUNCTIONS if self.delays else "",
                 "",
+                *self.functions,
                 f"@nb.njit({jit})",
                 f"def kernel(base, lanes, start, past, first, time, inputs, {measured}{used}{out}, end, future):",
                 *indent([*head, "for b in range(start.shape[0]):", *indent(block)]),

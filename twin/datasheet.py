@@ -1,6 +1,7 @@
 """A twin file out of what an operator knows of a rig: its data sheet.
 
-Volumes become capacitances (a pipe counts as its downstream volume), the flow and the thermocouples' noise are
+Volumes become capacitances, those of pipes go into the template's pipes (`pipe_heater_to_modules` and so on) or, where
+it has none, into the volumes downstream of them; the flow and the thermocouples' noise are
 taken over; everything that a data sheet does not say keeps the value of the shipped loop, for `commission` to
 find.
 """
@@ -99,16 +100,21 @@ def fill(base: Network, sheet: Sheet, name: str = "rig", source: str = "data she
     Raises:
         TwinFileError: `base` is not a loop of heater, modules, radiator and tank.
     """
-    pipe = {p: sheet.pipes_L.get(p, 0.0) for p in _PIPES}
-    water_L = {
-        "heater": sheet.heater_L + pipe["tank_to_heater"],
-        "modules": pipe["heater_to_modules"],
-        "radiator": pipe["modules_to_radiator"],
-        "tank": sheet.tank_L + pipe["radiator_to_tank"],
-    }
-    values = {
-        f"{node}.capacitance": litres * WATER_DENSITY * WATER_CP + _SOLID[node] for node, litres in water_L.items()
-    }
+    if all(f"pipe_{p}.volume" in base.parameters for p in _PIPES):
+        values = {f"pipe_{p}.volume": sheet.pipes_L.get(p, 0.0) for p in _PIPES}
+        values |= {
+            "heater.capacitance": sheet.heater_L * WATER_DENSITY * WATER_CP,
+            "tank.capacitance": sheet.tank_L * WATER_DENSITY * WATER_CP,
+        }
+    else:
+        pipe = {p: sheet.pipes_L.get(p, 0.0) for p in _PIPES}
+        water_L = {
+            "heater": sheet.heater_L + pipe["tank_to_heater"],
+            "modules": pipe["heater_to_modules"],
+            "radiator": pipe["modules_to_radiator"],
+            "tank": sheet.tank_L + pipe["radiator_to_tank"],
+        }
+        values = {f"{n}.capacitance": v * WATER_DENSITY * WATER_CP + _SOLID[n] for n, v in water_L.items()}
     values["circuit.nominal"] = sheet.flow_L_per_min
     values |= {f"{s.name}.sigma": sheet.sigma_K for s in base.sensors}
     base.index(values)

@@ -29,7 +29,7 @@ NEVER = 1.0e6
 """Volume of a slot of water that was there from the beginning, L."""
 
 DELAY_FUNCTIONS = '''
-@nb.njit
+@nb.njit('i8(f8[::1], i8, i8, f8, i8)', cache=True)
 def seek(H, v, s, y, tip):
     """Slot that holds volume y, from slot s on; boundaries older than tip + 1 are gone."""
     while s != ((tip + 1) & (SLOTS - 1)) and H[v + s * LANES] > y:
@@ -39,7 +39,7 @@ def seek(H, v, s, y, tip):
     return s
 
 
-@nb.njit(fastmath={'contract', 'nsz', 'arcp'}, error_model='numpy')
+@nb.njit('i8(f8[::1], f8[::1], i8, i8, i8, i8, i8, i8, i8, i8, f8, b1)', cache=True, fastmath=FAST, error_model='numpy')
 def look(H, W, v, w, now, flow, far, out, s, tip, ahead, tight):
     """Water that comes out `ahead` seconds from now, for all lanes, into row `out`; the slot of lane 0."""
     s = seek(H, v, s, W[now] + ahead * W[flow] - W[far], tip)
@@ -58,6 +58,29 @@ def look(H, W, v, w, now, flow, far, out, s, tip, ahead, tight):
         a, m = H[w + own * LANES + l], H[w + (SLOTS + own) * LANES + l]
         W[out + l] = a + r * (m + r * (H[w + ((own + 1) & (SLOTS - 1)) * LANES + l] - a - m))
     return s
+
+
+@nb.njit('void(f8[::1], f8[::1], i8, i8, i8, i8, i8, f8)', cache=True, fastmath=FAST, error_model='numpy')
+def move(H, W, v, now, flow, i, j, h):
+    """Volume at the end of a step, from boundary i to boundary j."""
+    for l in range(LANES):
+        y = W[now + l] + W[flow + l] * h
+        W[now + l] = y
+        H[v + j * LANES + l] = y
+        H[v + (SLOTS + i) * LANES + l] = 1.0 / max(y - H[v + i * LANES + l], 1e-12)
+
+
+@nb.njit('void(f8[::1], f8[::1], i8, i8, i8, i8, i8, b1)', cache=True, fastmath=FAST, error_model='numpy')
+def note(H, W, w, water, slope, i, j, whole):
+    """Water at boundary j; a slot that one step fills keeps its slope, any other is a straight line."""
+    for l in range(LANES):
+        H[w + j * LANES + l] = W[water + l]
+    if whole:
+        for l in range(LANES):
+            H[w + (SLOTS + i) * LANES + l] = W[slope + l]
+    else:
+        for l in range(LANES):
+            H[w + (SLOTS + i) * LANES + l] = W[water + l] - H[w + i * LANES + l]
 '''
 
 
@@ -76,7 +99,7 @@ class DelayLines:
             kernel.row(f"v{g}")
             kernel.row(f"q{g}")
         for p, delay in enumerate(self.delays):
-            for name in (f"far{p}", f"Ds{p}", f"Dm{p}", f"De{p}", delay.late):
+            for name in (f"far{p}", f"Ds{p}", f"Dm{p}", f"De{p}", f"wn{p}", f"ws{p}", delay.late):
                 kernel.row(name)
 
     def _v(self, g: int) -> int:
@@ -139,7 +162,10 @@ class DelayLines:
         for g in self.flows:
             out += [f"closing{g} = 0.0", f"tight{g} = True"]
             own = [p for p, d in enumerate(self.delays) if d.line == g]
-            widest = [f"closing{g} = max(closing{g}, {k.at(f'far{p}')} / (SLOTS - 4))" for p in own]
+            # Slots are counted in the volume of lane 0; a lane with less flow needs more of that for its pipe.
+            slower = f"W[{k.row(f'q{g}') * self.lanes}] / max({k.at(f'q{g}')}, 1e-12)"
+            slower = f"max({slower}, 1.0) / (SLOTS - 4)"
+            widest = [f"closing{g} = max(closing{g}, {k.at(f'far{p}')} * {slower})" for p in own]
             out += [f"for l in range({self.lanes}):", *_in(widest)]
             first = {name: f"W[{k.row(name) * self.lanes}]" for name in (f"q{g}", *(f"far{p}" for p in own))}
             apart = [f"abs({k.at(f'far{p}')} - {first[f'far{p}']}) > 0.05 * closing{g}" for p in own]
@@ -162,8 +188,7 @@ class DelayLines:
 
             fresh.append(call("Ds", "0.0"))
             out += [call("Dm", "h2"), call("De", "h")]
-        keep = [f"keep{g} = 1.0 if since{g} == 0 else 0.0" for g in self.flows]
-        return ["if fresh:", *_in(fresh), "    fresh = False", *out, *keep]
+        return ["if fresh:", *_in(fresh), "    fresh = False", *out]
 
     def polynomials(self) -> list[str]:
         """Outlets over the step as Ds + Da r + Db r^2."""
@@ -172,39 +197,33 @@ class DelayLines:
             out += [f"Da{p} = 4.0 * Dm{p} - 3.0 * Ds{p} - De{p}", f"Db{p} = 2.0 * (Ds{p} + De{p} - 2.0 * Dm{p})"]
         return out
 
-    def record(self, new: dict[str, str]) -> list[str]:
-        """Remember the water at the end of the step; `new` names the temperatures there."""
+    def water(self, new: dict[str, str]) -> list[str]:
+        """Water that enters at the end of the step, and its slope at the start; `new` names the temperatures there."""
         from twin.codegen import ordered, renamed
 
         k, out = self.kernel, list[str]()
         start = {f"x{j}": f"e{j}" for j in range(k.k)} | k.starts_of_delays("Da")
-        for g in self.flows:
-            v = self._v(g)
+        for p in range(len(self.delays)):
+            form = self.system.waters[p]
             out += [
-                f"v{g} = v{g} + q{g} * h",
-                f"{k.at(f'v{g}')} = v{g}",
-                f"{self._in_slot(v, f'j{g}')} = v{g}",
-                f"{self._in_slot(v + SLOTS * self.lanes, f'i{g}')} = "
-                f"1.0 / max(v{g} - {self._in_slot(v, f'i{g}')}, 1e-12)",
-            ]
-        for p, delay in enumerate(self.delays):
-            g, w, form = delay.line, self._w(p), self.system.waters[p]
-            out += [
-                f"wn{p} = {renamed(ordered(form), new)}",
-                f"ws{p} = {renamed(ordered(Form(form.slopes)), start)}",
-                f"wi{p} = {self._in_slot(w, f'i{g}')}",
-                f"{self._in_slot(w, f'j{g}')} = wn{p}",
-                f"{self._in_slot(w + SLOTS * self.lanes, f'i{g}')} = "
-                f"keep{g} * ws{p} + (1.0 - keep{g}) * (wn{p} - wi{p})",
+                f"{k.at(f'wn{p}')} = {renamed(ordered(form), new)}",
+                f"{k.at(f'ws{p}')} = {renamed(ordered(Form(form.slopes)), start)}",
                 f"{k.at(f'Ds{p}')} = De{p}",
             ]
         return out
 
     def advance(self) -> list[str]:
-        """Close slots that are wide enough."""
+        """Remember what has entered, and close slots that are wide enough."""
         out = []
+        rows = {name: row * self.lanes for name, row in self.kernel.rows.items()}
         for g in self.flows:
             v = self._v(g)
+            out.append(f"move(H, W, {v}, {rows[f'v{g}']}, {rows[f'q{g}']}, i{g}, j{g}, h)")
+            for p, delay in enumerate(self.delays):
+                if delay.line == g:
+                    out.append(
+                        f"note(H, W, {self._w(p)}, {rows[f'wn{p}']}, {rows[f'ws{p}']}, i{g}, j{g}, since{g} == 0)"
+                    )
             width = f"H[{v} + j{g} * {self.lanes}] - H[{v} + i{g} * {self.lanes}]"
             out += [
                 f"since{g} += 1",

@@ -190,7 +190,12 @@ class Network:
                 raise TwinFileError(
                     f"{name} = {value:g} {p.unit} is outside [{p.lower:g}, {p.upper:g}] of twin {self.name!r}"
                 )
+            if p.same_as:
+                raise TwinFileError(f"{name} of twin {self.name!r} is the same as {p.same_as}; change that one")
             changed[name] = replace(p, value=float(value))
+        for p in self.parameters.values():
+            if p.same_as:
+                changed[p.id] = replace(p, value=changed[p.same_as].value)
         return replace(self, parameters=MappingProxyType(changed), revision=revision or self.revision, digest="")
 
     def select(self, columns: Mapping[str, ArrayLike]) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -114,7 +114,7 @@ class _Reader:
             elements.append(element)
             parameters.update({p.id: p for p in own})
         elements.sort(key=lambda e: e.kind != "node")
-        parameters = {p.id: p for e in elements for p in parameters.values() if p.element == e.name}
+        parameters = self.share({p.id: p for e in elements for p in parameters.values() if p.element == e.name})
         check_topology(tuple(elements), MOST_NODES, lambda name, what: self.fail(("elements", name), what))
         sets = {
             name: self.tunable_set(name, self.table(spec, ("sets", name)), parameters)
@@ -195,6 +195,8 @@ class _Reader:
     def parameter(self, element: Element, spec: ParameterSpec, given: Any, keys: tuple[str, ...]) -> Parameter:
         keys = (*keys, spec.name)
         table = given if isinstance(given, dict) else {} if given is None else {"value": given}
+        if "same_as" in table:
+            return self.shared(element, spec, table, keys)
         self.known(table, ("value", "lower", "upper", "unit", "status", "source"), keys)
         if "value" in table:
             value = self.number(table["value"], keys)
@@ -229,6 +231,29 @@ class _Reader:
             source=self.string(table.get("source", spec.source), keys),
         )
 
+    def shared(self, element: Element, spec: ParameterSpec, table: dict[str, Any], keys: tuple[str, ...]) -> Parameter:
+        """A parameter that is the same as another; `share` fills in the other's value."""
+        self.known(table, ("same_as", "unit"), keys)
+        other = self.string(table["same_as"], keys)
+        name, value = f"{element.name}.{spec.name}", spec.default if spec.default is not None else spec.upper
+        return Parameter(
+            name, element.name, spec.name, value, spec.unit, spec.lower, spec.upper, "fixed", f"same as {other}", other
+        )
+
+    def share(self, parameters: dict[str, Parameter]) -> dict[str, Parameter]:
+        """Parameters with the values of those that they are the same as."""
+        for p in parameters.values():
+            if not p.same_as:
+                continue
+            keys = ("elements", p.element, p.name)
+            root = parameters.get(p.same_as)
+            if root is None:
+                self.fail(keys, f"no parameter {p.same_as!r}{did_you_mean(p.same_as, parameters)}")
+            if root.same_as or root.unit != p.unit:
+                self.fail(keys, f"{p.same_as} must have a value of its own, in {p.unit}")
+            parameters[p.id] = replace(p, value=root.value, lower=root.lower, upper=root.upper)
+        return parameters
+
     def tunable_set(self, name: str, table: dict[str, Any], parameters: Mapping[str, Parameter]) -> TunableSet:
         keys = ("sets", name)
         self.known(table, ("members", "bounds", "source"), keys)
@@ -247,6 +272,8 @@ class _Reader:
             if wanted in ids:
                 self.fail(keys, f"{wanted} is listed twice")
             p = parameters[wanted]
+            if p.same_as:
+                self.fail(keys, f"{wanted} is the same as {p.same_as}; list that one")
             ids.append(wanted)
             scale.append(self.number(entry.get("scale", 1.0), keys))
             if scale[-1] <= 0.0:
@@ -355,7 +382,7 @@ def dump(network: Network) -> str:
                 lines.append(f"{key} = {_toml(value)}")
         for spec in element.parameter_specs():
             p = network.parameters[f"{element.name}.{spec.name}"]
-            keys = ("value", "lower", "upper", "unit", "status", "source")
+            keys = ("same_as",) if p.same_as else ("value", "lower", "upper", "unit", "status", "source")
             lines.append(f"{spec.name} = {_toml({k: getattr(p, k) for k in keys})}")
     rules = network.rules
     lines += ["", "[windows]"]

@@ -69,3 +69,13 @@ def test_missing_entries_and_broken_files(tmp_path: Path) -> None:
         from_datasheet(write(tmp_path, "[]"))
     with pytest.raises(TwinFileError, match="cannot be read"):
         from_datasheet(tmp_path / "absent.json")
+
+
+def test_a_template_with_pipes_gets_their_volumes(tmp_path: Path) -> None:
+    net = from_datasheet(write(tmp_path, SHEET), Path(__file__).parents[2] / "profiles" / "twins" / "loop_six.toml")
+    value = {name: p.value for name, p in net.parameters.items()}
+    assert value["pipe_radiator_to_tank.volume"] == 0.4
+    assert value["tank.capacitance"] == pytest.approx(30.0 * 0.997 * 4180.0)
+    assert len(net.sensors) == 9
+    again = load(save(net, tmp_path / "twin.toml"))
+    assert again.parameters == net.parameters

@@ -136,3 +136,16 @@ def test_selecting_columns(loop: Network) -> None:
 def test_initial_state_fills_what_is_not_measured(loop: Network) -> None:
     assert loop.initial_state([30.0, np.nan, 20.0, 10.0]) == pytest.approx([30.0, 20.0, 20.0, 10.0])
     assert loop.initial_state(np.full(4, np.nan)) == pytest.approx(np.full(4, 22.0))
+
+
+def test_a_shared_parameter_must_name_one_with_a_value(loop_text: str) -> None:
+    text = loop_text.split("# --- windows")[0].replace(
+        "hA = { value = 1.0, lower = 0.01", 'hA = { same_as = "tank_loss.hA" }\n#'
+    )
+    net = parse(text)
+    assert net.parameters["modules_loss.hA"].value == net.parameters["tank_loss.hA"].value
+    with pytest.raises(TwinFileError, match="is the same as"):
+        net.with_values({"modules_loss.hA": 3.0})
+    for wrong, words in (("tank_los.hA", "did you mean"), ("tank.capacitance", "value of its own, in W/K")):
+        with pytest.raises(TwinFileError, match=words):
+            parse(text.replace('same_as = "tank_loss.hA"', f'same_as = "{wrong}"'))

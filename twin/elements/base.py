@@ -51,7 +51,10 @@ class ParameterSpec:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of one element as a network holds it: value, bounds, unit, status, one-line source."""
+    """One parameter of one element as a network holds it: value, bounds, unit, status, one-line source.
+
+    With `same_as`, the id of another parameter, it has no value of its own but that parameter's.
+    """
 
     id: str
     element: str
@@ -62,6 +65,7 @@ class Parameter:
     upper: float
     status: Status
     source: str
+    same_as: str = ""
 
 
 @dataclass(frozen=True)
