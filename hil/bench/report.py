@@ -79,7 +79,7 @@ def show(report: Report, to: Console | None = None) -> None:
     for table in report.tables:
         drawn = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
         for position, column in enumerate(table.columns):
-            prose = position == 0 or _is_prose([row[position] for row in table.rows])
+            prose = _is_prose(table, position)
             drawn.add_column(column, justify="left" if prose else "right", no_wrap=position == 0)
         for row in table.rows:
             drawn.add_row(*(number(cell) for cell in row))
@@ -93,10 +93,10 @@ def show(report: Report, to: Console | None = None) -> None:
     out.print(f"{machine['cpu']}, {machine['cores']} cores; {report.manifest['date']}", markup=False)
 
 
-def _is_prose(cells: list[Cell]) -> bool:
-    """Whether a column holds words rather than figures."""
-    words = [cell for cell in cells if isinstance(cell, str)]
-    return any(len(word) > LONG_FIGURE for word in words)
+def _is_prose(table: Table, position: int) -> bool:
+    """Whether a column holds words rather than figures; the first always does."""
+    words = [row[position] for row in table.rows if isinstance(row[position], str)]
+    return position == 0 or any(len(str(word)) > LONG_FIGURE for word in words)
 
 
 def as_json(report: Report) -> str:
@@ -120,8 +120,8 @@ def as_markdown(report: Report) -> str:
     lines += [f"{machine['cpu']}, {machine['cores']} cores, {manifest['date']}, seed {manifest['seed']}.", ""]
     for table in report.tables:
         lines += [f"## {table.title}", "", "| " + " | ".join(table.columns) + " |"]
-        lines += ["|" + "|".join(["---"] + ["---:"] * (len(table.columns) - 1)) + "|"]
-        lines += ["| " + " | ".join(number(cell) for cell in row) + " |" for row in table.rows]
+        lines += ["|" + "|".join("---" if _is_prose(table, k) else "---:" for k in range(len(table.columns))) + "|"]
+        lines += ["| " + " | ".join(number(cell).replace("|", "\\|") for cell in row) + " |" for row in table.rows]
         lines += [""]
         lines += [f"- {note}" for note in table.notes]
         lines += [""] if table.notes else []
