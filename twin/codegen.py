@@ -35,6 +35,7 @@ STEP_LIMIT = 0.2
 MOST_STEPS = 1.0e6
 """Substeps in one sample interval, at most."""
 OUTLINE_LINES = 60
+_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")  # not the e of 1.0e-5
 _WORDS = {"for", "in", "range", "max", "min", "exp", "log", "abs", "if", "else"}
 Mode = Literal["cost", "trace", "gram"]
 MODES: tuple[Mode, ...] = ("cost", "trace", "gram")
@@ -158,7 +159,7 @@ class _Kernel:
         loads: list[str] = []
         for line in body:
             target, _, value = line.partition(" = ")
-            for name in re.findall(r"[A-Za-z_]\w*", value if value else line):
+            for name in _NAME.findall(value if value else line):
                 if name in self.rows and name not in known:
                     known.add(name)
                     loads.append(f"{name} = {self.at(name)}")
@@ -171,7 +172,7 @@ class _Kernel:
         if len(lines) < OUTLINE_LINES:
             return lines
         assigned = {"l", "W", *(line.strip().partition(" = ")[0] for line in lines)}
-        scalars = sorted({n for line in lines for n in re.findall(r"[A-Za-z_]\w*", line)} - assigned - _WORDS)
+        scalars = sorted({n for line in lines for n in _NAME.findall(line)} - assigned - _WORDS)
         self.functions += [
             f"@nb.njit('void(f8[::1]{', f8' * len(scalars)})', cache=True, fastmath=FAST, error_model='numpy')",
             f"def {name}({', '.join(['W', *scalars])}):",
@@ -485,7 +486,7 @@ def ordered(form: Form) -> str:
 
 def renamed(text: str, names: dict[str, str]) -> str:
     """The expression with whole names replaced."""
-    return re.sub(r"[A-Za-z_]\w*", lambda m: names.get(m.group(), m.group()), text)
+    return _NAME.sub(lambda m: names.get(m.group(), m.group()), text)
 
 
 def indent(lines: list[str]) -> list[str]:

@@ -15,6 +15,7 @@ from twin.codegen import LANES, kernel_source
 from twin.exact import right_side, simulate_exact
 from twin.kernel import Kernel, clean_time, held, masked, simulate
 from twin.network import Network, TwinFileError
+from twin.twinfile import parse
 
 
 @pytest.fixture(scope="module")
@@ -185,3 +186,19 @@ def test_a_cache_that_others_may_write_is_not_used(tmp_path: Path, monkeypatch: 
     folder.chmod(0o777)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert kernel_module._cache_root() != folder
+
+
+RADIATION = '\n[elements.glow]\nkind = "radiation"\nnode = "tank"\nambient = "T_ambient_C"\narea = 1.5\n'
+
+
+def test_a_network_that_is_not_linear_agrees_with_solve_ivp(loop_text: str) -> None:
+    net = parse(loop_text + RADIATION)
+    t, u = drive(301, every=True)
+    kernel = Kernel(net, (*net.sets["nine"].members, "glow.area"))
+    rhs, state, rows = right_side(net), START.copy(), [START]
+    for i in range(t.size - 1):
+        span = (t[i], t[i + 1])
+        done = solve_ivp(lambda _, T, i=i: rhs(T, u[i], net.values), span, state, rtol=1e-9, atol=1e-10)
+        state = done.y[:, -1]
+        rows.append(state)
+    assert np.abs(kernel.trace(np.tile(net.values, (2, 1)), START, t, u)[0] - np.array(rows)).max() < 2e-6
