@@ -2,8 +2,9 @@
 
 Positive parameters whose bounds span a decade or more are varied in their logarithm, the others in fractions
 of their range, the initial state in kelvin. Bounds are handled by an active set: a variable that sits on a
-bound and is pushed outward leaves the step. The Gaussian prior keeps directions that the data cannot tell
-where they were, and its share in the answer is what names them.
+bound and is pushed outward leaves the step, and no parameter goes further at once than is plausible for it.
+The Gaussian prior keeps directions that the data cannot tell where they were, and its share in the answer is
+what names them.
 
 Source: Nocedal & Wright, Numerical Optimization, 2nd ed., secs. 10.3 and 16.7; Nielsen, IMM-REP-1999-05 for
 the damping.
@@ -23,6 +24,8 @@ PRIOR_LOG = 0.5
 """Prior standard deviation of a parameter varied in its logarithm: a factor of 1.65 either way."""
 PRIOR_RANGE = 0.25
 """Prior standard deviation of a parameter varied linearly, as a fraction of its range."""
+REACH = 1.0
+"""Longest step, in prior standard deviations of each parameter: a flat direction has no derivative to trust beyond."""
 PIECE = 600
 """Samples linearised at once."""
 _STEP = 1.0e-5
@@ -180,6 +183,7 @@ class Problem:
         self._steps = np.concatenate([np.full(self.q, _STEP), np.full(states, 1e-2)])
         self._full = np.tile(base, (1 + self.q + states, 1))
         self._states = np.tile(state, (1 + self.q + states, 1))
+        self._reach = np.concatenate([REACH * scaling.prior_sd(), np.full(states, np.inf)])
         self.evaluations = 0
 
     def linearise(self, v: Array) -> Linearisation:
@@ -221,7 +225,8 @@ class Problem:
             hessian = out.jtj + prior.precision
             gradient = out.jtr + prior.precision @ (v - prior.mean)
             free = open_ & ~(((v <= low) & (gradient > 0.0)) | ((v >= high) & (gradient < 0.0)))
-            step = _bounded_step(hessian, gradient, free, damping, low - v, high - v)
+            box = np.maximum(low - v, -self._reach), np.minimum(high - v, self._reach)
+            step = _bounded_step(hessian, gradient, free, damping, *box)
             predicted = -float(2.0 * gradient @ step + step @ hessian @ step)
             if predicted <= tolerance * max(cost, 1e-300) * 1e-2 or not np.isfinite(predicted):
                 break

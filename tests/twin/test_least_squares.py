@@ -52,6 +52,26 @@ def test_the_optimum_of_a_window_is_scipys(loop: Network, tunables: str) -> None
         assert np.abs((ours.v - oracle.x) / width).max() < 0.02
 
 
+@pytest.mark.parametrize("tunables", ["paper4", "nine", "twelve"])
+def test_a_cold_fit_reaches_the_best_known_of_many_starts(loop: Network, tunables: str) -> None:
+    """Everything wrong at once, initial state too, and next to no prior."""
+    ids = loop.tunables(tunables)
+    kernel, scaling = Kernel(loop, ids), Scaling.of(loop, ids)
+    z, plausible = scaling.to_z(loop.values[scaling.index]), scaling.prior_sd()
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        truth = scaling.to_values(z + 0.5 * rng.normal(0.0, plausible))
+        w = window(loop, loop.with_values(dict(zip(ids, truth.tolist(), strict=True))), seed)
+        y, weight = masked(w.measured, loop.sigma)
+        problem = Problem(kernel, scaling, loop.values, Data(w.time, w.inputs, y, weight), START)
+        v0 = np.concatenate([z, START + rng.normal(0.0, 0.3, 4)])
+        prior = Prior(v0, np.diag(np.concatenate([4.0 * plausible, np.full(4, 2.0)]) ** -2))
+        starts = [scaling.to_z(scaling.to_values(z + rng.normal(0.0, plausible))) for _ in range(3)]
+        fits = [problem.minimise(np.concatenate([s, START]), prior, most=80, tolerance=1e-10) for s in starts]
+        ours = problem.minimise(v0, prior, tolerance=1e-5)
+        assert np.sqrt(ours.cost) <= 1.001 * np.sqrt(min(f.cost for f in fits))
+
+
 @pytest.mark.parametrize("name", ["least_squares", "kalman", "pso"])
 @pytest.mark.parametrize("tunables", ["paper4", "nine"])
 def test_parameters_drawn_at_random_are_back_within_one_window(loop: Network, name: str, tunables: str) -> None:

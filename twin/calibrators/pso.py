@@ -75,7 +75,7 @@ TUNED = Settings(
     polish=True,
 )
 PRESETS: Mapping[str, Settings] = {"paper": PAPER, "tuned": TUNED}
-POLISH = 6
+POLISH = 15
 """Linearisations in the polish, at most."""
 LEAST_PERTURBATION = 0.02
 """Share of the full perturbation that is left when the live twin errs by nothing but noise."""
