@@ -184,3 +184,17 @@ def test_public_records_become_tables():
 
 def gone(problem, seed):
     raise Absent("gone: not installed")
+
+
+def test_peers_leave_the_process_as_it_was():
+    """Libraries linked with -ffast-math turn denormal numbers off for everybody."""
+    import numpy as np
+
+    from hil.bench.peers import Absent
+    from hil.bench.peers.c_peer import library
+
+    try:
+        library(16, 5)
+    except Absent as reason:
+        pytest.skip(str(reason))
+    assert np.array([2.0**-1030])[0] / 4 > 0.0

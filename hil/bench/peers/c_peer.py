@@ -20,7 +20,18 @@ from hil.bench.peers.c_source import C_INPUTS, C_PARAMETERS, C_SOURCE
 from hil.bench.windows import Job
 from twin.network import Array
 
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-std=gnu11", "-shared", "-fPIC", "-Wno-psabi")
+# What -ffast-math allows, without naming it: linked with that flag, a library turns denormal numbers off for the whole
+# process that loads it.
+FAST_MATH = (
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fno-signed-zeros",
+    "-fassociative-math",
+    "-freciprocal-math",
+    "-ffinite-math-only",
+    "-ffp-contract=fast",
+)
+FLAGS = ("-O3", "-march=native", *FAST_MATH, "-std=gnu11", "-shared", "-fPIC", "-Wno-psabi")
 
 
 @functools.cache
