@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from hil.bench import BENCHMARKS, contestants, fit, paper, public, report, speed
 from hil.bench.campaigns import virtual_record
-from hil.bench.peers import Absent, optimisers
+from hil.bench.peers import Absent, c_peer, optimisers
 from hil.bench.peers.formulas import sensor_rows
 from hil.bench.problems import made_up
 from hil.bench.tracked import windows_to_recover
@@ -188,13 +188,8 @@ def gone(problem, seed):
 
 def test_peers_leave_the_process_as_it_was():
     """Libraries linked with -ffast-math turn denormal numbers off for everybody."""
-    import numpy as np
-
-    from hil.bench.peers import Absent
-    from hil.bench.peers.c_peer import library
-
     try:
-        library(16, 5)
+        c_peer.library(16, 5)
     except Absent as reason:
         pytest.skip(str(reason))
     assert np.array([2.0**-1030])[0] / 4 > 0.0
