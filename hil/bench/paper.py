@@ -261,16 +261,16 @@ def goals(tables: list[Table], calibrators: tuple[str, ...]) -> Table:
         for r in table.rows[commissioned:]:
             if str(r[0]).endswith(", fitted"):
                 noise.setdefault(str(r[0]).strip().removesuffix(", fitted"), []).append(r[6])
-    row("RMSE of fitted windows over noise, healthy", "<= 1.05", noise)
+    row("RMSE of fits over noise, healthy", "<= 1.05", noise)
     if "randomised" in by_key:
         drawn = by_key["randomised"].rows[1:]
-        row("windows to recover, randomised, median", "1", _by_calibrator(drawn, 5))
-        row("windows to recover, randomised, worst draw", "1", _by_calibrator(drawn, 6))
+        row("windows until back, drawn, median", "1", _by_calibrator(drawn, 5))
+        row("windows until back, drawn, worst", "1", _by_calibrator(drawn, 6))
     for change in ("modules_heat", "tank_insulation"):
         if change in by_key:
             found, words = by_key[change].rows[1:], change.replace("_", " ")
-            row(f"windows to recover, {words}", "1", _by_calibrator(found, 2))
-            row(f"worst predicted window later, {words}, K", "< 0.1", _by_calibrator(found, 8))
+            row(f"windows until back, {words}", "1", _by_calibrator(found, 2))
+            row(f"worst later K, {words}", "< 0.1", _by_calibrator(found, 8))
     return Table(
         "goals",
         "Against the goals: the worst of all rigs",
