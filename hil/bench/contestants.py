@@ -109,6 +109,11 @@ def swarms() -> list[Swarm]:
     ]
 
 
+def remembers(network: Network) -> bool:
+    """Whether the network's state is more than its temperatures (pipes, lags), so that no oracle here covers it."""
+    return Kernel(network, ()).size != len(network.nodes)
+
+
 def oracle(job: Job) -> Array:
     """States (n, k) of particle 0, exact for a linear network, else by tight steps that never cross a jump."""
     p = job.particles[0]

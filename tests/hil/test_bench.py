@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.bench import BENCHMARKS, contestants, fit, paper, public, report, speed
+from hil.bench import BENCHMARKS, contestants, fit, paper, public, report, speed, variants
 from hil.bench.campaigns import virtual_record
 from hil.bench.peers import Absent, c_peer, optimisers
 from hil.bench.peers.formulas import sensor_rows
@@ -193,3 +193,8 @@ def test_peers_leave_the_process_as_it_was():
     except Absent as reason:
         pytest.skip(str(reason))
     assert np.array([2.0**-1030])[0] / 4 > 0.0
+
+
+def test_no_error_is_claimed_where_no_oracle_reaches():
+    assert not contestants.remembers(LOOP)
+    assert contestants.remembers(variants.nine_volumes())
