@@ -80,7 +80,10 @@ def show(report: Report, to: Console | None = None) -> None:
         drawn = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
         for position, column in enumerate(table.columns):
             prose = _is_prose(table, position)
-            drawn.add_column(column, justify="left" if prose else "right", no_wrap=position == 0)
+            widest = None if prose else max((len(number(row[position])) for row in table.rows), default=1)
+            drawn.add_column(
+                column, justify="left" if prose else "right", no_wrap=position == 0, min_width=widest, overflow="fold"
+            )
         for row in table.rows:
             drawn.add_row(*(number(cell) for cell in row))
         out.print(drawn, width=min(WIDTH, out.width), markup=False)
