@@ -225,7 +225,7 @@ def _swarm_table(found: _Found, size: Size) -> Table:
         (
             f"cost off: largest relative difference to the exact cost over {JUDGED} particles. "
             "ours is x: at the largest swarm that both did. C is one Taylor step of order 5 a second, which is as "
-            "accurate. radiation: the loop with a radiating tank. six modules: ten volumes with pipes..",
+            "accurate. radiation: the loop with a radiating tank. six modules: ten volumes with pipes.",
         ),
     )
 
