@@ -14,7 +14,7 @@ compiler turns it into vector instructions. The row offsets are literals, which 
 not overlap. A coefficient that all lanes share is a plain scalar. A kernel for one particle has one lane.
 
 Inputs are held from one sample to the next (zero-order hold). Each interval is cut into as many equal substeps
-as keep  substep * (largest bound on a state's own rate)  below STEP_LIMIT, with the largest taken over the lanes of
+as keep  substep * (largest bound on a state's own rate)  below a limit, with the largest taken over the lanes of
 the block: that keeps the error of a cooling loop below 1e-6 K, and every corner of the declared bounds stable.
 """
 
@@ -33,6 +33,9 @@ LANES = 32
 ORDER = 5
 """Order of the Taylor series for linear networks."""
 STEP_LIMIT = 0.2
+FEW = 5
+"""Networks of more states than this are stiffer: one step of a higher order costs less than several."""
+HIGH_ORDER, HIGH_ORDER_LIMIT = 8, 0.55
 MOST_STEPS = 1.0e6
 """Substeps in one sample interval, at most."""
 OUTLINE_LINES = 60
@@ -95,6 +98,9 @@ class _Kernel:
         self.parameters = {f"p{i}": row for row, i in enumerate(network.index(lane_ids))}
         for name in (*self.states(), *self.memories(), *self.parameters):
             self.row(name)
+        self.constants = list(dict.fromkeys(f.constant for f in s.followers))
+        self.order = ORDER if self.k <= FEW else HIGH_ORDER
+        self.step_limit = STEP_LIMIT if self.order == ORDER or not s.linear else HIGH_ORDER_LIMIT
         self.delays = delay_lines(s, self) if s.delays else None
         self._levels()
 
@@ -190,14 +196,18 @@ class _Kernel:
             return lines
         assigned = {"l", "W", *(line.strip().partition(" = ")[0] for line in lines)}
         scalars = sorted({n for line in lines for n in _NAME.findall(line)} - assigned - _WORDS)
+        self.define(name, f"f8[::1]{', f8' * len(scalars)}", ", ".join(["W", *scalars]), lines)
+        return [f"{name}({', '.join(['W', *scalars])})"]
+
+    def define(self, name: str, types: str, arguments: str, lines: list[str]) -> None:
+        """A compiled function beside the kernel."""
         self.functions += [
-            f"@nb.njit('void(f8[::1]{', f8' * len(scalars)})', cache=True, fastmath=FAST, error_model='numpy')",
-            f"def {name}({', '.join(['W', *scalars])}):",
+            f"@nb.njit('void({types})', cache=True, fastmath=FAST, error_model='numpy')",
+            f"def {name}({arguments}):",
             *indent(lines),
             "",
             "",
         ]
-        return [f"{name}({', '.join(['W', *scalars])})"]
 
     # --- one interval ---------------------------------------------------------------------------------------
 
@@ -288,13 +298,13 @@ class _Kernel:
 
     def followers_refresh(self) -> list[str]:
         body: list[str] = []
-        for j, f in enumerate(self.system.followers):
-            for name in (f"ratio{j}", f"decay{j}"):
+        for g, constant in enumerate(self.constants):
+            for name in (f"ratio{g}", f"decay{g}"):
                 self.row(name)
             body += [
-                f"ratio{j} = ({f.constant}) / max(h, 1e-12)",
-                f"{self.at(f'ratio{j}')} = ratio{j}",
-                f"{self.at(f'decay{j}')} = exp(-1.0 / max(ratio{j}, 1e-12))",
+                f"ratio{g} = ({constant}) / max(h, 1e-12)",
+                f"{self.at(f'ratio{g}')} = ratio{g}",
+                f"{self.at(f'decay{g}')} = exp(-1.0 / max(ratio{g}, 1e-12))",
             ]
         return self.loop(body)
 
@@ -326,13 +336,14 @@ class _Kernel:
         for j, f in enumerate(self.system.followers):
             first = renamed(ordered(Form(f.of.slopes)), {f"x{i}": f"e{i}" for i in k} | self.starts_of_delays("Da"))
             here = self.starts_of_delays("Ds")
+            g = self.constants.index(f.constant)
             lines += [
                 f"t0 = {renamed(ordered(f.of), here)}",
                 f"t1 = {renamed(ordered(f.of), new)}",
                 f"t2 = {first}",
                 "bend = 2.0 * (t1 - t0 - t2)",
-                f"slope = t2 + bend - ratio{j} * bend",
-                f"f{j} = t1 - ratio{j} * slope + decay{j} * (f{j} - t0 + ratio{j} * (t2 - ratio{j} * bend))",
+                f"slope = t2 + bend - ratio{g} * bend",
+                f"f{j} = t1 - ratio{g} * slope + decay{g} * (f{j} - t0 + ratio{g} * (t2 - ratio{g} * bend))",
                 f"{self.at(f'f{j}')} = f{j}",
             ]
         if self.delays:
@@ -348,10 +359,10 @@ class _Kernel:
         x_i = x + h/(s + 1 - i) f(x_(i-1)), i = 1 .. s: of order s, as Horner's scheme of exp.
         """
         k, y, lines = range(self.k), self.states(), list[str]()
-        for i in range(ORDER, 0, -1):
+        for i in range(self.order, 0, -1):
             last = i == 1
             lines += self.slopes(y, "D", f"s{i}")
-            if i == ORDER and self.system.followers:
+            if i == self.order and self.system.followers:
                 lines += [f"e{j} = h * k{j}s{i}" for j in k]
             y = [f"n{j}" if last else f"y{j}s{i}" for j in k]
             lines += [f"{y[j]} = x{j} + {'h' if last else f'h{i}'} * k{j}s{i}" for j in k]
@@ -365,7 +376,7 @@ class _Kernel:
         assert self.delays is not None
         k, lines = range(self.k), self.delays.polynomials()
         y, outlets, total = self.states(), "Ds", self.states()
-        for i in range(1, ORDER + 1):
+        for i in range(1, self.order + 1):
             names = {f"x{j}": y[j] for j in k} | self.starts_of_delays(outlets)
             for j, (form, _) in enumerate(self.system.slopes):
                 slopes = {v: t for v, t in form.slopes.items() if outlets or v.startswith("x")}
@@ -494,9 +505,9 @@ class _Kernel:
                 "",
                 f"LANES = {n}",
                 f"SLOTS = {SLOTS}",
-                f"STEP_LIMIT = {STEP_LIMIT!r}",
-                f"PER_STEP = {1.0 / STEP_LIMIT!r}",
-                f"LONGEST = {MOST_STEPS * STEP_LIMIT!r}",
+                f"STEP_LIMIT = {self.step_limit!r}",
+                f"PER_STEP = {1.0 / self.step_limit!r}",
+                f"LONGEST = {MOST_STEPS * self.step_limit!r}",
                 "FAST = {'contract', 'nsz', 'arcp'}",
                 "",
                 functions,
