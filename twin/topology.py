@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from twin.elements import Element
+from twin.elements.actuator import Actuator
 from twin.elements.flow import Flow
 from twin.elements.node import Node
+from twin.elements.pipe import Pipe
 from twin.elements.sensor import Sensor
 from twin.network import did_you_mean
 
@@ -29,6 +31,7 @@ def check_topology(elements: tuple[Element, ...], most_nodes: int, fail: Callabl
             if node in fed:
                 fail(flow.name, f"node {node!r} is already fed by {fed[node]!r}; two flows need a mixer")
             fed[node] = flow.name
+    _pipes_and_drives(elements, fed, fail)
     _all_reachable(elements, nodes, fail)
     sensors = [e for e in elements if isinstance(e, Sensor)]
     if not sensors:
@@ -39,6 +42,22 @@ def check_topology(elements: tuple[Element, ...], most_nodes: int, fail: Callabl
             if column in read:
                 fail(sensor.name, f"column {column!r} is already read by sensor {read[column]!r}")
             read[column] = sensor.name
+
+
+def _pipes_and_drives(elements: tuple[Element, ...], fed: dict[str, str], fail: Callable[[str, str], object]) -> None:
+    piped: dict[str, str] = {}
+    driven: dict[str, str] = {}
+    for e in elements:
+        if isinstance(e, Pipe):
+            if e.to not in fed:
+                fail(e.name, f"no flow path names {e.to!r}, so no water comes through this pipe")
+            if e.to in piped:
+                fail(e.name, f"node {e.to!r} already has the pipe {piped[e.to]!r}; join them into one")
+            piped[e.to] = e.name
+        if isinstance(e, Actuator):
+            if e.column in driven:
+                fail(e.name, f"input {e.column!r} already has the actuator {driven[e.column]!r}; join them into one")
+            driven[e.column] = e.name
 
 
 def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callable[[str, str], object]) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
+from twin.assembly import System
 from twin.elements import KINDS, Element, Parameter, ParameterSpec
 from twin.elements.base import STATUSES
 from twin.network import (
@@ -120,7 +121,7 @@ class _Reader:
             name: self.tunable_set(name, self.table(spec, ("sets", name)), parameters)
             for name, spec in self.table(data.get("sets", {}), ("sets",)).items()
         }
-        return Network(
+        network = Network(
             name=self.string(data["name"], ("name",)),
             title=self.string(data.get("title", ""), ("title",)),
             elements=tuple(elements),
@@ -131,6 +132,11 @@ class _Reader:
             revision=self.revision(self.table(data.get("revision", {}), ("revision",))),
             digest=digest(self.text),
         )
+        try:
+            assert System(network, network.ids).slopes
+        except ValueError as error:
+            self.fail((), f"the elements do not fit together: {error}")
+        return network
 
     def input(self, column: str, spec: Any) -> InputSpec:
         keys = ("inputs", column)

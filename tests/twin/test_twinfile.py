@@ -149,3 +149,38 @@ def test_a_shared_parameter_must_name_one_with_a_value(loop_text: str) -> None:
     for wrong, words in (("tank_los.hA", "did you mean"), ("tank.capacitance", "value of its own, in W/K")):
         with pytest.raises(TwinFileError, match=words):
             parse(text.replace('same_as = "tank_loss.hA"', f'same_as = "{wrong}"'))
+
+
+PIPE = '\n[elements.{name}]\nkind = "pipe"\nto = "{to}"\nvolume = 0.3\n'
+RELAY = '\n[elements.{name}]\nkind = "actuator"\ncolumn = "fan_speed_pct"\n'
+
+
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        (PIPE.format(name="a", to="lake"), "no such node 'lake'"),
+        (
+            '\n[elements.shelf]\nkind = "node"\ncapacitance = 50.0\n[elements.x]\nkind = "conduction"\n'
+            'from = "shelf"\nto = "tank"\nresistance = 1.0\n' + PIPE.format(name="a", to="shelf"),
+            "no flow path names 'shelf'",
+        ),
+        (PIPE.format(name="a", to="tank") + PIPE.format(name="b", to="tank"), "already has the pipe 'a'"),
+        (RELAY.format(name="a") + RELAY.format(name="b"), "already has the actuator 'a'"),
+        (PIPE.format(name="a", to="tank").replace("0.3", "-0.3"), "outside its bounds"),
+        (
+            '\n[elements.other]\nkind = "flow"\npath = ["tank", "heater"]\npump = "pump_speed_pct"\nnominal = 1.0\n',
+            "already fed by 'circuit'; two flows need a mixer",
+        ),
+        ('\n[elements.lonely]\nkind = "flow"\npath = ["tank"]\npump = "pump_speed_pct"\nnominal = 1.0\n', "inlet"),
+        (
+            '\n[elements.cold]\nkind = "conduction"\nfrom = "tank"\nto = "heater"\nresistance = 0.0\n',
+            "outside its bounds",
+        ),
+    ],
+)
+def test_networks_that_cannot_be(loop_text: str, extra: str, words: str) -> None:
+    head, tail = loop_text.split("# --- windows")
+    with pytest.raises(TwinFileError) as caught:
+        parse(head + extra + "\n# --- windows" + tail)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
