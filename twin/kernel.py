@@ -146,6 +146,8 @@ class Kernel:
         count: int | None = None,
         lanes: int | None = None,
     ) -> Call:
+        if not len(time):
+            raise ValueError("there is no sample to simulate")
         parameters, state = np.atleast_2d(parameters), np.atleast_2d(state)
         count = count or max(len(parameters), len(state))
         lanes = lanes or (1 if count == 1 else LANES)

@@ -18,17 +18,28 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("file", type=INPUT_FILE)
 @click.option("--rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig that a profile is meant for.")
-def command(file: Path, rig: Path) -> None:
+@click.option("--picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw a twin's network: .svg or .png.")
+def command(file: Path, rig: Path, picture: Path | None) -> None:
     """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
 
     \b
     Example:
       hil check profiles/rigs/virtual.toml
       hil check my_load.csv --rig my_rig.toml
+      hil check profiles/twins/loop_six.toml --picture network.svg
     """
     from hil.terminal import console
 
-    _checker(file)(file, rig, console())
+    checker = _checker(file)
+    if picture is not None and checker is not _twin:
+        raise click.UsageError(f"--picture draws twins, and {file} is none")
+    checker(file, rig, console())
+    if picture is not None:
+        from twin.drawing import draw
+        from twin.twinfile import load
+
+        draw(load(file), picture)
+        click.echo(str(picture))
 
 
 def _checker(file: Path) -> Callable[[Path, Path, Console], None]:
