@@ -1,8 +1,8 @@
-"""What becomes of a command: the elements see the output of an actuator instead of its input column.
+"""What becomes of a command, or of a quantity as its meter tells it: the elements see the output of an actuator instead of its input column.
 
     c(t)  = command(t - dead_time_s)
     lag_s * da/dt = c - a
-    value = gain * a * (1 - droop * a / full)
+    value = gain * a * (1 - droop * a / full) + offset
 
 The value is the mean over each sample interval, so that it is continuous in dead time and lag and no energy is
 lost between the samples. With gain = 1 and everything else 0 it is the column itself.
@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Drive, Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Candidate, Drive, Element, Fragment, Names, ParameterSpec, Sites, place
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,33 @@ class Actuator(Element):
         suffix = self.column.rsplit("_", 1)[-1]
         unit = {"pct": "%", "C": "degC"}.get(suffix, suffix)
         full = 1000.0 if suffix == "W" else 100.0
-        return (*self.parameters, ParameterSpec("full", unit, full, 1.0e-3, 1.0e6, "fixed", "full command"))
+        offset = ParameterSpec("offset", unit, 0.0, -1.0e3, 1.0e3, "fixed", "0 for a command or meter in calibration")
+        return (*self.parameters, ParameterSpec("full", unit, full, 1.0e-3, 1.0e6, "fixed", "full command"), offset)
+
+    @classmethod
+    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+        having = {e.column for e in sites.having(cls.kind)}
+        found: list[Candidate] = []
+        for column in sites.inputs:
+            if column in having or column == sites.clock:
+                continue
+            unit = column.rsplit("_", 1)[-1]
+            what, name = column.rsplit("_", 1)[0], f"actuator_of_{column}"
+            table = {name: {"kind": cls.kind, "column": column}}
+            if unit == "C":
+                offset = ("sensor", column, "constant", "new", {f"{name}.offset": 1.0}, "K", 0.5, -20.0, 20.0)
+                found.append(Candidate(*offset, "reads {value} off", adds=table))
+                continue
+            late = {"adds": table, "shapes": ("step",)}
+            found += [
+                Candidate("actuator", what, "constant", "new", {f"{name}.gain": 1.0}, "1", 0.03, -0.9, 2.0,
+                    "delivers another share of its command: a change by {value}", adds=table),
+                Candidate("actuator", what, what, "new", {f"{name}.droop": 1.0}, "1", 0.05, -0.4, 0.8,
+                    "falls short by {value} at full command", adds=table),
+                Candidate("actuator", what, "history", "new", {f"{name}.lag_s": 1.0}, "s", 60.0, 0.0, 3600.0,
+                    "follows its command late by {value}", **late),
+            ]  # fmt: skip
+        return tuple(found)
 
     def emit(self, n: Names) -> Fragment:
         value = n.arrived()
@@ -45,6 +71,8 @@ class Actuator(Element):
             value = f"{n.par('gain')} * {value}"
         if n.constant("droop") != 0.0:
             value += f" * (1.0 - {n.par('droop')} * {n.arrived()} / {n.par('full')})"
+        if n.constant("offset") != 0.0:
+            value += f" + {n.par('offset')}"
         dead_time = None if n.constant("dead_time_s") == 0.0 else n.par("dead_time_s")
         lag = None if n.constant("lag_s") == 0.0 else n.par("lag_s")
         if value == n.arrived() and dead_time is None and lag is None:

@@ -159,6 +159,74 @@ class Fragment:
     drive: Drive | None = None
 
 
+SHAPES = ("step", "ramp", "saturating")
+"""How an effect may come in: at once, growing in proportion to time, or growing to a final size."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that a twin may lack, or a parameter of it that may have moved.
+
+    Attributes:
+        kind, where, driver, change: in the vocabulary of a diagnosis.
+        changes: parameter id -> weight. At size s a parameter is its neutral (or present) value plus weight times s;
+            with `inverse`, weight over s.
+        unit, typical, lower, upper: of the size. typical: a size of interest; bounds hold its possible signs.
+        says: the effect in words, with ``{value}`` for the size and its unit.
+        adds: name -> table of the elements that are added.
+        replaces: element -> keys of its table that differ.
+        shapes: time shapes in which it may come in.
+    """
+
+    kind: str
+    where: str
+    driver: str
+    change: Literal["new", "existing"]
+    changes: Mapping[str, float]
+    unit: str
+    typical: float
+    lower: float
+    upper: float
+    says: str
+    adds: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    replaces: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    inverse: bool = False
+    shapes: tuple[str, ...] = SHAPES
+
+    @property
+    def id(self) -> str:
+        """Unique within a catalogue."""
+        weights = ",".join(f"{name}*{weight:.4g}" for name, weight in self.changes.items())
+        others = "".join(f"|{key}={value}" for keys in self.replaces.values() for key, value in keys.items())
+        return f"{self.kind}@{self.where}~{self.driver}[{weights}{others}]"
+
+
+@dataclass(frozen=True)
+class Sites:
+    """What a network offers to an element that it may lack.
+
+    Attributes:
+        nodes, inputs: names. room: input column of the room temperature, or "". clock: column of the time of day, or "".
+        before: node -> the node before it on a flow path. places: node -> what an operator calls the place.
+        groups: place -> nodes that are alike and are named together.
+        elements: every element. values: id -> present value.
+    """
+
+    nodes: tuple[str, ...]
+    inputs: tuple[str, ...]
+    room: str
+    clock: str
+    before: Mapping[str, str]
+    places: Mapping[str, str]
+    groups: Mapping[str, tuple[str, ...]]
+    elements: tuple[Element, ...]
+    values: Mapping[str, float]
+
+    def having(self, kind: str) -> tuple[Any, ...]:
+        """The network's elements of a kind."""
+        return tuple(e for e in self.elements if e.kind == kind)
+
+
 @dataclass(frozen=True)
 class Stream:
     """Which flow feeds a node: the flow's name, the node before it ("" at an inlet) and the pipe between ("")."""
@@ -255,6 +323,30 @@ class Element(ABC):
     def problem(self, values: Mapping[str, float]) -> str | None:
         """A plain sentence if these parameter values make no sense together, else None."""
         return None
+
+    @classmethod
+    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+        """Elements of this kind that a twin may lack, at every place where one may stand."""
+        return ()
+
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        """Parameters of this element that may have changed since it was commissioned."""
+        return ()
+
+    def moves(
+        self,
+        name: str,
+        kind: str,
+        where: str,
+        driver: str,
+        unit: str,
+        typical: float,
+        low: float,
+        high: float,
+        says: str,
+    ) -> Candidate:
+        """Candidate of one parameter of this element, its size in the parameter's own unit."""
+        return Candidate(kind, where, driver, "existing", {f"{self.name}.{name}": 1.0}, unit, typical, low, high, says)
 
     @classmethod
     def places(cls) -> dict[str, dataclasses.Field[Any]]:

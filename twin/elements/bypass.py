@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,20 @@ class Bypass(Element):
 
     def problem(self, values: Mapping[str, float]) -> str | None:
         return "a node is named twice" if len(set(self.around)) != len(self.around) else None
+
+    @classmethod
+    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+        around = [(sites.places[node], (node,)) for node in sites.before]
+        around += [(place, group) for place, group in sites.groups.items() if all(n in sites.before for n in group)]
+        return tuple(
+            Candidate(
+                "flow", place, "constant", "new", {f"{name}.fraction": 1.0}, "of the flow", 0.05, 0.0, 0.9,
+                "is passed by {value}",
+                adds={name: {"kind": cls.kind, "around": list(nodes)}},
+            )
+            for place, nodes in around
+            if (name := f"bypass_of_{nodes[0]}" if len(nodes) == 1 else f"bypass_of_{place}")
+        )  # fmt: skip
 
     def emit(self, n: Names) -> Fragment:
         if n.constant("fraction") == 0.0:

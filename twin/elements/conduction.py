@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,32 @@ class Conduction(Element):
 
     def problem(self, values: Mapping[str, float]) -> str | None:
         return "both ends are the same node" if self.a == self.b else None
+
+    @classmethod
+    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+        having = {frozenset((e.a, e.b)) for e in sites.having(cls.kind)}
+        return tuple(
+            Candidate(
+                "coupling", sites.places[b], "temperature_difference", "new", {f"{name}.resistance": 1.0}, "W/K", 1.0,
+                0.0, 60.0, f"exchanges heat with {a}, {{value}}",
+                adds={name: {"kind": cls.kind, "from": a, "to": b}}, inverse=True,
+            )
+            for i, a in enumerate(sites.nodes)
+            for b in sites.nodes[i + 1 :]
+            if frozenset((a, b)) not in having and (name := f"bridge_from_{a}_to_{b}")
+        )  # fmt: skip
+
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        says, now = (
+            f"exchanges {{value}} more with {self.a} than when commissioned",
+            sites.values[f"{self.name}.resistance"],
+        )
+        return (
+            self.moves(
+                "resistance", "coupling", sites.places[self.b], "temperature_difference", "K/W", 0.1 * now,
+                -0.9 * now, 20.0 * now, says.replace("more ", ""),
+            ),
+        )  # fmt: skip
 
     def emit(self, n: Names) -> Fragment:
         g, q = n.local("g"), n.local("q")

@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
 
 _BOUND_PA_K = 1950.0
 """Slope of p_sat at 80 degC; the integrator's margin holds to boiling, where it is twice as steep."""
@@ -45,6 +45,22 @@ class Evaporation(Element):
             return self.parameters
         spec = ParameterSpec("relative_humidity", "%", 50.0, 0.0, 100.0, "boundary", "of the room, where not measured")
         return (*self.parameters, spec)
+
+    @classmethod
+    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+        having = {e.node for e in sites.having(cls.kind)}
+        humidity = [c for c in sites.inputs if "humidity" in c]
+        driver = "humidity" if humidity else "temperature"
+        extra = {"humidity": humidity[0]} if humidity else {}
+        return tuple(
+            Candidate(
+                "heat_loss", sites.places[node], driver, "new", {f"{name}.area": 1.0}, "m2", 0.02, 0.0, 2.0,
+                "loses heat by evaporation from {value} of open water",
+                adds={name: {"kind": cls.kind, "node": node, "ambient": sites.room, **extra}},
+            )
+            for node in sites.before
+            if sites.room and node not in having and (name := f"evaporation_of_{node}")
+        )  # fmt: skip
 
     def emit(self, n: Names) -> Fragment:
         room, air, water, pressure = (n.local(name) for name in ("room", "air", "water", "pressure"))

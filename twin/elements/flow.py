@@ -29,7 +29,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
 
 WATER_DENSITY = 0.997
 """kg/L at 25 degC (IAPWS-95)."""
@@ -72,6 +72,15 @@ class Flow(Element):
                 "path of one node needs an inlet"
             )
         return None
+
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        now = sites.values[f"{self.name}.factor"]
+        return (
+            self.moves(
+                "factor", "flow", "loop", "constant", "of the nominal flow", 0.03, -0.8 * now, 1.0,
+                "carries another flow: a change by {value}",
+            ),
+        )  # fmt: skip
 
     def emit(self, n: Names) -> Fragment:
         flow, mcp = n.local("q"), n.local("mcp")

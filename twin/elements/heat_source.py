@@ -20,10 +20,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
 
 LAWS = ("proportional", "linear", "cubed", "daily", "daylight")
 _UNITS = {"pct": "%", "C": "K", "m3_h": "(m3/h)", "kg_s": "(kg/s)", "L_min": "(L/min)"}
@@ -82,6 +82,49 @@ class HeatSource(Element):
             return f"driver {self.driver!r} does not tell its unit; end its name with one, for example _W, _pct or _C"
         return None
 
+    @classmethod
+    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+        found: list[Candidate] = []
+        known = {e.node for e in sites.having(cls.kind) if not e.driver}
+        stands = [(sites.places[node], (node,)) for node in sites.nodes] + list(sites.groups.items())
+        for place, nodes in stands:
+            for driver, table, sizes, typical, says in _laws(sites):
+                if driver == "constant" and set(nodes) <= known:
+                    continue
+                if driver == "heater_power" and any(
+                    e.driver == table["driver"] for e in sites.having(cls.kind) if e.node in nodes
+                ):
+                    continue
+                words = "_".join((driver, nodes[0] if len(nodes) == 1 else place))
+                names = {node: f"heat_by_{words}" if len(nodes) == 1 else f"heat_by_{words}_{node}" for node in nodes}
+                share = 1.0 / len(nodes)
+                changes = {
+                    f"{name}.{size}": weight * share for name in names.values() for size, weight in sizes.items()
+                }
+                adds = {name: {"kind": cls.kind, "node": node, **table} for node, name in names.items()}
+                unit = "W/W" if driver == "heater_power" else "W"
+                found.append(
+                    Candidate(
+                        "heat_source", place, driver, "new", changes, unit, typical, 0.0, 2000.0 * typical / 20.0, says,
+                        adds=adds,
+                    )
+                )  # fmt: skip
+        return tuple(found)
+
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        where = sites.places[self.node]
+        if not self.driver:
+            now = sites.values[f"{self.name}.power"]
+            says = "gives off {value} that the twin does not know of"
+            power = self.moves("power", "heat_source", where, "constant", "W", 20.0, -now if now else 0.0, 2000.0, says)
+            return (power if now else replace(power, change="new"),)
+        if self.law == "proportional":
+            says = f"turns {{value}} more of {self.driver} into heat"
+            now = sites.values[f"{self.name}.factor"]
+            where = self.driver.rsplit("_", 1)[0]
+            return (self.moves("factor", "actuator", where, "constant", "W/W", 0.03, -now, 3.0, says),)
+        return ()
+
     def emit(self, n: Names) -> Fragment:
         if not self.driver:
             return Fragment(heat={self.node: n.par("power")})
@@ -105,6 +148,29 @@ class HeatSource(Element):
         if self.law == "proportional":
             return Fragment(heat={self.node: f"{n.par('factor')} * {column}"})
         return Fragment(heat={self.node: f"{n.par('gain')} * ({column} - {n.par('reference')})"})
+
+
+def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], float, str]]:
+    """Driver, keys of the table, size parameters with weights, typical size and wording of sources that may be missing."""
+    unknown = "gives off {value} that the twin does not know of"
+    laws: list[tuple[str, dict[str, str], dict[str, float], float, str]] = [
+        ("constant", {}, {"power": 1.0}, 20.0, unknown)
+    ]
+    for column in sites.inputs:
+        if column.endswith("_W"):
+            table = {"driver": column, "law": "linear"}
+            laws.append(("heater_power", table, {"gain": 1.0}, 0.03, "takes up {value} of the heater's power"))
+        if column.endswith("_pct"):
+            driver = column.removesuffix("_pct")
+            says = f"gives off {{value}} at full {driver.replace('_', ' ')}, with its cube"
+            laws.append((driver, {"driver": column, "law": "cubed"}, {"power_100": 1.0}, 20.0, says))
+    if sites.clock:
+        for peak in range(0, 24, 2):
+            turn = math.pi * peak / 12.0
+            sizes = {"cosine": math.cos(turn), "sine": math.sin(turn)}
+            says = f"gives off up to {{value}} in the course of the day, most at about {peak} h"
+            laws.append(("time_of_day", {"driver": sites.clock, "law": "daylight"}, sizes, 20.0, says))
+    return laws
 
 
 def _series(square: str, odd: int) -> str:

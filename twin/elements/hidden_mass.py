@@ -13,9 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, State, place
+from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, State, place
 
 LEAST_S = 1.0
+TIME_CONSTANTS_S = (120.0, 600.0, 1800.0, 5400.0, 14400.0)
+"""Capacity over conductance of masses that are looked for, s."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,20 @@ class HiddenMass(Element):
     )
 
     node: str = place("node", "node that the mass exchanges heat with")
+
+    @classmethod
+    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+        return tuple(
+            Candidate(
+                "thermal_mass", sites.places[node], "history", "new",
+                {f"{name}.conductance": 1.0, f"{name}.capacity": tau}, "W/K", 2.0, 0.0, 500.0,
+                f"has a mass beside it that follows through {{value}} with a time constant of {tau / 60.0:.0f} min",
+                adds={name: {"kind": cls.kind, "node": node}}, shapes=("step",),
+            )
+            for node in sites.nodes
+            for tau in TIME_CONSTANTS_S
+            if (name := f"mass_beside_{node}")
+        )  # fmt: skip
 
     def emit(self, n: Names) -> Fragment:
         if n.constant("capacity") == 0.0 or n.constant("conductance") == 0.0:

@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
 
 SMOOTH_K2 = 1.0e-4
 LARGEST_K = 1000.0
@@ -36,6 +36,19 @@ class NaturalConvection(Element):
 
     node: str = place("node", "node that loses the heat")
     ambient: str = place("input", "input column with the room temperature in degC", default="T_ambient_C")
+
+    @classmethod
+    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+        having = {e.node for e in sites.having(cls.kind)}
+        return tuple(
+            Candidate(
+                "heat_loss", sites.places[node], "temperature", "new", {f"{name}.coefficient": 1.0}, "W/K^1.25", 0.5,
+                0.0, 40.0, "loses heat to the room by natural convection, {value}",
+                adds={name: {"kind": cls.kind, "node": node, "ambient": sites.room}},
+            )
+            for node in sites.nodes
+            if sites.room and node not in having and (name := f"convection_of_{node}")
+        )  # fmt: skip
 
     def emit(self, n: Names) -> Fragment:
         d, q, g = n.local("d"), n.local("q"), n.local("g")

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec
+from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,16 @@ class Node(Element):
 
     def nodes(self) -> tuple[str, ...]:
         return (self.name,)
+
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        now = sites.values[f"{self.name}.capacitance"]
+        says = "takes {value} more heat than when commissioned"
+        return (
+            self.moves(
+                "capacitance", "thermal_mass", sites.places[self.name], "history", "J/K", 0.1 * now, -0.8 * now, 5.0 * now,
+                says,
+            ),
+        )  # fmt: skip
 
     def emit(self, n: Names) -> Fragment:
         return Fragment()

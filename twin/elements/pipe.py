@@ -20,10 +20,10 @@ ends at no exchange with no capacity and keeps the time constants of the network
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Delay, Element, Fragment, Names, ParameterSpec, State, place
+from twin.elements.base import Candidate, Delay, Element, Fragment, Names, ParameterSpec, Sites, State, place
 
 LEAST_S = 1.0
 _STILL = "1e-9"
@@ -46,6 +46,25 @@ class Pipe(Element):
 
     def problem(self, values: Mapping[str, float]) -> str | None:
         return None
+
+    @classmethod
+    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+        piped = {e.to for e in sites.having(cls.kind)}
+        return tuple(
+            Candidate(
+                "delay", sites.places[node], "history", "new", {f"{name}.volume": 1.0}, "L", 0.5, 0.0, 50.0,
+                "gets its water later, as through a further {value} of pipe",
+                adds={name: {"kind": cls.kind, "to": node, "ambient": sites.room}}, shapes=("step",),
+            )
+            for node in sites.before
+            if node not in piped and sites.room and (name := f"pipe_to_{node}")
+        )  # fmt: skip
+
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        now = sites.values[f"{self.name}.volume"]
+        says = "gets its water later, as through a further {value} of pipe"
+        volume = self.moves("volume", "delay", sites.places[self.to], "history", "L", 0.2, -now, 50.0, says)
+        return (replace(volume, shapes=("step",)),)
 
     def emit(self, n: Names) -> Fragment:
         stream = n.streams[self.to]

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
 
 STEFAN_BOLTZMANN = 5.670374419e-8
 """W/(m2 K4), CODATA 2018."""
@@ -51,6 +51,19 @@ class Radiation(Element):
         if bool(self.to) == bool(self.ambient):
             return "give either `to`, another node, or `ambient`, the input with the temperature of the surroundings"
         return "both sides are the same node" if self.to == self.node else None
+
+    @classmethod
+    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+        having = {e.node for e in sites.having(cls.kind)}
+        return tuple(
+            Candidate(
+                "heat_loss", sites.places[node], "temperature", "new", {f"{name}.area": 1.0}, "m2", 0.1, 0.0, 5.0,
+                "radiates to the room from {value}",
+                adds={name: {"kind": cls.kind, "node": node, "ambient": sites.room}},
+            )
+            for node in sites.nodes
+            if sites.room and node not in having and (name := f"radiation_of_{node}")
+        )  # fmt: skip
 
     def emit(self, n: Names) -> Fragment:
         a, b, q, g = n.local("a"), n.local("b"), n.local("q"), n.local("g")

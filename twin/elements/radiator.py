@@ -7,6 +7,9 @@
                            NTU = UA / C_min,  C_r = C_min / C_max
                            eps = 1 - exp(NTU^0.22 / C_r * (exp(-C_r NTU^0.78) - 1))
 
+A radiator that draws in its own warm air sees the room warmer by `recirculation` times the heat that it rejects:
+UA and eps C_min are then divided by 1 + recirculation * themselves.
+
 T is the temperature of the node, which the water leaves with. "outlet" is the (hA)_r of Energies 2026, 19, 2452 when
 UA_still = flow_exponent = 0 and the fan is constant; `flow_exponent` then also holds what the lumped outlet
 temperature hides of the drop along the core. "effectiveness" takes the water as it arrives, T_in, and m cp
@@ -21,10 +24,10 @@ eq. 11.32); `UA_still` is natural convection with the fan at rest.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
 
 LEAST_PERCENT = 0.1
 """Speeds below this count as this much, so that a logarithm of a fan at rest is finite."""
@@ -46,6 +49,9 @@ class Radiator(Element):
         ParameterSpec("fan_exponent", "1", 0.5, 0.0, 2.0, "fixed", "0.5 to 0.8 for the air side, Incropera 7.6"),
         ParameterSpec("flow_exponent", "1", 0.0, -1.0, 1.0, "fixed", "0 where the water side does not limit"),
         ParameterSpec("UA_still", "W/K", 0.0, 0.0, 500.0, "fixed", "natural convection with the fan at rest"),
+        ParameterSpec(
+            "recirculation", "K/W", 0.0, 0.0, 1.0, "fixed", "warming of the air drawn in by the heat rejected"
+        ),
     )
 
     node: str = place("node", "node that is cooled")
@@ -68,15 +74,46 @@ class Radiator(Element):
             return "UA_100 and UA_still are both 0, so the radiator rejects nothing; remove it or give it a UA"
         return None
 
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        where, now = sites.places[self.node], {k: sites.values[f"{self.name}.{k}"] for k in ("UA_100", "fan_exponent")}
+        full, law = now["UA_100"], "with the fan's speed by a power that differs by {value}"
+        rejects = ("heat_rejection", where)
+        return (
+            self.moves(
+                "UA_100", *rejects, "constant", "W/K", 0.05 * full, -0.95 * full, 3.0 * full,
+                "rejects heat with another conductance at full fan speed: a change by {value}",
+            ),
+            self.moves(
+                "fan_exponent", *rejects, "fan_speed", "1", 0.1, -now["fan_exponent"], 2.0 - now["fan_exponent"],
+                f"rejects heat {law}",
+            ),
+            self.moves("UA_still", *rejects, "constant", "W/K", 1.0, -sites.values[f"{self.name}.UA_still"], 200.0,
+                "rejects {value} whatever the fan does"),
+            replace(
+                self.moves("recirculation", *rejects, "rejected_heat", "K/W", 0.001, 0.0, 0.1,
+                    "draws in its own warm air: {value}"),
+                change="new",
+            ),
+        )  # fmt: skip
+
     def emit(self, n: Names) -> Fragment:
         fan, pump, ua, still = n.local("log_fan"), n.local("log_pump"), n.local("UA"), n.par("UA_still")
         turning = (pump, f"log(max({n.input(self.pump)}, {LEAST_PERCENT}) * 0.01)")
         room, here = n.input(self.ambient), n.temperature(self.node)
         law = f"{n.par('UA_100')} * exp({n.par('fan_exponent')} * {fan} + {n.par('flow_exponent')} * {pump})"
+        recirculation, bare = n.par("recirculation"), n.local("bare")
+
+        def behind_itself(conductance: str) -> str:
+            return (
+                conductance
+                if n.constant("recirculation") == 0.0
+                else f"{conductance} / (1.0 + {recirculation} * {conductance})"
+            )
+
         if self.form == "outlet":
             return Fragment(
                 uniform=((fan, f"log(max({n.input(self.fan)}, {LEAST_PERCENT}) * 0.01)"), turning),
-                sample=((ua, f"{law} + {still}"),),
+                sample=((bare, f"{law} + {still}"), (ua, behind_itself(bare))),
                 heat={self.node: f"{ua} * ({room} - {here})"},
                 conductance={self.node: ua},
             )
@@ -95,7 +132,8 @@ class Radiator(Element):
                 (air, f"max({blown}, {LEAST_AIR} * {air_100})"),
                 (fan, f"log({air} / {air_100})"),
                 (ua, law),
-                *_effective_rate(n, ua, f"{air} * {CP_AIR}", flow.local("mcp"), rate),
+                *_effective_rate(n, ua, f"{air} * {CP_AIR}", flow.local("mcp"), bare),
+                (rate, behind_itself(bare)),
             ),
             stage=((arriving, inlet),),
             heat={self.node: f"{rate} * ({room} - {arriving}) + {still} * ({room} - {here})"},

@@ -15,10 +15,10 @@ Guide to the Expression of Uncertainty in Measurement, JCGM 100:2008, annex H.3.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Lag, Names, ParameterSpec, place
+from twin.elements.base import Candidate, Element, Fragment, Lag, Names, ParameterSpec, Sites, place
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,35 @@ class Sensor(Element):
         if self.other == self.node:
             return "the other node is the node itself"
         return None
+
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        where = self.measured[0] if len(self.measured) == 1 else self.name
+        sensor, now = ("sensor", where), {k: sites.values[f"{self.name}.{k}"] for k in ("gain", "lag_s")}
+        later = replace(
+            self.moves("lag_s", *sensor, "rate_of_change", "s", 30.0, -now["lag_s"], 3600.0, "reads late by {value}"),
+            change="new" if now["lag_s"] == 0.0 else "existing", shapes=("step",),
+        )  # fmt: skip
+        found = [
+            replace(self.moves("bias_K", *sensor, "constant", "K", 0.2, -20.0, 20.0, "reads {value} off"), change="new"),
+            replace(
+                self.moves("gain", *sensor, "temperature", "1", 0.01, 0.5 - now["gain"], 1.5 - now["gain"],
+                    "reads by a factor that differs by {value}"),
+                change="new",
+            ),
+            later,
+        ]  # fmt: skip
+        if self.other:
+            return tuple(found)
+        for other in sites.nodes:
+            if other != self.node:
+                says = f"picks up {{value}} of the temperature of {other}"
+                found.append(
+                    Candidate(
+                        *sensor, "temperature_difference", "new", {f"{self.name}.cross_talk": 1.0}, "1", 0.02, 0.0, 0.9,
+                        says, replaces={self.name: {"other": other}},
+                    )
+                )  # fmt: skip
+        return tuple(found)
 
     def emit(self, n: Names) -> Fragment:
         reading = n.temperature(self.node)

@@ -1,0 +1,147 @@
+"""Everything that a twin may lack: each element kind at each place where it may stand, and each parameter that may move.
+
+The kinds themselves say where they could stand and what they would do there (`Element.missing`, `Element.moved`), so a
+new kind of element joins the search by its own file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+from twin.elements import KINDS, Element, Parameter
+from twin.elements.base import Candidate, Sites
+from twin.network import Network, TwinFileError
+
+_NUMBERED = re.compile(r"^(?P<stem>\D+)\d+$")
+_SPOKEN = {"pm": "modules"}
+"""What a numbered family of nodes is called together; others by their stem and an s."""
+
+
+def catalogue(network: Network) -> tuple[Candidate, ...]:
+    """Candidates of a network, each with an id of its own."""
+    sites = sites_of(network)
+    found: dict[str, Candidate] = {}
+    for kind in KINDS.values():
+        for candidate in kind.missing(sites):
+            found.setdefault(candidate.id, candidate)
+    for element in network.elements:
+        for candidate in element.moved(sites):
+            free = {name for name in candidate.changes if not _bound_to_another(network, name)}
+            if len(free) == len(candidate.changes):
+                found.setdefault(candidate.id, candidate)
+    return tuple(found.values())
+
+
+def _bound_to_another(network: Network, name: str) -> bool:
+    p = network.parameters.get(name)
+    return p is not None and bool(p.same_as)
+
+
+def sites_of(network: Network) -> Sites:
+    """The places of a network, and what drives it."""
+    room = next((c for c in network.input_columns if c.startswith("T_amb")), "")
+    clock = next((c for c in network.input_columns if c.startswith("time_of_day")), "")
+    before = {node: b for e in network.elements for node, b in e.feeds().items()}
+    families: dict[str, list[str]] = {}
+    for node in network.nodes:
+        if match := _NUMBERED.match(node):
+            families.setdefault(match["stem"], []).append(node)
+    groups = {_SPOKEN.get(stem, f"{stem}s"): tuple(n) for stem, n in families.items() if len(n) > 1}
+    return Sites(
+        nodes=network.nodes,
+        inputs=network.input_columns,
+        room=room,
+        clock=clock,
+        before=before,
+        places=_places(network),
+        groups=groups,
+        elements=network.elements,
+        values={name: p.value for name, p in network.parameters.items()},
+    )
+
+
+def _places(network: Network) -> dict[str, str]:
+    """Node -> place: a node that nothing reads belongs to the nearest one that is read, through solid first."""
+    read = {s.node for s in network.sensors}
+    beside: dict[str, Counter[str]] = {node: Counter() for node in network.nodes}
+    for element in network.elements:
+        if element.kind in ("sensor", "flow", "pipe"):
+            continue
+        touched = element.nodes()
+        for a in touched:
+            for b in touched:
+                if a != b:
+                    beside[a][b] += 1
+    for element in network.elements:
+        for node, before in element.feeds().items():
+            if before in beside:
+                beside[before][node] += 0  # The water comes last, and goes downstream.
+    places = {node: node for node in read}
+    for _ in network.nodes:
+        for node in network.nodes:
+            known = [b for b in beside[node] if b in places]
+            if node not in places and known:
+                places[node] = places[known[0]]
+    return {node: places.get(node, node) for node in network.nodes}
+
+
+def extended(network: Network, candidate: Candidate) -> Network:
+    """The network with a candidate's elements, still without effect: sizes at their neutral values.
+
+    Raises:
+        TwinFileError: the element does not fit this network.
+    """
+    elements = list(network.elements)
+    parameters = dict(network.parameters)
+    for name, table in candidate.adds.items():
+        if name in {e.name for e in elements}:
+            raise TwinFileError(f"twin {network.name!r} already has an element {name!r}")
+        _insert(elements, parameters, name, table)
+    for name, keys in candidate.replaces.items():
+        old = next(e for e in elements if e.name == name)
+        new = replace(old, **{old.places()[k].name: v for k, v in keys.items()})
+        elements[elements.index(old)] = new
+        _fill(new, parameters)
+    elements.sort(key=lambda e: e.kind != "node")
+    return replace(network, elements=tuple(elements), parameters=MappingProxyType(parameters), digest="")
+
+
+def _insert(elements: list[Element], parameters: dict[str, Parameter], name: str, table: Mapping[str, Any]) -> None:
+    cls = KINDS[str(table["kind"])]
+    places = cls.places()
+    given = {places[k].name: tuple(v) if isinstance(v, list) else v for k, v in table.items() if k in places}
+    element = cls(name=name, **given)
+    elements.append(element)
+    _fill(element, parameters)
+
+
+def _fill(element: Element, parameters: dict[str, Parameter]) -> None:
+    for spec in element.parameter_specs():
+        key = f"{element.name}.{spec.name}"
+        if key not in parameters:
+            value = spec.default if spec.default is not None else _neutral(spec.lower, spec.upper)
+            parameters[key] = Parameter(
+                key, element.name, spec.name, value, spec.unit, spec.lower, spec.upper, spec.status, spec.source
+            )
+
+
+def _neutral(lower: float, upper: float) -> float:
+    return 0.0 if lower <= 0.0 <= upper else upper
+
+
+def sized(network: Network, candidate: Candidate, size: float) -> dict[str, float]:
+    """Parameter values of an extended network at a size of the candidate, within the parameters' bounds."""
+    values = {}
+    for name, weight in candidate.changes.items():
+        p = network.parameters[name]
+        if candidate.inverse:
+            value = weight / size if size > weight / p.upper else p.upper
+        else:
+            value = p.value + weight * size
+        values[name] = min(max(value, p.lower), p.upper)
+    return values

@@ -1,0 +1,156 @@
+"""All hypotheses against one residual, as one quadratic form.
+
+The record is cut into blocks. The response of every sensor to heat in every node during every block, whitened and with
+the tunables and the initial state projected out (with what commissioning knows of them as their prior), makes a Gram
+matrix G; its product with the residual a vector g. A candidate of any law, time shape and onset is then a vector p of
+heat (or of offset of a sensor) per place and block, its score z = p'g / sqrt(p'Gp), its size p'g / p'Gp, and any number
+of them is tried without another simulation.
+
+Source: score (Lagrange multiplier) test of Rao, Proc. Camb. Phil. Soc. 44 (1948) 50; projecting the tunables out is
+what keeps a term from being credited with what re-tuning does (Plumlee, J. Am. Stat. Assoc. 112 (2017) 1274).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.discovery.grid import Grid, filled
+from twin.discovery.laws import Law
+from twin.discovery.noise import Noise
+from twin.discovery.probe import Probe, Run
+from twin.gauss_newton import Prior
+from twin.network import Array
+
+MOST_BLOCKS = 240
+LEAST_BLOCK_BINS = 6
+
+
+def block_edges(bins: int, most: int = MOST_BLOCKS) -> np.ndarray:
+    """(b + 1,) bins at which blocks begin, of equal length to a bin."""
+    blocks = max(min(most, bins // LEAST_BLOCK_BINS), 2)
+    edges: np.ndarray = np.linspace(0, bins, blocks + 1).round().astype(np.intp)
+    return edges
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Several effects at once.
+
+    Attributes:
+        sizes: (e,) in the candidates' units. covariance: (e, e). gain: fall of the weighted squares.
+    """
+
+    sizes: Array
+    covariance: Array
+    gain: float
+
+
+class Contest:
+    """The quadratic form of one record.
+
+    Args:
+        noise: what a healthy residual looks like. prior: of [tunables z, initial state].
+
+    Attributes:
+        edges, hours: block borders, bins, and their beginnings, h from the record's. b, sites: numbers of blocks and of
+            places, which are the k nodes and then the m sensors.
+        gram: (sites * b, sites * b). score: (sites * b,). misfit: weighted squares that tunables do not take up.
+    """
+
+    def __init__(self, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: Prior) -> None:
+        self.probe, self.grid, self.noise, self.prior = probe, grid, noise, prior
+        self.edges = block_edges(len(grid.time))
+        self.b, self.k, self.m = len(self.edges) - 1, probe.k, probe.m
+        self.sites = self.k + self.m
+        self.step_s = grid.span_s / self.b
+        self.present = np.isfinite(grid.measured)
+        sensitivity = filled(probe.sensitivities(grid, state), self.present)
+        heat = probe.blocks(grid, state, self.edges)
+        self._j = self._white(self._means(sensitivity)).reshape(self.b * self.m, -1)
+        seen = self.present.any(axis=0)
+        heat[:, ~seen] = 0.0
+        onto = np.eye(self.b * self.m).reshape(self.b, self.m, self.b, self.m)
+        # Columns go place by place, blocks within a place.
+        columns = np.concatenate([heat, onto], axis=3).transpose(0, 1, 3, 2).reshape(self.b, self.m, -1)
+        self._columns = self._white(columns).reshape(self.b * self.m, -1)
+        self._normal = self._j.T @ self._j + prior.precision
+        cross = self._j.T @ self._columns
+        self._taken = np.linalg.solve(self._normal, cross)
+        self.gram = self._columns.T @ self._columns - cross.T @ self._taken
+        self.count = int(seen.sum()) * self.b
+        self.look_at(run)
+
+    def _means(self, values: Array) -> Array:
+        """(n, m, ...) to block means (b, m, ...)."""
+        lengths = np.diff(self.edges).reshape(-1, *([1] * (values.ndim - 1)))
+        means: Array = np.add.reduceat(values, self.edges[:-1], axis=0) / lengths
+        return means
+
+    def _white(self, values: Array) -> Array:
+        return self.noise.whiten(values, self.step_s)
+
+    def look_at(self, run: Run, moved: Array | None = None) -> None:
+        """Take the residual of a run, whose tunables and state stand `moved` (q + k,) away from the prior's mean."""
+        off = self.grid.measured - run.readings
+        residual = self._white(self._means(filled(off, self.present))).ravel()
+        pull = self._j.T @ residual
+        if moved is not None:
+            pull = pull - self.prior.precision @ moved
+        self._shift = np.linalg.solve(self._normal, pull)
+        self.score = self._columns.T @ residual - self._taken.T @ pull
+        self.misfit = float(residual @ residual - pull @ self._shift)
+
+    @property
+    def chi(self) -> float:
+        """Misfit per block and sensor; about 1 or less for a twin as good as when it was commissioned."""
+        return self.misfit / max(self.count, 1)
+
+    @property
+    def hours(self) -> Array:
+        starts: Array = self.edges[:-1] * self.grid.step_s / 3600.0
+        return starts
+
+    def vector(self, law: Law) -> Array:
+        """The law at size 1: (sites, b)."""
+        p = np.zeros((self.sites, self.b))
+        if law.heat is not None:
+            p[: self.k] = self._means(law.heat).T
+        if law.reading is not None:
+            p[self.k :] = self._means(law.reading).T
+        return p
+
+    def small(self, p: Array) -> tuple[Array, Array]:
+        """Gram matrix (b, b) and score (b,) of one law's blocks, p (sites, b)."""
+        active = np.flatnonzero(np.abs(p).max(axis=1) > 0.0)
+        columns = (active[:, None] * self.b + np.arange(self.b)).ravel()
+        weight = p[active].ravel()
+        inner = self.gram[np.ix_(columns, columns)] * np.outer(weight, weight)
+        shape = (len(active), self.b, len(active), self.b)
+        return inner.reshape(shape).sum(axis=(0, 2)), (self.score[columns] * weight).reshape(len(active), -1).sum(axis=0)
+
+    def joint(self, vectors: Array) -> tuple[Array, Array]:
+        """Gram matrix (e, e) and score (e,) of e effects, `vectors` (e, sites, b)."""
+        flat = vectors.reshape(len(vectors), -1)
+        return flat @ self.gram @ flat.T, flat @ self.score
+
+    def estimate(self, vectors: Array) -> Estimate:
+        """Sizes of e effects together."""
+        gram, score = self.joint(vectors)
+        if not len(gram):
+            return Estimate(np.empty(0), np.empty((0, 0)), 0.0)
+        covariance = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
+        sizes = covariance @ score
+        return Estimate(sizes, covariance, float(sizes @ score))
+
+    def moved(self, vectors: Array, sizes: Array) -> Array:
+        """Change of [tunables z, initial state] (q + k,) that goes with effects of these sizes."""
+        flat = np.tensordot(sizes, vectors.reshape(len(vectors), -1), 1) if len(vectors) else 0.0
+        shift: Array = self._shift - (self._taken @ flat if len(vectors) else 0.0)
+        return shift
+
+    def tunables_sd(self) -> Array:
+        """Posterior standard deviation (q + k,) of [tunables z, initial state] after this record."""
+        sd: Array = np.sqrt(np.diag(np.linalg.inv(self._normal)))
+        return sd

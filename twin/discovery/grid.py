@@ -1,0 +1,113 @@
+"""A record on an even grid: means over short bins, which is where diagnosis works.
+
+Irregular sampling, gaps and repeated stamps end here. A bin without a reading stays NaN; `filled` closes such gaps by
+straight lines, and does the same to every signature that is compared with the residual, so that both went through the
+same linear operation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.kernel import clean_time, held
+from twin.network import Array, Network, TwinFileError
+
+BIN_S = 10.0
+LEAST_BINS = 120
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Bins of `step_s`: `time` (n,) s at their beginnings, `inputs` (n, c), `measured` (n, m) degC with NaN.
+
+    `sigma` (m,) is the white noise of a bin's mean, K.
+    """
+
+    time: Array
+    inputs: Array
+    measured: Array
+    sigma: Array
+    step_s: float
+
+    @property
+    def span_s(self) -> float:
+        return float(self.step_s * len(self.time))
+
+    def part(self, first: int, last: int) -> Grid:
+        """Bins `first` to `last`, the latter left out."""
+        rows = slice(first, last)
+        return Grid(self.time[rows], self.inputs[rows], self.measured[rows], self.sigma, self.step_s)
+
+    def present(self) -> np.ndarray:
+        """(m,) bool: sensors with readings in at least a tenth of the bins."""
+        share: np.ndarray = np.isfinite(self.measured).mean(axis=0) > 0.1
+        return share
+
+
+def on_grid(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike) -> Grid:
+    """Means over bins of 10 s, or of the record's own step where that is longer.
+
+    Args:
+        time_s: (N,) s. inputs: (N, c); NaN holds the last good value. measured: (N, m) degC; NaN is left out.
+
+    Raises:
+        TwinFileError: too short, or not a single reading.
+    """
+    t, u = clean_time(time_s), held(network, inputs)
+    y = np.asarray(measured, dtype=np.float64)
+    if len(t) < 2:
+        raise TwinFileError("the record has fewer than two samples; diagnosis needs at least two windows of data")
+    period = float(np.median(np.diff(t)))
+    step = max(BIN_S, period)
+    bins = int(np.floor((t[-1] - t[0]) / step + 1e-9)) + 1
+    if bins * step < 2.0 * network.rules.window_s:
+        raise TwinFileError(
+            f"the record covers {t[-1] - t[0]:.0f} s; diagnosis needs at least two windows of "
+            f"{network.rules.window_s:.0f} s"
+        )
+    if not np.isfinite(y).any():
+        raise TwinFileError("the record has no reading of any of the twin's sensors; check the names of its columns")
+    where = np.minimum(((t - t[0]) / step + 1e-9).astype(np.intp), bins - 1)
+    good = np.isfinite(y)
+    count = np.stack([np.bincount(where, good[:, j], bins) for j in range(y.shape[1])], axis=1)
+    total = np.stack([np.bincount(where, np.where(good[:, j], y[:, j], 0.0), bins) for j in range(y.shape[1])], axis=1)
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    per_bin = max(1.0, step / period)
+    grid_time = t[0] + step * np.arange(bins)
+    return Grid(grid_time, _held_means(t, u, where, grid_time), mean, network.sigma / np.sqrt(per_bin), step)
+
+
+def _held_means(t: Array, u: Array, where: np.ndarray, grid_time: Array) -> Array:
+    """Means of inputs (bins, c); a bin without a sample holds the one before."""
+    bins = len(grid_time)
+    count = np.bincount(where, minlength=bins)
+    mean = np.stack([np.bincount(where, u[:, j], bins) for j in range(u.shape[1])], axis=1)
+    mean = mean / np.maximum(count, 1)[:, None]
+    latest = np.maximum.accumulate(np.where(count > 0, np.arange(bins), 0))
+    out: Array = np.ascontiguousarray(mean[latest])
+    return out
+
+
+def filled(values: Array, present: np.ndarray) -> Array:
+    """`values` (n, m, ...) where `present` (n, m), straight lines between; 0 for a column that is never present."""
+    out = np.array(values, dtype=np.float64)
+    rows = np.arange(len(values))
+    for j in range(values.shape[1]):
+        good = present[:, j]
+        if good.all():
+            continue
+        if not good.any():
+            out[:, j] = 0.0
+            continue
+        known = np.flatnonzero(good)
+        flat = out[:, j].reshape(len(rows), -1)
+        right = np.clip(np.searchsorted(known, rows), 0, len(known) - 1)
+        left = np.clip(right - 1, 0, len(known) - 1)
+        a, b = known[left], known[right]
+        share = np.where(b > a, np.clip((rows - a) / np.maximum(b - a, 1), 0.0, 1.0), 1.0)[:, None]
+        line = flat[a] * (1.0 - share) + flat[b] * share
+        out[:, j] = np.where(good[:, None], flat, line).reshape(out[:, j].shape)
+    return out

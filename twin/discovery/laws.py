@@ -1,0 +1,104 @@
+"""What each candidate does to a rig, at size 1, at the temperatures that the rig had: heat into nodes, or a reading.
+
+The law is evaluated on measured temperatures, which makes it linear in its size and independent of how wrong the
+twin is; nodes that nothing reads take the twin's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.discovery.catalogue import extended, sized
+from twin.discovery.formulas import Formulas, follow
+from twin.discovery.grid import Grid, filled
+from twin.discovery.probe import Run
+from twin.elements.base import Candidate
+from twin.elements.flow import Flow
+from twin.network import Array, Network
+
+LEAST_W = 1e-9
+
+
+@dataclass(frozen=True)
+class Law:
+    """A candidate at size 1: `heat` (n, k) W into nodes and `reading` (n, m) K onto sensors; None where it is none."""
+
+    candidate: Candidate
+    heat: Array | None
+    reading: Array | None
+
+
+def temperatures(network: Network, grid: Grid, run: Run) -> Array:
+    """Node temperatures (n, k), degC: measured where a sensor is, with gaps closed; the twin's elsewhere."""
+    known = run.temperatures.copy()
+    for j, sensor in enumerate(network.sensors):
+        k = network.nodes.index(sensor.node)
+        off = (grid.measured[:, j] - run.readings[:, j])[:, None]
+        known[:, k] = run.temperatures[:, k] + filled(off, np.isfinite(off))[:, 0]
+    return known
+
+
+def laws(network: Network, candidates: tuple[Candidate, ...], grid: Grid, run: Run) -> list[Law]:
+    """The laws of those candidates that do anything on this record."""
+    known = temperatures(network, grid, run)
+    base = Formulas(network).heats(known, grid.inputs, network.values, grid.step_s)
+    found = []
+    for candidate in candidates:
+        if candidate.kind == "sensor" and not candidate.adds:
+            law = Law(candidate, None, _reading(network, candidate, grid, run))
+        elif candidate.kind == "delay":
+            law = Law(candidate, _delay(network, candidate, grid, known, base), None)
+        else:
+            bigger = extended(network, candidate)
+            changed = bigger.with_values(sized(bigger, candidate, candidate.typical))
+            heat = Formulas(changed).heats(known, grid.inputs, changed.values, grid.step_s)
+            law = Law(candidate, (heat - base) / candidate.typical, None)
+        size = law.heat if law.heat is not None else law.reading
+        if size is not None and np.isfinite(size).all() and float(np.abs(size).max()) * candidate.typical > LEAST_W:
+            found.append(law)
+    return found
+
+
+def _reading(network: Network, candidate: Candidate, grid: Grid, run: Run) -> Array:
+    """Change of the readings (n, m) for a unit of a sensor's parameter."""
+    (name, weight), *_ = candidate.changes.items()
+    element, parameter = name.split(".")
+    j = network.sensor_names.index(element)
+    out = np.zeros((len(grid.time), len(network.sensors)))
+    seen = run.temperatures[:, network.nodes.index(network.sensors[j].node)]
+    if parameter == "bias_K":
+        out[:, j] = 1.0
+    elif parameter == "gain":
+        out[:, j] = seen
+    elif parameter == "lag_s":
+        size = candidate.typical
+        out[:, j] = (follow(seen, size, grid.step_s) - seen) / size
+    elif parameter == "cross_talk":
+        other = candidate.replaces[element]["other"]
+        out[:, j] = run.temperatures[:, network.nodes.index(other)] - seen
+    return out * weight
+
+
+def _delay(network: Network, candidate: Candidate, grid: Grid, known: Array, base: Array) -> Array:
+    """Heat that a further volume of pipe keeps from arriving: what the water before it was, a delay ago."""
+    (name, _), *_ = candidate.changes.items()
+    pipe = name.split(".")[0]
+    node = candidate.adds[pipe]["to"] if candidate.adds else next(e for e in network.elements if e.name == pipe).to  # type: ignore[attr-defined]
+    flow = next(e for e in network.elements if isinstance(e, Flow) and node in e.path)
+    before = flow.feeds()[node]
+    values = network.parameters
+    rate = values[f"{flow.name}.nominal"].value * values[f"{flow.name}.factor"].value / 60.0
+    litres = rate * np.maximum(grid.inputs[:, network.input_columns.index(flow.pump)], 0.0) * 0.01
+    passed = np.concatenate([[0.0], np.cumsum(litres * grid.step_s)])[:-1]
+    late = known.copy()
+    k = network.nodes.index(before) if before else -1
+    if k < 0:
+        return np.zeros_like(known)
+    size = candidate.typical
+    when = np.interp(passed - size, passed + 1e-9 * np.arange(len(passed)), grid.time)
+    late[:, k] = np.interp(when, grid.time, known[:, k])
+    heat = (Formulas(network).heats(late, grid.inputs, network.values, grid.step_s) - base) / size
+    heat[:, k] = 0.0
+    return heat

@@ -1,0 +1,89 @@
+"""What a residual looks like when nothing is wrong, and how to weigh it: one covariance per band of periods.
+
+A residual of a healthy twin is not white: the twin is lumped and the rig is not. In the cosine transform (DCT-II,
+along time, per sensor) its coefficients are nearly independent, and their covariance across sensors depends on the
+period alone. Learned from a healthy record it serves records of any length. Cosines rather than a Fourier transform,
+because a drift does not leak in them (Makhoul, IEEE Trans. ASSP 28 (1980) 27).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import dct
+
+from twin.network import Array
+
+EDGES_S = (3600.0, 1200.0, 420.0, 120.0, 40.0)
+"""Periods, s, between the bands."""
+CAUTION = (4.0, 2.0, 1.5, 1.2, 1.1, 1.1)
+"""Factor on the variance of each band: a healthy record of ten hours tells little about the longest periods."""
+SHRINK = 0.3
+"""Share of each covariance's off-diagonal that is given up."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Whitening by band for m sensors: `roots` (bands, m, m) with roots @ roots' = covariance^-1 of one bin of
+    `step_s`; `sd` (bands, m), K."""
+
+    roots: Array
+    sd: Array
+    step_s: float
+
+    def whiten(self, values: Array, step_s: float | None = None) -> Array:
+        """(n, m, ...) in time to (n, m, ...) whitened cosine coefficients.
+
+        Args:
+            step_s: of `values` where they are means over longer bins.
+        """
+        step = step_s or self.step_s
+        c = dct(values, type=2, norm="ortho", axis=0)
+        flat = c.reshape(c.shape[0], c.shape[1], -1)
+        out = np.empty_like(flat)
+        band = bands(len(c), step)
+        scale = np.sqrt(step / self.step_s)
+        for b in np.unique(band):
+            rows = band == b
+            out[rows] = scale * np.einsum("ji,njk->nik", self.roots[b], flat[rows])
+        whitened: Array = out.reshape(c.shape)
+        return whitened
+
+
+def bands(n: int, step_s: float) -> np.ndarray:
+    """Band (n,) of each of n cosine coefficients; 0 holds the longest periods."""
+    period = 2.0 * n * step_s / np.maximum(np.arange(n), 0.5)
+    band: np.ndarray = np.searchsorted(-np.array(EDGES_S), -period, side="right")
+    return band
+
+
+def learn(residual: Array, sigma: Array, step_s: float, lost: Array | None = None) -> Noise:
+    """Noise from a healthy residual (n, m) without NaN.
+
+    Args:
+        sigma: (m,) K, white noise of a bin, the least that any band is given.
+        lost: (bands,) degrees of freedom that fitting took out of each band, over all sensors.
+    """
+    n, m = residual.shape
+    c = dct(residual, type=2, norm="ortho", axis=0)
+    band = bands(n, step_s)
+    roots, sd = np.empty((len(EDGES_S) + 1, m, m)), np.empty((len(EDGES_S) + 1, m))
+    floor = np.diag(sigma**2)
+    below: Array | None = None
+    for b in range(len(EDGES_S), -1, -1):
+        rows = c[band == b]
+        if len(rows) >= 2 * m:
+            taken = 0.0 if lost is None else lost[b] / m
+            covariance = rows.T @ rows / max(len(rows) - taken, 0.5 * len(rows))
+        else:
+            covariance = floor if below is None else below
+        below = covariance
+        covariance = covariance * np.where(np.eye(m) > 0, 1.0, 1.0 - SHRINK)
+        # The white noise is known; a band quieter than that is chance.
+        short = np.maximum(np.diag(floor) - np.diag(covariance), 0.0)
+        covariance = (covariance + np.diag(short)) * CAUTION[b]
+        values, vectors = np.linalg.eigh(covariance)
+        roots[b] = vectors / np.sqrt(np.maximum(values, 1e-12))
+        sd[b] = np.sqrt(np.diag(covariance))
+    return Noise(roots, sd, step_s)

@@ -1,0 +1,192 @@
+"""A twin that can be asked: what would a reading be if so much heat entered here, then?
+
+One kernel serves every hypothesis: the network with a source of any time course in every node and a reading of every
+node. What an effect does to the rig is told by the heat that it brings (`formulas`), so no kernel has to be compiled
+for a candidate before it is worth one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from twin.discovery.grid import Grid
+from twin.elements import Parameter
+from twin.elements.heat_source import HeatSource
+from twin.elements.sensor import Sensor
+from twin.gauss_newton import Data, Prior, Scaling, align
+from twin.kernel import Kernel
+from twin.network import Array, InputSpec, Network
+
+FIRST_BINS = 6
+SETTLE_BINS = 90
+_STEP = 1.0e-4
+_STATE_STEP = 1.0e-2
+_PROBE_W = 10.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """Free run: `readings` (n, m) of the network's sensors and `temperatures` (n, k) of its nodes, degC."""
+
+    readings: Array
+    temperatures: Array
+
+
+class Probe:
+    """The kernel of a network with an injection of heat at every node.
+
+    Args:
+        tunables: parameters that a calibration may move; their sensitivities are asked for.
+    """
+
+    def __init__(self, network: Network, tunables: tuple[str, ...]) -> None:
+        self.network = network
+        self.scaling = Scaling.of(network, tunables)
+        self.columns = tuple(f"probe_{node}_W" for node in network.nodes)
+        self.probed, self._gains, self._reads = _with_probes(network, self.columns)
+        self._kernel = Kernel(self.probed, (*tunables, *self._gains))
+        self._tunable = self.probed.index(tunables)
+        self._gain = self.probed.index(self._gains)
+        self.m, self.k, self.q = len(network.sensors), len(network.nodes), len(tunables)
+
+    def values(self, values: Array | None = None) -> Array:
+        """Full parameter vector of the probed network out of one of the network (p,)."""
+        full = self.probed.values.copy()
+        if values is not None:
+            full[self.probed.index(self.network.ids)] = values
+        full[self._gain] = 1.0
+        return full
+
+    def _inputs(self, grid: Grid, injected: Array | None) -> Array:
+        extra = np.zeros((len(grid.time), self.k)) if injected is None else injected
+        return np.ascontiguousarray(np.hstack([grid.inputs, extra]))
+
+    def first_state(self, grid: Grid, values: Array | None = None) -> Array:
+        """Initial temperatures (k,) that fit the first quarter of an hour."""
+        state = self.probed_state(grid)
+        rows = slice(0, SETTLE_BINS)
+        measured = np.full((len(grid.time[rows]), len(self.probed.sensors)), np.nan)
+        measured[:, : self.m] = grid.measured[rows]
+        good = np.isfinite(measured)
+        sigma = np.concatenate([grid.sigma, np.ones(measured.shape[1] - self.m)])
+        data = Data(
+            grid.time[rows], self._inputs(grid, None)[rows], np.where(good, measured, 0.0),
+            np.where(good, 1.0 / sigma, 0.0),
+        )  # fmt: skip
+        return align(self._kernel, self.values(values), state, data, 1.0)
+
+    def probed_state(self, grid: Grid) -> Array:
+        """Node temperatures (k,) from the first readings."""
+        return self.network.initial_state(grid.measured[:FIRST_BINS])
+
+    def run(self, grid: Grid, state: Array, values: Array | None = None, injected: Array | None = None) -> Run:
+        """Free run from `state`, with heat `injected` (n, k) W on top of the network's own."""
+        readings, _ = self._kernel.trace(self.values(values), state, grid.time, self._inputs(grid, injected))
+        return Run(readings[0][:, : self.m], readings[0][:, self._reads])
+
+    def responses(self, grid: Grid, state: Array, injected: Array, values: Array | None = None) -> Array:
+        """What heat does to the readings (n, m, j), K, for j courses `injected` (n, k, j) W."""
+        base = self.run(grid, state, values).readings
+        found = [self.run(grid, state, values, injected[:, :, j]).readings - base for j in range(injected.shape[2])]
+        return np.stack(found, axis=2) if found else np.empty((*base.shape, 0))
+
+    def sensitivities(self, grid: Grid, state: Array, values: Array | None = None) -> Array:
+        """d reading / d (tunables in z, initial temperatures): (n, m, q + k)."""
+        centre = self.values(values)
+        count = 1 + self.q + self.k
+        rows, states = np.tile(centre, (count, 1)), np.tile(state[: self.k], (count, 1))
+        z = self.scaling.to_z(centre[self._tunable])
+        upper = self.scaling.to_z(self.scaling.upper)
+        steps = np.where(z + _STEP > upper, -_STEP, _STEP)
+        for i in range(self.q):
+            moved = z.copy()
+            moved[i] += steps[i]
+            rows[1 + i, self._tunable] = self.scaling.to_values(moved)
+        states[1 + self.q :] += _STATE_STEP * np.eye(self.k)
+        readings, _ = self._kernel.trace(rows, states, grid.time, self._inputs(grid, None))
+        scale = np.concatenate([steps, np.full(self.k, _STATE_STEP)])
+        change: Array = (readings[1:, :, : self.m] - readings[0, :, : self.m]) / scale[:, None, None]
+        return np.ascontiguousarray(np.moveaxis(change, 0, 2))
+
+    def blocks(self, grid: Grid, state: Array, edges: np.ndarray, values: Array | None = None) -> Array:
+        """Mean readings in each of b blocks when 1 W enters one node during one block: (b, m, b, k) K/W.
+
+        Args:
+            edges: (b + 1,) bins at which blocks begin, the last one past the end.
+        """
+        count = len(edges) - 1
+        found = np.zeros((count, self.m, count, self.k))
+        inputs = self._inputs(grid, np.full((len(grid.time), self.k), _PROBE_W))
+        centre = self.values(values)
+        centre[self._gain] = 0.0
+        gained = np.tile(centre, (1 + self.k, 1))
+        gained[1:, self._gain] += np.eye(self.k)
+        states = state[None, :]
+        for b, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+            until = min(last + 1, len(grid.time))
+            time, u = grid.time[first:until], inputs[first:until]
+            # Row 0 is the undisturbed run, the rows after it what earlier blocks left behind, the last k this block's.
+            rows = np.vstack([np.repeat(centre[None, :], len(states), axis=0), gained[1:]])
+            begun = np.vstack([states, np.repeat(states[:1], self.k, axis=0)])
+            readings, states = self._kernel.trace(rows, begun, time, u)
+            mean = readings[:, : last - first, : self.m].mean(axis=1)
+            change = (mean[1:] - mean[0]) / _PROBE_W
+            found[b, :, : b + 1, :] = change.reshape(b + 1, self.k, self.m).transpose(2, 0, 1)
+        return found
+
+
+def posterior(network: Network, probe: Probe, grid: Grid, state: Array, inflation: float, widen: float) -> Prior:
+    """Gaussian knowledge of [tunables z, initial state] after a healthy record; `widen` multiplies its variance.
+
+    The state's part is replaced by what a first reading tells, since the next record begins elsewhere.
+    """
+    weight = np.where(np.isfinite(grid.measured), 1.0 / grid.sigma, 0.0)
+    j = probe.sensitivities(grid, state) * weight[:, :, None]
+    flat = j.reshape(-1, j.shape[2])
+    prior_sd = probe.scaling.prior_sd()
+    state_precision = np.full(probe.k, 1.0)
+    precision = flat.T @ flat / inflation + np.diag(np.concatenate([prior_sd**-2.0, state_precision]))
+    covariance = np.linalg.inv(precision)[: probe.q, : probe.q] * widen
+    limit = prior_sd / np.sqrt(np.diag(covariance))
+    covariance = covariance * np.outer(np.minimum(limit, 1.0), np.minimum(limit, 1.0))
+    full = np.zeros_like(precision)
+    full[: probe.q, : probe.q] = np.linalg.inv(covariance)
+    full[probe.q :, probe.q :] = np.eye(probe.k)
+    values = network.values[probe.scaling.index]
+    return Prior(np.concatenate([probe.scaling.to_z(values), state[: probe.k]]), full)
+
+
+def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, tuple[str, ...], list[int]]:
+    elements, parameters, inputs = list(network.elements), dict(network.parameters), dict(network.inputs)
+    gains = []
+    for node, column in zip(network.nodes, columns, strict=True):
+        inputs[column] = InputSpec(column, 0.0, -1e6, 1e6, "W")
+        element = HeatSource(f"probe_in_{node}", node, column, "linear")
+        elements.append(element)
+        for spec in element.parameter_specs():
+            key = f"{element.name}.{spec.name}"
+            status = "tunable" if spec.name == "gain" else "fixed"
+            parameters[key] = Parameter(
+                key, element.name, spec.name, 0.0, spec.unit, spec.lower, spec.upper, status, "a question"
+            )  # fmt: skip
+        gains.append(f"{element.name}.gain")
+    # Every node gets a reading of its own without lag or bias, behind those that the network has.
+    reads = []
+    for k, node in enumerate(network.nodes):
+        sensor = Sensor(f"probe_at_{node}", node, (f"probe_at_{node}_C",))
+        elements.append(sensor)
+        reads.append(len(network.sensors) + k)
+        for spec in sensor.parameter_specs():
+            key = f"{sensor.name}.{spec.name}"
+            value = spec.default if spec.default is not None else 0.0
+            parameters[key] = Parameter(
+                key, sensor.name, spec.name, value, spec.unit, spec.lower, spec.upper, "fixed", spec.source
+            )  # fmt: skip
+    probed = replace(
+        network, elements=tuple(elements), parameters=MappingProxyType(parameters), inputs=MappingProxyType(inputs),
+        digest="",
+    )  # fmt: skip
+    return probed, tuple(gains), reads

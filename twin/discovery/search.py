@@ -1,0 +1,199 @@
+"""The search: every law in every time shape from every onset, then one, two or three of them together."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.discovery.contest import Contest, Estimate
+from twin.discovery.laws import Law
+from twin.discovery.shapes import Shape, family
+from twin.elements.base import Candidate
+from twin.network import Array
+
+MOST_EFFECTS = 3
+LAST_SHARE = 0.95
+"""Onsets are looked for up to this share of the record; an effect needs some time to show."""
+PAIRS_OF = 12
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One hypothesis, its size fitted alone: `vector` (sites, b) at size 1."""
+
+    law: Law
+    shape: Shape
+    vector: Array
+    size: float
+    sd: float
+    gain: float
+
+    @property
+    def candidate(self) -> Candidate:
+        return self.law.candidate
+
+    @property
+    def z(self) -> float:
+        return float(np.sqrt(max(self.gain, 0.0)))
+
+    @property
+    def driver(self) -> str:
+        """What the effect follows: time where it grows, else what its law says."""
+        return self.candidate.driver if self.shape.name == "step" else "elapsed_time"
+
+    @property
+    def change(self) -> str:
+        """A parameter that drifts is a missing law of time; one that jumped is a moved parameter."""
+        return self.candidate.change if self.shape.name == "step" else "new"
+
+    @property
+    def label(self) -> tuple[str, str, str]:
+        return self.candidate.kind, self.candidate.where, self.driver
+
+
+def allowed(candidate: Candidate, size: float) -> bool:
+    return candidate.lower <= size <= candidate.upper
+
+
+def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[Entry]:
+    """Best onset of each law in each of its shapes, by falling gain.
+
+    Args:
+        given: vectors (e, sites, b) of effects that are already known; their sizes are fitted along.
+    """
+    edges_s = contest.edges * contest.grid.step_s
+    last = max(int(contest.b * LAST_SHARE), 1)
+    onsets = edges_s[:last]
+    found: list[Entry] = []
+    courses = {
+        (name, growth): np.stack([Shape(name, float(t), growth).block_means(edges_s) for t in onsets], axis=1)
+        for name in ("step", "ramp", "saturating")
+        for growth in family(name)
+    }
+    for law in laws:
+        p = contest.vector(law)
+        gram, score = _less_given(contest, p, given)
+        for name in law.candidate.shapes:
+            for growth in family(name):
+                course = courses[name, growth]
+                if len(law.candidate.shapes) == 1:
+                    course = course[:, :1]
+                top = score @ course
+                bottom = np.einsum("ij,ij->j", course, gram @ course)
+                bottom = np.maximum(bottom, _TINY * max(float(np.diag(gram).sum()), _TINY))
+                size = top / bottom
+                gain = np.where((size >= law.candidate.lower) & (size <= law.candidate.upper), top**2 / bottom, 0.0)
+                j = int(np.argmax(gain))
+                if gain[j] <= 0.0:
+                    continue
+                shape = Shape(name, float(onsets[j]), growth)
+                vector = p * course[:, j]
+                found.append(Entry(law, shape, vector, float(size[j]), float(bottom[j] ** -0.5), float(gain[j])))
+    found.sort(key=lambda e: -e.gain)
+    return found
+
+
+def _less_given(contest: Contest, p: Array, given: Array | None) -> tuple[Array, Array]:
+    """Gram matrix and score of a law's blocks with given effects projected out."""
+    gram, score = contest.small(p)
+    if given is None or not len(given):
+        return gram, score
+    flat = given.reshape(len(given), -1)
+    onto = contest.gram @ flat.T
+    cross = (onto.reshape(contest.sites, contest.b, -1) * p[:, :, None]).sum(axis=0)
+    known = flat @ onto
+    inverse = np.linalg.pinv(known, rcond=1e-10, hermitian=True)
+    return gram - cross @ inverse @ cross.T, score - cross @ inverse @ (flat @ contest.score)
+
+
+def refine(contest: Contest, entry: Entry, others: tuple[Entry, ...] = ()) -> Entry:
+    """The entry with its onset (and growth) moved to where its gain is greatest."""
+    edges_s = contest.edges * contest.grid.step_s
+    p = contest.vector(entry.law)
+    given = np.stack([o.vector for o in others]) if others else None
+    gram, score = _less_given(contest, p, given)
+    best = entry
+    reach = contest.step_s
+    if len(entry.candidate.shapes) > 1:
+        while reach >= 30.0:
+            for shift, stretch in itertools.product((-reach, 0.0, reach), (0.7, 1.0, 1.4)):
+                growth = best.shape.growth_s * stretch
+                if stretch != 1.0 and not best.shape.growth_s:
+                    continue
+                onset = best.shape.onset_s + shift
+                if onset < 0.0 or onset > edges_s[-1] * LAST_SHARE:
+                    continue
+                best = _better(contest, best, Shape(best.shape.name, onset, growth), p, gram, score)
+            reach *= 0.5
+    return best
+
+
+def _better(contest: Contest, entry: Entry, shape: Shape, p: Array, gram: Array, score: Array) -> Entry:
+    course = shape.block_means(contest.edges * contest.grid.step_s)
+    bottom = max(float(course @ gram @ course), _TINY)
+    top = float(score @ course)
+    if top**2 / bottom <= entry.gain or not allowed(entry.candidate, top / bottom):
+        return entry
+    return Entry(entry.law, shape, p * course, top / bottom, bottom**-0.5, top**2 / bottom)
+
+
+def onset_interval(contest: Contest, entry: Entry, others: tuple[Entry, ...], drop: float) -> tuple[float, float]:
+    """Onsets, s, at which the gain is less than `drop` below the best."""
+    edges_s = contest.edges * contest.grid.step_s
+    p = contest.vector(entry.law)
+    given = np.stack([o.vector for o in others]) if others else None
+    gram, score = _less_given(contest, p, given)
+
+    def gain(onset: float) -> float:
+        course = replace(entry.shape, onset_s=onset).block_means(edges_s)
+        return float((score @ course) ** 2 / max(float(course @ gram @ course), _TINY))
+
+    best = gain(entry.shape.onset_s)
+    ends = []
+    for direction in (-1.0, 1.0):
+        inside, step = entry.shape.onset_s, 30.0
+        while 0.0 <= inside + direction * step <= edges_s[-1] * LAST_SHARE:
+            if gain(inside + direction * step) < best - drop:
+                if step <= 30.0:
+                    break
+                step *= 0.5
+                continue
+            inside += direction * step
+            step = min(step * 1.5, 3600.0)
+        ends.append(inside)
+    return ends[0], ends[1]
+
+
+def together(contest: Contest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry, ...], Estimate]:
+    """The entries with sizes fitted together, and that fit."""
+    if not entries:
+        return entries, contest.estimate(np.empty((0, contest.sites, contest.b)))
+    fit = contest.estimate(np.stack([e.vector for e in entries]))
+    sizes, sd = fit.sizes.tolist(), np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)).tolist()
+    return tuple(replace(e, size=s, sd=d) for e, s, d in zip(entries, sizes, sd, strict=True)), fit
+
+
+def possible(entries: tuple[Entry, ...]) -> bool:
+    """Whether all sizes are of a possible sign and magnitude."""
+    return all(allowed(e.candidate, e.size) for e in entries)
+
+
+def best_pair(contest: Contest, entries: list[Entry]) -> tuple[tuple[Entry, ...], float]:
+    """The best two of the entries together, by gain; greedy steps miss pairs that imitate a third effect."""
+    chosen, most = (), 0.0  # type: tuple[Entry, ...], float
+    if len(entries) < 2:
+        return chosen, most
+    gram, score = contest.joint(np.stack([e.vector for e in entries]))
+    for i, j in itertools.combinations(range(len(entries)), 2):
+        a, b, c = gram[i, i], gram[j, j], gram[i, j]
+        det = a * b - c * c
+        if det <= 1e-4 * a * b:
+            continue
+        x, y = (b * score[i] - c * score[j]) / det, (a * score[j] - c * score[i]) / det
+        gain = x * score[i] + y * score[j]
+        if gain > most and allowed(entries[i].candidate, x) and allowed(entries[j].candidate, y):
+            chosen, most = (entries[i], entries[j]), float(gain)
+    return chosen, most
