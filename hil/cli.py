@@ -19,6 +19,7 @@ VERBS = {
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
     "track": "Replay the calibrators on a record",
+    "twin": "Revisions of a twin: log, diff, revert",
 }
 
 

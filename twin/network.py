@@ -63,7 +63,17 @@ class WindowRules:
 
 @dataclass(frozen=True)
 class Revision:
-    """Where a twin file comes from. ``parent`` is the SHA-256 of the file it was made from."""
+    """Where a twin file comes from, and why it is believed.
+
+    Attributes:
+        number: counts up within a family of files; 0 for a twin that was made of none.
+        parent: SHA-256 of the text of the file that it was made of, "" without one. It alone says who the parent
+            is; ``parent_file`` is the name that the file had, for messages.
+        window_s: the part of the record that was fitted. held_out_s: the part, never fitted, that the errors are of.
+        error_before_K, error_after_K: sensor -> RMSE of a free run in K.
+        effects: what was added or altered, one phrase each. evidence: why, in one sentence.
+        checksum: SHA-256 of the file's text without this line; entered by `twin.twinfile.save`.
+    """
 
     number: int = 0
     parent: str = ""
@@ -72,6 +82,11 @@ class Revision:
     error_before_K: Mapping[str, float] = field(default_factory=dict)
     error_after_K: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    held_out_s: tuple[float, float] | None = None
+    effects: tuple[str, ...] = ()
+    evidence: str = ""
+    parent_file: str = ""
+    checksum: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)

@@ -37,14 +37,21 @@ def load(path: str | Path) -> Network:
     Raises:
         TwinFileError: the file is absent, is not TOML, or describes a network that cannot be.
     """
-    path = Path(path)
+    return parse(text_of(path), str(path))
+
+
+def text_of(path: str | Path) -> str:
+    """Text of a twin file, of which `Network.digest` is the SHA-256.
+
+    Raises:
+        TwinFileError: the file is absent or is not UTF-8.
+    """
     try:
-        text = path.read_text(encoding="utf-8")
+        return Path(path).read_text(encoding="utf-8")
     except OSError as error:
         raise TwinFileError(f"{path}: cannot be read ({error.strerror}); give the path of a twin file") from None
     except UnicodeDecodeError:
         raise TwinFileError(f"{path}: is not UTF-8 text; save the twin file as UTF-8") from None
-    return parse(text, str(path))
 
 
 def parse(text: str, file: str = "twin file") -> Network:
@@ -58,6 +65,20 @@ def parse(text: str, file: str = "twin file") -> Network:
     except tomllib.TOMLDecodeError as error:
         raise TwinFileError(f"{file}: is not valid TOML: {error}") from None
     return _Reader(text, file).network(data)
+
+
+def as_tables(network: Network) -> dict[str, Any]:
+    """A network as the tables of its twin file; the caller may change them and `build` the result."""
+    return tomllib.loads(dump(network))
+
+
+def build(data: dict[str, Any], what: str) -> Network:
+    """A network out of tables as `as_tables` gives them; `what` names it in messages. Its digest is "".
+
+    Raises:
+        TwinFileError: as `parse`: every check of a file that is read holds here too.
+    """
+    return replace(_Reader("", what).network(data), digest="")
 
 
 @dataclass(frozen=True)
@@ -162,7 +183,7 @@ class _Reader:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             self.fail(keys, "a name must be letters, digits and underscores, starting with a letter")
         kind = table.get("kind")
-        if kind not in KINDS:
+        if not isinstance(kind, str) or kind not in KINDS:
             hint = did_you_mean(str(kind), KINDS) or f"; known kinds: {', '.join(sorted(KINDS))}"
             self.fail((*keys, "kind") if kind is not None else keys, f"unknown kind {kind!r}{hint}")
         cls = KINDS[kind]
@@ -304,27 +325,24 @@ class _Reader:
 
     def revision(self, table: dict[str, Any]) -> Revision:
         keys = ("revision",)
-        allowed = ("number", "parent", "made_by", "window_s", "error_before_K", "error_after_K", "notes")
-        self.known(table, allowed, keys)
+        self.known(table, Revision.__dataclass_fields__, keys)
         number = table.get("number", 0)
-        if not isinstance(number, int) or number < 0:
+        if isinstance(number, bool) or not isinstance(number, int) or number < 0:
             self.fail((*keys, "number"), f"must be a whole number from 0 on, not {number!r}")
-        notes = table.get("notes", [])
-        if not isinstance(notes, list) or not all(isinstance(n, str) for n in notes):
-            self.fail((*keys, "notes"), "must be a list of sentences in quotes")
-        errors = {
-            key: {s: self.number(v, (*keys, key)) for s, v in self.table(table.get(key, {}), (*keys, key)).items()}
-            for key in ("error_before_K", "error_after_K")
-        }
-        return Revision(
-            number=number,
-            parent=self.string(table.get("parent", ""), (*keys, "parent")),
-            made_by=self.string(table.get("made_by", ""), (*keys, "made_by")),
-            window_s=self.pair(table["window_s"], (*keys, "window_s")) if "window_s" in table else None,
-            error_before_K=frozen_mapping(errors["error_before_K"]),
-            error_after_K=frozen_mapping(errors["error_after_K"]),
-            notes=tuple(notes),
-        )
+        values: dict[str, Any] = {"number": number}
+        for key in ("parent", "made_by", "evidence", "parent_file", "checksum"):
+            values[key] = self.string(table.get(key, ""), (*keys, key))
+        for key in ("notes", "effects"):
+            sentences = table.get(key, [])
+            if not isinstance(sentences, list) or not all(isinstance(n, str) for n in sentences):
+                self.fail((*keys, key), "must be a list of sentences in quotes")
+            values[key] = tuple(sentences)
+        for key in ("window_s", "held_out_s"):
+            values[key] = self.pair(table[key], (*keys, key)) if key in table else None
+        for key in ("error_before_K", "error_after_K"):
+            errors = self.table(table.get(key, {}), (*keys, key))
+            values[key] = frozen_mapping({s: self.number(v, (*keys, key)) for s, v in errors.items()})
+        return Revision(**values)
 
 
 def _has_default(field: Any) -> bool:
@@ -355,15 +373,17 @@ def _line_of(text: str, keys: tuple[str, ...]) -> int | None:
 
 
 def save(network: Network, path: str | Path) -> Path:
-    """Write a network as a new twin file; an existing file is never overwritten.
+    """Write a network as a new twin file with its checksum; an existing file is never overwritten.
 
     Raises:
         TwinFileError: the path exists or cannot be written.
     """
     path = Path(path)
+    text = dump(network)
+    text += f"checksum = {_toml(digest(text))}\n"
     try:
         with path.open("x", encoding="utf-8") as handle:
-            handle.write(dump(network))
+            handle.write(text)
     except FileExistsError:
         raise TwinFileError(f"{path}: exists already; a twin is never overwritten, give a new name") from None
     except OSError as error:
@@ -371,15 +391,20 @@ def save(network: Network, path: str | Path) -> Path:
     return path
 
 
+def edited(text: str, checksum: str) -> bool:
+    """Whether a file's text is no longer the one that `save` gave this `Revision.checksum`; False without one."""
+    return bool(checksum) and digest(re.sub(r"(?m)^checksum = .*\n?", "", text)) != checksum
+
+
 def dump(network: Network) -> str:
-    """Text of a twin file that `parse` turns into the same network."""
+    """Text of a twin file that `parse` turns into the same network. It ends with the revision, without checksum."""
     lines = [f"format = {FORMAT}", f"name = {_toml(network.name)}", f"title = {_toml(network.title)}"]
     lines += ["", "[inputs]"]
     for column, driver in network.inputs.items():
         entry = {"nominal": driver.nominal, "lower": driver.lower, "upper": driver.upper}
         kept: dict[str, Any] = {k: v for k, v in entry.items() if math.isfinite(v)}
         kept |= {k: v for k, v in (("unit", driver.unit), ("source", driver.source)) if v}
-        lines.append(f"{column} = {_toml(kept)}")
+        lines.append(f"{_key(column)} = {_toml(kept)}")
     for element in network.elements:
         lines += ["", f"[elements.{element.name}]", f"kind = {_toml(element.kind)}"]
         for key, field in element.places().items():
@@ -394,7 +419,7 @@ def dump(network: Network) -> str:
     lines += ["", "[windows]"]
     lines += [f"{key} = {_toml(getattr(rules, key))}" for key in rules.__dataclass_fields__]
     for chosen in network.sets.values():
-        lines += ["", f"[sets.{chosen.name}]"]
+        lines += ["", f"[sets.{_key(chosen.name)}]"]
         if chosen.source:
             lines.append(f"source = {_toml(chosen.source)}")
         if chosen.bounds:
@@ -405,9 +430,9 @@ def dump(network: Network) -> str:
         lines.append("]")
     revision = network.revision
     lines += ["", "[revision]", f"number = {revision.number}"]
-    for key in ("parent", "made_by", "window_s", "error_before_K", "error_after_K", "notes"):
+    for key in revision.__dataclass_fields__:
         value = getattr(revision, key)
-        if value:
+        if value and key not in ("number", "checksum"):
             lines.append(f"{key} = {_toml(value)}")
     return "\n".join(lines) + "\n"
 
@@ -418,10 +443,14 @@ def _toml(value: Any) -> str:
     if isinstance(value, int):
         return str(value)
     if isinstance(value, float):
-        return repr(value)
+        return repr(float(value))  # a numpy float is a float too, and its repr is no number
     if isinstance(value, str):
         escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-        return '"' + "".join(c if c >= " " else f"\\u{ord(c):04x}" for c in escaped) + '"'
+        return '"' + "".join(c if c >= " " and c != "\x7f" else f"\\u{ord(c):04x}" for c in escaped) + '"'
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
+        return "{ " + ", ".join(f"{_key(k)} = {_toml(v)}" for k, v in value.items()) + " }"
     return "[" + ", ".join(_toml(v) for v in value) + "]"
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _toml(name)

@@ -189,7 +189,7 @@ def test_a_twin_is_never_overwritten(tmp_path):
     assert out.read_text(encoding="utf-8") == "mine"
 
 
-@pytest.mark.parametrize("verb", ["check", "commission", "profile", "review", "rig", "run", "track"])
+@pytest.mark.parametrize("verb", ["check", "commission", "profile", "review", "rig", "run", "track", "twin"])
 def test_every_verb_has_help_with_an_example(verb):
     result: Result = CliRunner().invoke(group, [verb, "--help"])
     assert result.exit_code == 0

@@ -1,0 +1,121 @@
+"""What differs between two twins: elements that came or went, parameters that moved, and everything else by its key."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from twin.elements import Element, Parameter
+from twin.network import Network
+from twin.twinfile import as_tables
+
+ABSENT = "absent"
+
+
+@dataclass(frozen=True)
+class Piece:
+    """An element that only one of the two has: where it stands (place -> what), and its parameters."""
+
+    name: str
+    kind: str
+    places: Mapping[str, str]
+    parameters: tuple[Parameter, ...]
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A parameter whose value differs, in `unit`. `relative` is after / before - 1, None where before is 0."""
+
+    parameter: str
+    before: float
+    after: float
+    unit: str
+    relative: float | None
+
+
+@dataclass(frozen=True)
+class Change:
+    """Anything else: its key in the twin file, and what it says there, "absent" where it does not stand."""
+
+    key: str
+    before: str
+    after: str
+
+
+@dataclass(frozen=True)
+class Diff:
+    """What has to happen to the first twin to make the second of it; where they come from is left out.
+
+    A parameter that shares another's value is not listed when that value moves. An element that changed its kind
+    is removed and added.
+    """
+
+    added: tuple[Piece, ...]
+    removed: tuple[Piece, ...]
+    moved: tuple[Moved, ...]
+    changed: tuple[Change, ...]
+
+    @property
+    def empty(self) -> bool:
+        """Whether both describe the same twin."""
+        return not (self.added or self.removed or self.moved or self.changed)
+
+
+def diff(a: Network, b: Network) -> Diff:
+    """Differences from `a` to `b`, in the order of their files."""
+    before, after = {e.name: e for e in a.elements}, {e.name: e for e in b.elements}
+    both = [n for n in before if n in after and before[n].kind == after[n].kind]
+    table_a, table_b = _comparable(a), _comparable(b)
+    moved: list[Moved] = []
+    for name in both:
+        own_a, own_b = table_a["elements"][name], table_b["elements"][name]
+        for key in own_a.keys() & own_b.keys():
+            if isinstance(own_a[key], dict) and "value" in own_a[key] and "value" in own_b[key]:
+                old, new = own_a[key].pop("value"), own_b[key].pop("value")
+                if old != new:
+                    unit = b.parameters[f"{name}.{key}"].unit
+                    moved.append(Moved(f"{name}.{key}", old, new, unit, new / old - 1.0 if old else None))
+    for table in (table_a, table_b):
+        table["elements"] = {n: t for n, t in table["elements"].items() if n in both}
+    order = {id_: k for k, id_ in enumerate(b.ids)}
+    return Diff(
+        added=tuple(_piece(b, e) for e in b.elements if e.name not in both),
+        removed=tuple(_piece(a, e) for e in a.elements if e.name not in both),
+        moved=tuple(sorted(moved, key=lambda m: order[m.parameter])),
+        changed=tuple(_changes((), table_a, table_b)),
+    )
+
+
+def _piece(network: Network, element: Element) -> Piece:
+    places = {key: _text(getattr(element, field.name)) for key, field in element.places().items()}
+    own = tuple(p for p in network.parameters.values() if p.element == element.name)
+    return Piece(element.name, element.kind, {k: v for k, v in places.items() if v}, own)
+
+
+def _comparable(network: Network) -> dict[str, Any]:
+    """Tables of a twin without its revision; the members of a set by parameter, so that one more is one change."""
+    table = as_tables(network)
+    del table["revision"], table["format"]
+    for chosen in table.get("sets", {}).values():
+        chosen["members"] = {m.pop("parameter"): m for m in chosen["members"]}
+    return table
+
+
+def _changes(keys: tuple[str, ...], a: Any, b: Any) -> list[Change]:
+    if a == b:
+        return []
+    if not isinstance(a, dict) or not isinstance(b, dict):
+        return [Change(".".join(keys), ABSENT if a is None else _text(a), ABSENT if b is None else _text(b))]
+    found: list[Change] = []
+    for key in (*a, *(key for key in b if key not in a)):
+        found += _changes((*keys, key), a.get(key), b.get(key))
+    return found
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{k} = {_text(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(_text(v) for v in value)
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
