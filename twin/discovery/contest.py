@@ -56,7 +56,9 @@ class Contest:
     Attributes:
         edges, hours: block borders, bins, and their beginnings, h from the record's. b, sites: numbers of blocks and of
             places, which are the k nodes and then the m sensors.
-        gram: (sites * b, sites * b). score: (sites * b,). misfit: weighted squares that tunables do not take up.
+        total: weighted squares of the run last looked at, and of how far its tunables have moved.
+        gram: (sites * b, sites * b). score: (sites * b,). misfit: those squares less what
+            tunables and initial state can still take up, to first order.
     """
 
     def __init__(self, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: Prior) -> None:
@@ -66,9 +68,8 @@ class Contest:
         self.sites = self.k + self.m
         self.step_s = grid.span_s / self.b
         self.present = np.isfinite(grid.measured)
-        sensitivity = filled(probe.sensitivities(grid, state), self.present)
         heat = probe.blocks(grid, state, self.edges)
-        self._j = self._white(self._means(sensitivity)).reshape(self.b * self.m, -1)
+        self._j = self.features(probe.sensitivities(grid, state))
         seen = self.present.any(axis=0)
         heat[:, ~seen] = 0.0
         onto = np.eye(self.b * self.m).reshape(self.b, self.m, self.b, self.m)
@@ -91,16 +92,38 @@ class Contest:
     def _white(self, values: Array) -> Array:
         return self.noise.whiten(values, self.step_s)
 
+    def block_means(self, values: Array) -> Array:
+        """Block means (b, ...) of a series (n, ...) with NaN; NaN for a block without any value."""
+        good = np.isfinite(values)
+        count = np.add.reduceat(good, self.edges[:-1], axis=0)
+        total = np.add.reduceat(np.where(good, values, 0.0), self.edges[:-1], axis=0)
+        means: Array = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        return means
+
+    def left_over(self, vectors: Array, sizes: Array, moved: Array) -> Array:
+        """Block means (b, m) of the residual after effects of these sizes and a move of the tunables, in K."""
+        left = self._residual - self._j @ moved
+        for vector, size in zip(vectors, sizes, strict=True):
+            left = left - self._columns @ vector.ravel() * size
+        return self.noise.colour(left.reshape(self.b, self.m), self.step_s)
+
+    def features(self, values: Array) -> Array:
+        """Whitened block means (b * m, ...) of a residual or of signatures (n, m, ...)."""
+        means = self._white(self._means(filled(values, self.present)))
+        return means.reshape(self.b * self.m, *values.shape[2:])
+
     def look_at(self, run: Run, moved: Array | None = None) -> None:
         """Take the residual of a run, whose tunables and state stand `moved` (q + k,) away from the prior's mean."""
-        off = self.grid.measured - run.readings
-        residual = self._white(self._means(filled(off, self.present))).ravel()
+        residual = self.features(self.grid.measured - run.readings)
+        self._residual = residual
         pull = self._j.T @ residual
         if moved is not None:
             pull = pull - self.prior.precision @ moved
         self._shift = np.linalg.solve(self._normal, pull)
         self.score = self._columns.T @ residual - self._taken.T @ pull
         self.misfit = float(residual @ residual - pull @ self._shift)
+        away = 0.0 if moved is None else float(moved @ self.prior.precision @ moved)
+        self.total = float(residual @ residual) + away
 
     @property
     def chi(self) -> float:
@@ -137,17 +160,18 @@ class Contest:
 
     def estimate(self, vectors: Array) -> Estimate:
         """Sizes of e effects together."""
-        gram, score = self.joint(vectors)
-        if not len(gram):
+        if not len(vectors):
             return Estimate(np.empty(0), np.empty((0, 0)), 0.0)
+        gram, score = self.joint(vectors)
         covariance = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
         sizes = covariance @ score
         return Estimate(sizes, covariance, float(sizes @ score))
 
     def moved(self, vectors: Array, sizes: Array) -> Array:
         """Change of [tunables z, initial state] (q + k,) that goes with effects of these sizes."""
-        flat = np.tensordot(sizes, vectors.reshape(len(vectors), -1), 1) if len(vectors) else 0.0
-        shift: Array = self._shift - (self._taken @ flat if len(vectors) else 0.0)
+        shift: Array = self._shift.copy()
+        for vector, size in zip(vectors, sizes, strict=True):
+            shift -= self._taken @ vector.ravel() * size
         return shift
 
     def tunables_sd(self) -> Array:

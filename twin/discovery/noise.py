@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import dct
+from scipy.fft import dct, idct
 
 from twin.network import Array
 
@@ -50,6 +50,23 @@ class Noise:
         whitened: Array = out.reshape(c.shape)
         return whitened
 
+    def colour(self, whitened: Array, step_s: float | None = None) -> Array:
+        """The inverse of `whiten`, for (n, m)."""
+        step = step_s or self.step_s
+        out = np.empty_like(whitened)
+        band = bands(len(whitened), step)
+        scale = np.sqrt(step / self.step_s)
+        for b in np.unique(band):
+            rows = band == b
+            out[rows] = whitened[rows] @ np.linalg.inv(self.roots[b]) / scale
+        series: Array = idct(out, type=2, norm="ortho", axis=0)
+        return series
+
+    def at_step(self, step_s: float) -> Noise:
+        """The same noise of means over bins of another length."""
+        share = np.sqrt(step_s / self.step_s)
+        return Noise(self.roots * share, self.sd / share, step_s)
+
 
 def bands(n: int, step_s: float) -> np.ndarray:
     """Band (n,) of each of n cosine coefficients; 0 holds the longest periods."""
@@ -86,4 +103,17 @@ def learn(residual: Array, sigma: Array, step_s: float, lost: Array | None = Non
         values, vectors = np.linalg.eigh(covariance)
         roots[b] = vectors / np.sqrt(np.maximum(values, 1e-12))
         sd[b] = np.sqrt(np.diag(covariance))
+    return Noise(roots, sd, step_s)
+
+
+def learn_blocks(left: Array, sigma: Array, block_s: float, step_s: float, before: Noise) -> Noise:
+    """Noise per bin of `step_s` from what is left (b, m) of a record's block means of `block_s`.
+
+    Periods shorter than two blocks keep the noise that they had `before`.
+    """
+    share = np.sqrt(block_s / step_s)
+    learned = learn(left, sigma / share, block_s)
+    slow = np.unique(bands(len(left), block_s))
+    roots, sd = before.roots.copy(), before.sd.copy()
+    roots[slow], sd[slow] = learned.roots[slow] / share, learned.sd[slow] * share
     return Noise(roots, sd, step_s)

@@ -20,7 +20,7 @@ PAIRS_OF = 12
 _TINY = 1e-12
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Entry:
     """One hypothesis, its size fitted alone: `vector` (sites, b) at size 1."""
 
@@ -30,6 +30,7 @@ class Entry:
     size: float
     sd: float
     gain: float
+    onset_sd_s: float = 0.0
 
     @property
     def candidate(self) -> Candidate:
@@ -38,6 +39,11 @@ class Entry:
     @property
     def z(self) -> float:
         return float(np.sqrt(max(self.gain, 0.0)))
+
+    def placed(self, contest: Contest) -> Array:
+        """The vector at the entry's present shape."""
+        placed: Array = contest.vector(self.law) * self.shape.block_means(contest.edges * contest.grid.step_s)
+        return placed
 
     @property
     def driver(self) -> str:
@@ -79,8 +85,6 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
         for name in law.candidate.shapes:
             for growth in family(name):
                 course = courses[name, growth]
-                if len(law.candidate.shapes) == 1:
-                    course = course[:, :1]
                 top = score @ course
                 bottom = np.einsum("ij,ij->j", course, gram @ course)
                 bottom = np.maximum(bottom, _TINY * max(float(np.diag(gram).sum()), _TINY))
@@ -117,17 +121,16 @@ def refine(contest: Contest, entry: Entry, others: tuple[Entry, ...] = ()) -> En
     gram, score = _less_given(contest, p, given)
     best = entry
     reach = contest.step_s
-    if len(entry.candidate.shapes) > 1:
-        while reach >= 30.0:
-            for shift, stretch in itertools.product((-reach, 0.0, reach), (0.7, 1.0, 1.4)):
-                growth = best.shape.growth_s * stretch
-                if stretch != 1.0 and not best.shape.growth_s:
-                    continue
-                onset = best.shape.onset_s + shift
-                if onset < 0.0 or onset > edges_s[-1] * LAST_SHARE:
-                    continue
-                best = _better(contest, best, Shape(best.shape.name, onset, growth), p, gram, score)
-            reach *= 0.5
+    while reach >= 30.0:
+        for shift, stretch in itertools.product((-reach, 0.0, reach), (0.7, 1.0, 1.4)):
+            growth = best.shape.growth_s * stretch
+            if stretch != 1.0 and not best.shape.growth_s:
+                continue
+            onset = best.shape.onset_s + shift
+            if onset < 0.0 or onset > edges_s[-1] * LAST_SHARE:
+                continue
+            best = _better(contest, best, Shape(best.shape.name, onset, growth), p, gram, score)
+        reach *= 0.5
     return best
 
 

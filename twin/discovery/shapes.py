@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from twin.network import Array
 
@@ -25,28 +24,26 @@ class Shape:
     onset_s: float = 0.0
     growth_s: float = 0.0
 
-    def amplitude(self, time_s: ArrayLike, end_s: float) -> Array:
-        """At times (n,) from the record's beginning, which ends at `end_s`."""
-        since = np.asarray(time_s, dtype=np.float64) - self.onset_s
-        if self.name == "step":
-            return (since >= 0.0).astype(np.float64)
-        if self.name == "ramp":
-            return np.maximum(since, 0.0) / max(end_s - self.onset_s, 1.0)
-        return 1.0 - np.exp(-np.maximum(since, 0.0) / self.growth_s)
-
-    def block_means(self, edges_s: Array) -> Array:
-        """Means (b,) over blocks with borders `edges_s` (b + 1,), s."""
+    def block_means(self, edges_s: Array, end_s: float | None = None) -> Array:
+        """Mean amplitude (b,) between `edges_s` (b + 1,), s from the record's beginning; a ramp is full at `end_s`."""
+        end = float(edges_s[-1]) if end_s is None else end_s
         low, high = edges_s[:-1], edges_s[1:]
         a = np.maximum(low - self.onset_s, 0.0)
         b = np.maximum(high - self.onset_s, 0.0)
-        width = high - low
+        width = np.maximum(high - low, 1e-9)
         if self.name == "step":
             return (b - a) / width
         if self.name == "ramp":
-            return 0.5 * (b**2 - a**2) / width / max(edges_s[-1] - self.onset_s, 1.0)
-        tau = self.growth_s
+            return 0.5 * (b**2 - a**2) / width / max(end - self.onset_s, 1.0)
+        tau = max(self.growth_s, 1.0)
         mean: Array = (b - a + tau * (np.exp(-b / tau) - np.exp(-a / tau))) / width
         return mean
+
+    def mean(self, low_s: float, high_s: float, end_s: float) -> float:
+        """Mean amplitude over one span."""
+        if high_s <= low_s:
+            high_s = low_s + 1e-3
+        return float(self.block_means(np.array([low_s, high_s]), end_s)[0])
 
 
 def family(name: str) -> tuple[float, ...]:

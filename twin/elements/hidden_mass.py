@@ -16,7 +16,7 @@ from typing import ClassVar
 from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, State, place
 
 LEAST_S = 1.0
-TIME_CONSTANTS_S = (120.0, 600.0, 1800.0, 5400.0, 14400.0)
+TIME_CONSTANTS_S = tuple(120.0 * 3.0 ** (k / 2.0) for k in range(10))
 """Capacity over conductance of masses that are looked for, s."""
 
 

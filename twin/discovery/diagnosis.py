@@ -1,0 +1,175 @@
+"""What a diagnosis says: plain data, and the JSON document of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from twin.network import Array, Network
+
+Verdict = Literal["adequate", "effect found", "ambiguous", "unexplained"]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect in the vocabulary of the diagnosis; `interval90` of `value` in `unit`; times in the record's own."""
+
+    kind: str
+    where: str
+    driver: str
+    change: str
+    value: float
+    unit: str
+    interval90: tuple[float, float]
+    onset_s: float
+    onset_interval90_s: tuple[float, float]
+    shape: str
+    confidence: float
+    z: float
+    evidence: str
+    growth_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another explanation and why it was not taken, or that nothing in the record speaks against it (why_not "")."""
+
+    kind: str
+    where: str
+    driver: str
+    confidence: float
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
+class SensorError:
+    """RMSE in K of free runs over the held-out part; `means` are the same of means over ten seconds or a sample.
+
+    stale: the twin as it was. before: its tunables fitted anew. after: with the effects. noise: of the thermometer.
+    """
+
+    stale: float
+    before: float
+    after: float
+    noise: float
+    means: tuple[float, float, float] = (float("nan"),) * 3
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A tunable: commissioned, after re-tuning alone, and beside the effects; in standard deviations too."""
+
+    parameter: str
+    commissioned: float
+    before: float
+    after: float
+    unit: str
+    before_sd: float
+    after_sd: float
+
+
+@dataclass(frozen=True)
+class Course:
+    """An unknown quantity at one site over time: `mean` and `sd` (b,) at `hours` (b,), in `unit`."""
+
+    site: str
+    unit: str
+    hours: Array
+    mean: Array
+    sd: Array
+    log_evidence: float
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One step of the ladder: what was in the twin, the misfit left (chi per block and sensor) and the best next score."""
+
+    what: str
+    chi: float
+    best_z: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The result; `network` is the twin with its effects, None where there is nothing to add.
+
+    Attributes:
+        summary: the verdict in plain words. courses: unknown power and offset per site. hours, residual: block means
+            (b,), (b, m) of measured minus the twin as it was; residual_after likewise with the effects; band: (m,) sd
+            of a healthy residual.
+        noise_source: where the noise floor comes from. warnings: a sentence each.
+    """
+
+    verdict: Verdict
+    summary: str
+    effects: tuple[Effect, ...]
+    indistinguishable: tuple[Alternative, ...]
+    alternatives: tuple[Alternative, ...]
+    held_out_s: tuple[float, float]
+    errors: Mapping[str, SensorError]
+    moved: tuple[Moved, ...]
+    blind_spots: tuple[str, ...]
+    ladder: tuple[Rung, ...]
+    courses: tuple[Course, ...]
+    hours: Array
+    residual: Array
+    residual_after: Array
+    band: Array
+    network: Network | None
+    next_experiment: Mapping[str, Any] | None = None
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    description: Mapping[str, Any] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        """The contract's ``diagnosis.json``."""
+        return {
+            "verdict": self.verdict,
+            "summary": self.summary,
+            "effects": [_effect(e) for e in self.effects],
+            "indistinguishable": [_other(a) for a in self.indistinguishable],
+            "alternatives": [{**_other(a), "why_not": a.why_not} for a in self.alternatives],
+            "error": {
+                "held_out_s": list(self.held_out_s),
+                "sensors": {
+                    name: {
+                        "stale": _round(e.stale), "before": _round(e.before), "after": _round(e.after),
+                        "noise": _round(e.noise),
+                        "ten_second_means": dict(zip(("stale", "before", "after"), map(_round, e.means), strict=True)),
+                    }
+                    for name, e in self.errors.items()
+                },
+            },
+            "tunables_moved": [
+                {
+                    "parameter": m.parameter, "commissioned": _round(m.commissioned), "before": _round(m.before),
+                    "after": _round(m.after), "unit": m.unit, "before_sd": _round(m.before_sd),
+                    "after_sd": _round(m.after_sd),
+                }
+                for m in self.moved
+            ],
+            "blind_spots": list(self.blind_spots),
+            "next_experiment": self.next_experiment,
+            "ladder": [{"twin": r.what, "misfit": _round(r.chi), "best_next_z": _round(r.best_z)} for r in self.ladder],
+            "description": dict(self.description),
+            "warnings": list(self.warnings),
+            "notes": list(self.notes),
+        }  # fmt: skip
+
+
+def _effect(e: Effect) -> dict[str, Any]:
+    return {
+        "kind": e.kind, "where": e.where, "driver": e.driver, "change": e.change, "value": _round(e.value),
+        "unit": e.unit, "interval90": [_round(x) for x in e.interval90], "onset_s": _round(e.onset_s),
+        "onset_interval90_s": [_round(x) for x in e.onset_interval90_s], "shape": e.shape,
+        "confidence": _round(e.confidence), "z": _round(e.z), "evidence": e.evidence,
+    }  # fmt: skip
+
+
+def _other(a: Alternative) -> dict[str, Any]:
+    return {"kind": a.kind, "where": a.where, "driver": a.driver, "confidence": _round(a.confidence)}
+
+
+def _round(value: float) -> float | None:
+    return float(f"{value:.5g}") if value == value else None

@@ -1,0 +1,338 @@
+"""The diagnosis from end to end: residual, contest, fit, verdict, errors on data that the fit never saw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.commission import _inflation as inflation
+from twin.commission import weak_prior
+from twin.discovery import noise as noises
+from twin.discovery.catalogue import catalogue
+from twin.discovery.contest import Contest
+from twin.discovery.diagnosis import Diagnosis, Rung, SensorError
+from twin.discovery.fitting import Fit, fit
+from twin.discovery.grid import Grid, filled, on_grid
+from twin.discovery.laws import Law, laws
+from twin.discovery.model import Model
+from twin.discovery.probe import Probe, Run, posterior
+from twin.discovery.search import Entry, best_pair, refine, scan
+from twin.discovery.verdict import Finding, Ranked, conclude, rank, width
+from twin.gauss_newton import Prior
+from twin.kernel import held
+from twin.network import Array, Network, TwinFileError
+
+THRESHOLD = 6.0
+"""Score below which nothing is claimed."""
+HELD_OUT = 0.25
+WIDEN = 4.0
+"""Factor on the variance that commissioning quotes for the tunables: what it quotes is of one record."""
+FINALISTS = 8
+SECOND_SHARE = 0.06
+"""A further effect must win this share of the first one's gain: a large effect is never of quite the form assumed."""
+UNHEALTHY = 6.0
+"""Times the noise of a bin that a healthy record's residual may reach."""
+MOST_EFFECTS = 3
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A record as a network sees it: time (N,) s, inputs (N, c), measured (N, m) degC."""
+
+    time_s: Array
+    inputs: Array
+    measured: Array
+
+    @classmethod
+    def of(cls, network: Network, time_s: ArrayLike, columns: Mapping[str, ArrayLike]) -> Columns:
+        """Select a network's columns; raises TwinFileError where some are missing."""
+        inputs, measured = network.select(columns)
+        return cls(np.asarray(time_s, dtype=np.float64), inputs, measured)
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What is known before the record is looked at."""
+
+    probe: Probe
+    noise: noises.Noise
+    prior: Prior
+    source: str
+    warnings: tuple[str, ...]
+
+
+def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
+    """Noise and prior from a healthy record, or from the record itself.
+
+    Raises:
+        TwinFileError: the healthy record does not fit the twin.
+    """
+    ids = network.tunables("commission" if "commission" in network.sets else None)
+    if not ids:
+        raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
+    probe = Probe(network, ids)
+    if healthy is not None:
+        grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
+        state, _, residual, good = _free_run(probe, grid)
+        rms = np.sqrt(np.nanmean(np.where(good, residual, np.nan) ** 2, axis=0))
+        raw = network.sigma
+        worst = int(np.nanargmax(rms / raw))
+        if rms[worst] > UNHEALTHY * raw[worst]:
+            raise TwinFileError(
+                f"the healthy record does not fit the twin: {network.sensor_names[worst]} is off by {rms[worst]:.2f} K "
+                f"(noise {raw[worst]:.2f} K); commission the twin on this record first, or give one that is healthy"
+            )
+        known = posterior(network, probe, grid, state, inflation(np.where(good, residual, np.nan), grid.sigma), WIDEN)
+        learned = noises.learn(residual, grid.sigma, grid.step_s)
+        if learned.step_s != record.step_s:
+            learned = learned.at_step(record.step_s)
+        return Basis(probe, learned, known, "the healthy record", ())
+    state, _, residual, good = _free_run(probe, record)
+    prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)
+    learned = noises.learn(residual, record.sigma, record.step_s)
+    warning = (
+        "no healthy record was given: the noise floor is taken from this record itself, so small effects are not seen "
+        "and parameters are trusted less; give --healthy for a sharper answer"
+    )
+    return Basis(probe, _from_itself(probe, record, state, learned, prior), prior, "the record itself", (warning,))
+
+
+def _from_itself(probe: Probe, grid: Grid, state: Array, noise: noises.Noise, prior: Prior) -> noises.Noise:
+    """Noise of what is left after the best three hypotheses have taken what they can, twice."""
+    run = probe.run(grid, state)
+    candidates = laws(probe.network, catalogue(probe.network), grid, run)
+    for _ in range(2):
+        contest = Contest(probe, grid, state, run, noise, prior)
+        chosen: list[Array] = []
+        for _ in range(3):
+            found = scan(contest, candidates, np.stack(chosen) if chosen else None)
+            if not found or found[0].z < 3.0:
+                break
+            chosen.append(found[0].vector)
+        sizes = contest.estimate(np.stack(chosen) if chosen else np.empty((0, contest.sites, contest.b))).sizes
+        moved = contest.moved(np.array(chosen), sizes)
+        left = contest.left_over(np.array(chosen), sizes, moved)
+        noise = noises.learn_blocks(left, grid.sigma, contest.step_s, grid.step_s, noise)
+    return noise
+
+
+def _free_run(probe: Probe, grid: Grid) -> tuple[Array, Run, Array, np.ndarray]:
+    state = probe.first_state(grid)
+    run = probe.run(grid, state)
+    off = grid.measured - run.readings
+    good = np.isfinite(off)
+    return state, run, filled(off, good), good
+
+
+def diagnose(
+    network: Network,
+    record: Columns,
+    healthy: Columns | None = None,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+    held_out: float = HELD_OUT,
+) -> Diagnosis:
+    """Trace the residual of a record to an effect that the twin lacks, or say that there is none, or that none fits.
+
+    Args:
+        network: the commissioned twin. healthy: the record that it was commissioned on.
+        say: called with what is being done. held_out: share of the record, at its end, that no fit sees.
+
+    Raises:
+        TwinFileError: a record too short or without readings, a healthy record that is not healthy.
+    """
+    say("reading")
+    grid = on_grid(network, record.time_s, record.inputs, record.measured)
+    known = basis(network, healthy, grid)
+    probe = known.probe
+    say("scanning")
+    bins = len(grid.time)
+    split = int(bins * (1.0 - held_out))
+    train = _Part.of(known, grid.part(0, split))
+    whole = _Part.of(known, grid)
+    notes: list[str] = []
+    if train.best_z < THRESHOLD <= whole.best_z:
+        top = whole.entries[0]
+        onset = int(top.shape.onset_s / grid.step_s)
+        split = min(max(split, (onset + bins) // 2), bins - 6)
+        notes.append(
+            f"something changed at {top.shape.onset_s / 3600.0:.1f} h, inside the part that was to be kept out of the "
+            f"fit; the fit was given the record up to {split * grid.step_s / 3600.0:.1f} h"
+        )
+        train = _Part.of(known, grid.part(0, split))
+    finding = _search(train, say)
+    say("judging")
+    return conclude(
+        finding,
+        network=network,
+        known=known,
+        whole=whole.contest,
+        entries=whole.entries,
+        grid=grid,
+        split=split,
+        errors=_errors(finding, network, record, grid, split),
+        notes=tuple(notes),
+    )
+
+
+@dataclass
+class _Part:
+    """A part of a record, ready to be searched."""
+
+    basis: Basis
+    grid: Grid
+    state: Array
+    run: Run
+    contest: Contest
+    laws: list[Law]
+    entries: list[Entry]
+
+    @classmethod
+    def of(cls, known: Basis, grid: Grid) -> _Part:
+        state, run, _, _ = _free_run(known.probe, grid)
+        contest = Contest(known.probe, grid, state, run, known.noise, known.prior)
+        found = laws(known.probe.network, catalogue(known.probe.network), grid, run)
+        entries = [refine(contest, e) for e in scan(contest, found)[: 4 * FINALISTS]]
+        entries.sort(key=lambda e: -e.gain)
+        return cls(known, grid, state, run, contest, found, entries)
+
+    @property
+    def best_z(self) -> float:
+        return self.entries[0].z if self.entries else 0.0
+
+    def reset(self) -> None:
+        self.contest.look_at(self.run)
+
+
+def _search(part: _Part, say: Callable[[str], None]) -> Finding:
+    """Add effects one by one, each the best of the finalists after a joint fit, until nothing more is to be gained."""
+    network, contest, probe = part.basis.probe.network, part.contest, part.basis.probe
+    ids = probe.scaling.ids
+    start_chi = contest.misfit / max(contest.count, 1)
+    ladder = [Rung("as commissioned", start_chi, part.best_z)]
+    part.reset()
+    say("re-tuning")
+    retuned = fit(contest, Model.of(network, (), ids), part.state)
+    part.reset()
+    chosen: tuple[Entry, ...] = ()
+    best: Fit | None = None
+    ranked: tuple[Ranked, ...] = ()
+    entries, first_gain = part.entries, 0.0
+    while entries and entries[0].z >= THRESHOLD and len(chosen) < MOST_EFFECTS:
+        if chosen and entries[0].gain < SECOND_SHARE * first_gain:
+            break
+        finalists = _finalists(entries, chosen)
+        if not finalists:
+            break
+        groups: list[tuple[Entry, ...]] = [(*chosen, e) for e in finalists]
+        if chosen:
+            pool = list(dict.fromkeys((*part.entries[:FINALISTS], *entries[:FINALISTS])))
+            part.reset()
+            pair, _ = best_pair(contest, pool)
+            if pair and len(chosen) == 1:
+                groups.append(pair)
+        say(f"fitting {len(groups)} hypotheses")
+        trials = []
+        for group in groups:
+            part.reset()
+            trials.append((fit(contest, Model.of(network, group, ids), part.state), group))
+        order = rank(trials, contest)
+        winner = order[0].fit
+        if best is not None and best.total - winner.total < max(THRESHOLD**2, SECOND_SHARE * first_gain):
+            break
+        best, ranked, chosen = winner, order, winner.entries
+        if not first_gain:
+            first_gain = max(ladder[0].chi * contest.count - winner.total, 1.0)
+        part.reset()
+        again = fit(contest, Model.of(network, chosen, ids), part.state, rounds=2)
+        given = np.stack([e.placed(contest) for e in again.entries])
+        entries = [
+            e for e in scan(contest, part.laws, given)[: 4 * FINALISTS]
+        ]
+        entries.sort(key=lambda e: -e.gain)
+        ladder.append(
+            Rung(" + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in chosen), best.chi, entries[0].z if entries else 0.0)
+        )
+    part.reset()
+    return Finding(
+        entries=chosen,
+        fit=best,
+        retuned=retuned,
+        ranked=ranked,
+        scanned=tuple(part.entries),
+        start=ladder[0].chi * contest.count,
+        count=contest.count,
+        left_z=ladder[-1].best_z,
+        ladder=tuple(ladder),
+        contest=contest,
+        state=part.state,
+    )
+
+
+def _finalists(entries: list[Entry], chosen: tuple[Entry, ...]) -> list[Entry]:
+    """The entries worth a fit: the best of each candidate and shape, near the top by gain."""
+    found: list[Entry] = []
+    taken = {e.candidate.id for e in chosen}
+    seen: set[tuple[str, str]] = set()
+    places: dict[tuple[str, str], int] = {}
+    for entry in entries:
+        key = (entry.candidate.id, entry.shape.name)
+        place = (entry.candidate.kind, entry.candidate.where)
+        if key in seen or entry.candidate.id in taken:
+            continue
+        if entry.gain < entries[0].gain - max(width(entries[0].gain) * 10.0, 40.0) and len(found) >= 3:
+            break
+        if places.get(place, 0) >= 4:
+            continue
+        seen.add(key)
+        places[place] = places.get(place, 0) + 1
+        found.append(entry)
+        if len(found) == FINALISTS:
+            break
+    return found
+
+
+def _errors(
+    finding: Finding, network: Network, record: Columns, grid: Grid, split: int
+) -> dict[str, SensorError]:
+    """RMSE per sensor over the held-out part, of free runs from the record's beginning."""
+    time, inputs = record.time_s, held(network, record.inputs)
+    late = time >= grid.time[split]
+    runs = []
+    for values, state, entries in (
+        (network.values, finding.state, ()),
+        (finding.retuned.values, finding.retuned.state, ()),
+        *(((finding.fit.values, finding.fit.state, finding.fit.entries),) if finding.fit else ()),
+    ):
+        model = Model.of(network, entries, finding.contest.probe.scaling.ids)
+        sizes = np.array([[e.size for e in entries]])
+        end = finding.contest.grid.span_s
+        runs.append(
+            model.run(time, inputs, state[None, : len(network.nodes)], values[None, :], sizes, end_s=end)[0]
+        )
+    if finding.fit is None:
+        runs.append(runs[1])
+    out = {}
+    for j, name in enumerate(network.sensor_names):
+        off = [np.where(late, record.measured[:, j] - run[:, j], np.nan) for run in runs]
+        raw = [_rms(x) for x in off]
+        means = [_rms(_binned(x, time, grid)) for x in off]
+        if np.isfinite(raw[0]):
+            out[name] = SensorError(raw[0], raw[1], raw[2], float(network.sigma[j]), (means[0], means[1], means[2]))
+    return out
+
+
+def _binned(values: Array, time: Array, grid: Grid) -> Array:
+    where = np.minimum(((time - grid.time[0]) / grid.step_s + 1e-9).astype(np.intp), len(grid.time) - 1)
+    good = np.isfinite(values)
+    count = np.bincount(where[good], minlength=len(grid.time))
+    total = np.bincount(where[good], values[good], len(grid.time))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _rms(values: Array) -> float:
+    good = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(good**2))) if good.size else float("nan")

@@ -1,0 +1,147 @@
+"""Effects and tunables fitted together, in the network that has the effects as real elements.
+
+Damped Gauss-Newton on the whitened block means, with what commissioning knows of the tunables as their prior. It begins
+at the commissioned values: beginning at values that have already absorbed an effect ends in other minima.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.discovery.contest import Contest
+from twin.discovery.model import Model
+from twin.discovery.probe import Run
+from twin.discovery.search import LAST_SHARE, Entry
+from twin.discovery.shapes import Shape
+from twin.network import Array
+
+ROUNDS = 12
+REACH = 1.0
+"""Longest step of a tunable, in standard deviations of a weak prior: its derivative is not to be trusted beyond."""
+_STEP = 1.0e-4
+_STATE_STEP = 1.0e-2
+_SIZE_STEP = 1.0e-2
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Effects and tunables together.
+
+    Attributes:
+        entries: with their sizes and standard deviations. moved: (q + k,) of [tunables z, initial state] from
+            commissioning. values: (p,) of the original network. state: (k,) at the first bin.
+        total: weighted squares, of residual and of tunables against their prior. chi: residual's per block and sensor.
+    """
+
+    entries: tuple[Entry, ...]
+    moved: Array
+    values: Array
+    state: Array
+    total: float
+    chi: float
+
+
+def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> Fit:
+    """Minimise the contest's squares over tunables, initial state and sizes; the contest then looks at the result.
+
+    Args:
+        state: initial temperatures (k,), about which the contest was linearised.
+    """
+    probe, grid, entries = contest.probe, contest.grid, model.entries
+    scaling, q, k, e = probe.scaling, probe.q, probe.k, len(entries)
+    timed = [i for i, x in enumerate(entries) if x.shape.onset_s > 0.0]
+    grown = [i for i, x in enumerate(entries) if x.shape.name == "saturating"]
+    first_time, first_growth = q + k + e, q + k + e + len(timed)
+    count = first_growth + len(grown)
+    z0 = scaling.to_z(probe.network.values[scaling.index])
+    hours, last_h = grid.step_s / 3600.0, grid.span_s / 3600.0
+    low, high = np.full(count, -20.0), np.full(count, 20.0)
+    low[:q], high[:q] = scaling.to_z(scaling.lower) - z0, scaling.to_z(scaling.upper) - z0
+    low[q + k : first_time] = [x.candidate.lower for x in entries]
+    high[q + k : first_time] = [x.candidate.upper for x in entries]
+    # Onsets are in hours, growth times in the logarithm of hours.
+    low[first_time:first_growth], high[first_time:first_growth] = 0.0, LAST_SHARE * last_h
+    low[first_growth:], high[first_growth:] = np.log(0.05), np.log(10.0 * last_h)
+    reach = np.full(count, np.inf)
+    reach[:q], reach[q : q + k] = REACH * scaling.prior_sd(), 5.0
+    reach[first_time:first_growth], reach[first_growth:] = 1.0, 0.7
+    precision = np.zeros((count, count))
+    precision[: q + k, : q + k] = contest.prior.precision
+    steps = np.full(count, _STEP)
+    steps[q : q + k] = _STATE_STEP
+    steps[q + k : first_time] = [_SIZE_STEP * x.candidate.typical for x in entries]
+    steps[first_time:first_growth], steps[first_growth:] = 6.0 * hours, 0.05
+    target, present = contest.grid.measured, contest.present
+
+    def shapes_at(v: Array) -> tuple[Shape, ...]:
+        found = [x.shape for x in entries]
+        for place, i in enumerate(timed):
+            found[i] = replace(found[i], onset_s=float(max(v[first_time + place], 0.0) * 3600.0))
+        for place, i in enumerate(grown):
+            found[i] = replace(found[i], growth_s=float(np.exp(v[first_growth + place]) * 3600.0))
+        return tuple(found)
+
+    def run(v: Array) -> Array:
+        """Readings of runs at v (P, count)."""
+        values = np.tile(probe.network.values, (len(v), 1))
+        values[:, scaling.index] = scaling.to_values(z0 + v[:, :q])
+        shapes = tuple(shapes_at(row) for row in v)
+        return model.run(grid.time, grid.inputs, state[:k] + v[:, q : q + k], values, v[:, q + k : first_time], shapes)
+
+    def features(v: Array, with_slopes: bool) -> tuple[Array, Array]:
+        """Whitened residual (rows,) and its slopes (rows, q + k + e)."""
+        sign = np.where(v + steps > high, -steps, steps)
+        at = v + np.vstack([np.zeros(v.size), np.diag(sign)]) if with_slopes else v[None, :]
+        readings = run(at)
+        residual = contest.features(np.where(present, target - readings[0], 0.0))
+        if not with_slopes:
+            return residual, np.empty((0, 0))
+        change = np.moveaxis(readings[1:] - readings[0], 0, 2) / sign
+        return residual, contest.features(change)
+
+    v = np.zeros(count)
+    v[q + k : first_time] = [x.size for x in entries]
+    v[first_time:first_growth] = [entries[i].shape.onset_s / 3600.0 for i in timed]
+    v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
+    v = np.clip(v, low, high)
+    residual, slopes = features(v, True)
+    total = float(residual @ residual + v @ precision @ v)
+    damping = 1e-3
+    for _ in range(rounds):
+        hessian = slopes.T @ slopes + precision
+        pull = slopes.T @ residual - precision @ v
+        free = ~(((v <= low) & (pull < 0.0)) | ((v >= high) & (pull > 0.0)))
+        step = np.zeros_like(v)
+        inner = hessian[np.ix_(free, free)]
+        step[free] = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), pull[free])
+        trial = np.clip(v + np.clip(step, -reach, reach), low, high)
+        new, _ = features(trial, False)
+        new_total = float(new @ new + trial @ precision @ trial)
+        if new_total < total:
+            done = total - new_total < 1e-4 * total
+            v, total = trial, new_total
+            damping = max(damping / 10.0, 1e-6)
+            residual, slopes = features(v, True)
+            if done:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+    covariance = np.linalg.inv(slopes.T @ slopes + precision + 1e-12 * np.eye(count))
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    shapes = shapes_at(v)
+    onset_sd = np.zeros(e)
+    onset_sd[timed] = sd[first_time:first_growth] * 3600.0
+    fitted = tuple(
+        replace(x, size=float(v[q + k + i]), sd=float(sd[q + k + i]), shape=shapes[i], onset_sd_s=float(onset_sd[i]))
+        for i, x in enumerate(entries)
+    )
+    readings = run(v[None, :])[0]
+    contest.look_at(Run(readings, readings), v[: q + k])
+    values = probe.network.values.copy()
+    values[scaling.index] = scaling.to_values(z0 + v[:q])
+    chi = float(residual @ residual) / max(contest.count, 1)
+    return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], total, chi)

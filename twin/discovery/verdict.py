@@ -1,0 +1,448 @@
+"""From fits to a verdict: which causes remain, how sure the first is, whether it is enough, and what to say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.discovery.contest import Contest
+from twin.discovery.diagnosis import Alternative, Course, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
+from twin.discovery.fitting import Fit
+from twin.discovery.grid import Grid
+from twin.discovery.localise import courses, describe
+from twin.discovery.model import Model
+from twin.discovery.probe import Run
+from twin.discovery.search import Entry
+from twin.network import Array, Network
+
+if TYPE_CHECKING:
+    from twin.discovery.engine import Basis
+
+SURE = 0.8
+"""Share of the weight that one kind at one place must have to be named alone."""
+LEFT = 1.0
+"""Misfit per block and sensor that a twin with the right effects may have."""
+LEFT_SHARE = 0.03
+"""Or this share of the misfit that it began with: no effect is of quite the form assumed."""
+SE90 = 1.6449
+_TYPICALS = 20.0
+_PRIOR = {
+    "heat_source": 1.0, "heat_loss": 1.0, "heat_rejection": 1.0, "flow": 0.7, "thermal_mass": 0.7, "sensor": 0.7,
+    "coupling": 0.4, "delay": 0.5, "actuator": 0.3,
+}  # fmt: skip
+_RARE = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
+
+
+def width(gain: float) -> float:
+    """How much worse, in weighted squares, an explanation may be and still not be excluded; it grows with the gain,
+    since at a large one the form assumed decides and not the noise."""
+    return max(10.0, 0.003 * gain)
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A set of effects, fitted: `cost` is -2 log posterior up to a constant, `weight` its share."""
+
+    fit: Fit
+    cost: float
+    weight: float
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        return self.fit.entries
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What the search ended with; `fit` is None where nothing passed the threshold."""
+
+    entries: tuple[Entry, ...]
+    fit: Fit | None
+    retuned: Fit
+    ranked: tuple[Ranked, ...]
+    scanned: tuple[Entry, ...]
+    start: float
+    count: int
+    left_z: float
+    ladder: tuple[Rung, ...]
+    contest: Contest
+    state: Array
+
+
+def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest) -> tuple[Ranked, ...]:
+    """Fits by posterior cost; weights are tempered by `width`."""
+    costs = []
+    for fitted, _ in trials:
+        cost = fitted.total
+        for e in fitted.entries:
+            free = 1.0 + (e.shape.onset_s > 0.0) + (e.shape.name == "saturating")
+            cost += free * math.log(contest.count) - 2.0 * math.log(plausibility(e))
+            cost += min((e.size / (_TYPICALS * e.candidate.typical)) ** 2, 20.0)
+        costs.append(cost)
+    least = min(costs)
+    temper = width(max(contest.misfit - min(f.total for f, _ in trials), 0.0)) / 10.0
+    raw = [math.exp(-0.5 * (c - least) / temper) * _prior(f.entries) for c, (f, _) in zip(costs, trials, strict=True)]
+    total = sum(raw)
+    order = sorted(range(len(costs)), key=lambda i: -raw[i])
+    return tuple(Ranked(trials[i][0], costs[i], raw[i] / total) for i in order)
+
+
+def _prior(entries: tuple[Entry, ...]) -> float:
+    return math.prod(plausibility(e) for e in entries)
+
+
+def plausibility(entry: Entry) -> float:
+    """How likely such an effect is before any data, relative to a constant heat source."""
+    value = _PRIOR.get(entry.candidate.kind, 0.5) * _RARE.get(entry.candidate.driver, 1.0)
+    if entry.shape.name != "step" and entry.candidate.kind == "actuator":
+        value *= 0.2
+    return value * (0.5 if entry.shape.name == "saturating" else 1.0)
+
+
+def conclude(
+    finding: Finding,
+    *,
+    network: Network,
+    known: Basis,
+    whole: Contest,
+    entries: list[Entry],
+    grid: Grid,
+    split: int,
+    errors: dict[str, SensorError],
+    notes: tuple[str, ...],
+) -> Diagnosis:
+    """The verdict with everything that supports it."""
+    start = float(grid.time[0])
+    scale = finding.count
+    adequate_now = finding.fit is None
+    left = finding.retuned.chi if finding.fit is None else finding.fit.chi
+    enough = left <= max(LEFT, LEFT_SHARE * finding.start / scale)
+    verdict: Verdict
+    effects: tuple[Effect, ...] = ()
+    others: tuple[Alternative, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
+    description: dict[str, object] = {}
+    bigger: Network | None = None
+    sites = _sites(known, whole, entries)
+    found: tuple[Course, ...] = courses(whole, sites) if sites else ()
+    if adequate_now and (entries and entries[0].z >= 6.0):
+        adequate_now = False
+    if finding.fit is None and finding.start / scale <= LEFT:
+        verdict = "adequate"
+    elif finding.fit is None or not enough:
+        verdict = "unexplained"
+        if found:
+            description = describe(found[0], _drivers(network, grid, whole), whole.step_s / 3600.0)
+        effects = _unknown(found, description, start)
+        alternatives = _near_misses(finding)
+    else:
+        sure = _groups(finding.ranked)
+        best = (finding.ranked[0].entries[-1].candidate.kind, finding.ranked[0].entries[-1].candidate.where)
+        verdict = "effect found" if sure.get(best, 0.0) >= SURE or len(finding.entries) > 1 else "ambiguous"
+        effects = tuple(
+            _effect(e, finding, sure if i == len(finding.entries) - 1 else {}, start)
+            for i, e in enumerate(finding.fit.entries)
+        )
+        others, alternatives = _others(finding)
+        bigger = _bigger(finding, network)
+    after = finding.fit or finding.retuned
+    readings = _run(finding, after, network, grid)
+    return Diagnosis(
+        verdict=verdict,
+        summary=summarise(verdict, effects, errors, others, description, finding, entries),
+        effects=effects,
+        indistinguishable=others,
+        alternatives=alternatives,
+        held_out_s=(float(grid.time[split]), float(grid.time[-1])),
+        errors=errors,
+        moved=_moved(finding, known),
+        blind_spots=blind_spots(finding),
+        ladder=finding.ladder,
+        courses=found,
+        hours=whole.hours + start / 3600.0,
+        residual=whole.block_means(grid.measured - _stale(known, grid).readings),
+        residual_after=whole.block_means(grid.measured - readings),
+        band=known.noise.sd[0] * math.sqrt(grid.step_s / whole.step_s),
+        network=bigger,
+        warnings=known.warnings,
+        notes=notes,
+        description=description,
+    )
+
+
+def _stale(known: Basis, grid: Grid) -> Run:
+    return known.probe.run(grid, known.probe.first_state(grid))
+
+
+def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
+    model = Model.of(network, fitted.entries, finding.contest.probe.scaling.ids)
+    sizes = np.array([[e.size for e in fitted.entries]])
+    end = finding.contest.grid.span_s
+    return model.run(grid.time, grid.inputs, fitted.state[None, :], fitted.values[None, :], sizes, end_s=end)[0]
+
+
+def _groups(ranked: tuple[Ranked, ...]) -> dict[tuple[str, str], float]:
+    """Weight of each kind and place, of the effect added last."""
+    out: dict[tuple[str, str], float] = {}
+    for r in ranked:
+        last = r.entries[-1].candidate
+        out[last.kind, last.where] = out.get((last.kind, last.where), 0.0) + r.weight
+    return out
+
+
+def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], start: float) -> Effect:
+    c = entry.candidate
+    spread = SE90 * entry.sd * math.sqrt(max(finding.fit.chi, 1.0)) if finding.fit else 0.0
+    onset_spread = SE90 * entry.onset_sd_s
+    gain = max(finding.start - (finding.fit.total if finding.fit else 0.0), 0.0)
+    share = gain / max(finding.start, 1e-9)
+    return Effect(
+        kind=c.kind,
+        where=c.where,
+        driver=entry.driver,
+        change=entry.change,
+        value=entry.size,
+        unit=c.unit,
+        interval90=(entry.size - spread, entry.size + spread),
+        onset_s=start + entry.shape.onset_s,
+        onset_interval90_s=(
+            start + max(entry.shape.onset_s - onset_spread, 0.0),
+            start + entry.shape.onset_s + onset_spread,
+        ),
+        shape=entry.shape.name,
+        confidence=sure.get((c.kind, c.where), 1.0),
+        z=math.sqrt(gain),
+        evidence=f"{sentence(entry, start)}; with it {100.0 * share:.1f} % of the mismatch is gone",
+        growth_s=entry.shape.growth_s,
+    )
+
+
+def sentence(entry: Entry, start: float = 0.0) -> str:
+    """The effect in plain words."""
+    c = entry.candidate
+    who = {"loop": "The loop", "modules": "The modules"}.get(c.where)
+    if who is None:
+        who = c.where if c.kind == "sensor" else f"The {c.where.replace('_', ' ')}"
+    says = c.says
+    if who == "The modules":
+        says = _plural(says)
+    text = f"{who} {says.format(value=amount(entry.size, c.unit))}"
+    since = start + entry.shape.onset_s
+    when = f"since {clock(since)}" if entry.shape.onset_s > 0.0 else "from the beginning of the record"
+    if entry.shape.name == "ramp":
+        return f"{text} by the end, growing steadily {when}"
+    if entry.shape.name == "saturating":
+        return f"{text} in the end, growing {when} with a time constant of {clock(entry.shape.growth_s)}"
+    return f"{text}, {when}"
+
+
+def _plural(says: str) -> str:
+    first, _, rest = says.partition(" ")
+    verb = {"has": "have", "is": "are", "exchanges": "exchange", "loses": "lose", "takes": "take", "gives": "give"}
+    return f"{verb.get(first, first.removesuffix('s'))} {rest}"
+
+
+def amount(value: float, unit: str) -> str:
+    """A size as an operator reads it."""
+    if unit.startswith("of the"):
+        return f"{100.0 * value:.3g} % {unit}"
+    if unit == "W/W":
+        return f"{100.0 * value:.3g} %"
+    return f"{value:.3g}" if unit == "1" else f"{value:.3g} {unit}"
+
+
+def clock(seconds: float) -> str:
+    minutes = round(seconds / 60.0)
+    if minutes < 60:
+        return f"{minutes} min"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def _others(finding: Finding) -> tuple[tuple[Alternative, ...], tuple[Alternative, ...]]:
+    """What cannot be told from the winner, and what was ruled out."""
+    first = finding.ranked[0]
+    limit = width(max(finding.start - first.fit.total, 0.0))
+    same: dict[tuple[str, str, str], Alternative] = {}
+    out: dict[tuple[str, str, str], Alternative] = {}
+    taken = {e.label for e in first.entries}
+    for r in finding.ranked[1:]:
+        last = r.entries[-1]
+        label = last.label
+        if label in taken or label in same:
+            continue
+        if r.cost - first.cost < limit:
+            same[label] = Alternative(*label, confidence=r.weight)
+        elif label not in out:
+            why = f"leaves {r.fit.chi:.2f} of misfit where the answer leaves {first.fit.chi:.2f}"
+            out[label] = Alternative(*label, confidence=r.weight, why_not=why)
+    for e in finding.scanned:
+        if e.label in taken or e.label in same or e.label in out or len(out) >= 12:
+            continue
+        share, best = e.gain / max(finding.start, 1e-9), finding.scanned[0].gain / max(finding.start, 1e-9)
+        why = f"explains {100.0 * share:.0f} % of the mismatch, the answer {100.0 * best:.0f} %"
+        out[e.label] = Alternative(*e.label, confidence=0.0, why_not=why)
+    return tuple(same.values()), tuple(out.values())
+
+
+def _near_misses(finding: Finding) -> tuple[Alternative, ...]:
+    out = {}
+    for e in finding.scanned[:24]:
+        if e.label not in out and len(out) < 8:
+            share = e.gain / max(finding.start, 1e-9)
+            out[e.label] = Alternative(*e.label, 0.0, f"explains {100.0 * share:.0f} % of the mismatch, too little")
+    return tuple(out.values())
+
+
+def _sites(known: Basis, contest: Contest, entries: list[Entry]) -> dict[str, tuple[Array, float, str]]:
+    """Places where an unknown may act, each as a vector of one unit."""
+    probe = known.probe
+    out: dict[str, tuple[Array, float, str]] = {}
+    for k, node in enumerate(probe.network.nodes):
+        p = np.zeros((contest.sites, contest.b))
+        p[k] = 1.0
+        out[node] = (p, 20.0, "W")
+    for j, name in enumerate(probe.network.sensor_names):
+        p = np.zeros((contest.sites, contest.b))
+        p[contest.k + j] = 1.0
+        out[name] = (p, 0.2, "K")
+    return out
+
+
+def _drivers(network: Network, grid: Grid, contest: Contest) -> dict[str, Array]:
+    names = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
+    out = {}
+    means = contest.block_means(grid.inputs)
+    for j, column in enumerate(network.input_columns):
+        out[names.get(column, "temperature" if column.endswith("_C") else column)] = means[:, j]
+    out["elapsed_time"] = contest.hours
+    return out
+
+
+def _unknown(found: tuple[Course, ...], description: dict[str, object], start: float) -> tuple[Effect, ...]:
+    if not found or not description:
+        return ()
+    best = found[0]
+    low, high = description["range"]  # type: ignore[misc]
+    second = found[1].log_evidence if len(found) > 1 else best.log_evidence - 100.0
+    return (
+        Effect(
+            kind="unknown",
+            where=best.site,
+            driver=str(description["driver"]),
+            change="new",
+            value=float(description["mean"]),  # type: ignore[arg-type]
+            unit=best.unit,
+            interval90=(float(low), float(high)),
+            onset_s=start + float(description["onset_s"]),  # type: ignore[arg-type]
+            onset_interval90_s=(start + float(description["onset_s"]),) * 2,  # type: ignore[arg-type]
+            shape="unknown",
+            confidence=float(1.0 / (1.0 + math.exp(min(max(second - best.log_evidence, -50.0), 50.0) / 10.0))),
+            z=float(np.sqrt(max(best.log_evidence, 0.0) * 2.0)),
+            evidence=f"an unknown at {best.site} explains the record better than at any other place",
+        ),
+    )
+
+
+def _bigger(finding: Finding, network: Network) -> Network:
+    """The twin with its effects at full size and its re-tuned parameters."""
+    assert finding.fit is not None
+    model = Model.of(network, finding.fit.entries, finding.contest.probe.scaling.ids)
+    full = np.array([[e.size * _final(e, finding) for e in finding.fit.entries]])
+    vector = model.parameters(finding.fit.values[None, :], full)[0]
+    own = {p.id for p in model.network.parameters.values() if not p.same_as}
+    values = {
+        i: float(v)
+        for i, v, p in zip(model.network.ids, vector, model.network.parameters.values(), strict=True)
+        if i in own and v != p.value
+    }
+    return model.network.with_values(values)
+
+
+def _final(entry: Entry, finding: Finding) -> float:
+    end = finding.contest.grid.span_s
+    return 1.0 if entry.shape.name == "step" else entry.shape.mean(end - 1.0, end, end)
+
+
+def _moved(finding: Finding, known: Basis) -> tuple[Moved, ...]:
+    scaling, q = known.probe.scaling, known.probe.q
+    sd = np.sqrt(np.diag(np.linalg.inv(known.prior.precision))[:q])
+    network = known.probe.network
+    after = finding.fit or finding.retuned
+    out = []
+    for i, name in enumerate(scaling.ids):
+        k = scaling.index[i]
+        out.append(
+            Moved(
+                name, float(network.values[k]), float(finding.retuned.values[k]), float(after.values[k]),
+                network.parameters[name].unit, float(finding.retuned.moved[i] / sd[i]), float(after.moved[i] / sd[i]),
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+def blind_spots(finding: Finding) -> tuple[str, ...]:
+    """Pairs that this record cannot tell apart although the physics differ."""
+    contest = finding.contest
+    entries = list({e.candidate.id: e for e in finding.scanned}.values())[:24]
+    if len(entries) < 2:
+        return ()
+    gram, _ = contest.joint(np.stack([e.vector for e in entries]))
+    norm = np.sqrt(np.maximum(np.diag(gram), 1e-30))
+    rho = gram / np.outer(norm, norm)
+    out = []
+    for i in range(len(entries)):
+        for j in range(i + 1, len(entries)):
+            a, b = entries[i], entries[j]
+            if abs(rho[i, j]) > 0.999 and a.label != b.label:
+                out.append(f"{_name(a)} and {_name(b)} cannot be told apart on this record")
+    return tuple(dict.fromkeys(out))[:8]
+
+
+def _name(e: Entry) -> str:
+    return f"{e.candidate.kind.replace('_', ' ')} at {e.candidate.where} ({e.driver.replace('_', ' ')})"
+
+
+def summarise(
+    verdict: Verdict,
+    effects: tuple[Effect, ...],
+    errors: dict[str, SensorError],
+    others: tuple[Alternative, ...],
+    description: dict[str, object],
+    finding: Finding,
+    scanned: list[Entry],
+) -> str:
+    """The verdict in plain words."""
+    if verdict == "adequate":
+        best = scanned[0].z if scanned else 0.0
+        return f"The twin is adequate: nothing in this record asks for an effect that it lacks (best score {best:.1f})."
+    worst = max(errors, key=lambda n: errors[n].before / errors[n].noise) if errors else ""
+    fit_text = ""
+    if worst:
+        e = errors[worst]
+        fit_text = (
+            f" On the part that the fit never saw, {worst} is off by {e.stale:.2g} K, by {e.before:.2g} K when re-tuned, "
+            f"by {e.after:.2g} K with the new term, at a noise of {e.noise:.2g} K."
+        )
+    if verdict == "unexplained":
+        if not effects:
+            return "The twin does not fit this record and no single place explains it." + fit_text
+        u = effects[0]
+        return (
+            f"Something at {u.where} is not in the catalogue: {u.value:.3g} {u.unit} on average "
+            f"({u.interval90[0]:.3g} to {u.interval90[1]:.3g}) since {clock(u.onset_s)}, following "
+            f"{u.driver.replace('_', ' ')}. No known effect explains it, so nothing is adopted."
+        )
+    assert finding.fit is not None
+    start = effects[0].onset_s - finding.fit.entries[0].shape.onset_s
+    said = ". ".join(sentence(e, start) for e in finding.fit.entries)
+    if verdict == "ambiguous":
+        names = ", ".join(f"{a.kind.replace('_', ' ')} at {a.where}" for a in others)
+        return f"{said}; but this record cannot tell that from {names}." + fit_text
+    return said + "." + fit_text
+
+
+def with_confidence(effect: Effect, confidence: float) -> Effect:
+    return replace(effect, confidence=confidence)
