@@ -151,7 +151,9 @@ class Contest:
         weight = p[active].ravel()
         inner = self.gram[np.ix_(columns, columns)] * np.outer(weight, weight)
         shape = (len(active), self.b, len(active), self.b)
-        return inner.reshape(shape).sum(axis=(0, 2)), (self.score[columns] * weight).reshape(len(active), -1).sum(axis=0)
+        return inner.reshape(shape).sum(axis=(0, 2)), (self.score[columns] * weight).reshape(len(active), -1).sum(
+            axis=0
+        )
 
     def joint(self, vectors: Array) -> tuple[Array, Array]:
         """Gram matrix (e, e) and score (e,) of e effects, `vectors` (e, sites, b)."""

@@ -239,7 +239,7 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
         for group in groups:
             part.reset()
             trials.append((fit(contest, Model.of(network, group, ids), part.state), group))
-        order = rank(trials, contest)
+        order = rank(trials, contest, ladder[0].chi * contest.count)
         winner = order[0].fit
         if best is not None and best.total - winner.total < max(THRESHOLD**2, SECOND_SHARE * first_gain):
             break
@@ -249,12 +249,14 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
         part.reset()
         again = fit(contest, Model.of(network, chosen, ids), part.state, rounds=2)
         given = np.stack([e.placed(contest) for e in again.entries])
-        entries = [
-            e for e in scan(contest, part.laws, given)[: 4 * FINALISTS]
-        ]
+        entries = [e for e in scan(contest, part.laws, given)[: 4 * FINALISTS]]
         entries.sort(key=lambda e: -e.gain)
         ladder.append(
-            Rung(" + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in chosen), best.chi, entries[0].z if entries else 0.0)
+            Rung(
+                " + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in chosen),
+                best.chi,
+                entries[0].z if entries else 0.0,
+            )
         )
     part.reset()
     return Finding(
@@ -295,9 +297,7 @@ def _finalists(entries: list[Entry], chosen: tuple[Entry, ...]) -> list[Entry]:
     return found
 
 
-def _errors(
-    finding: Finding, network: Network, record: Columns, grid: Grid, split: int
-) -> dict[str, SensorError]:
+def _errors(finding: Finding, network: Network, record: Columns, grid: Grid, split: int) -> dict[str, SensorError]:
     """RMSE per sensor over the held-out part, of free runs from the record's beginning."""
     time, inputs = record.time_s, held(network, record.inputs)
     late = time >= grid.time[split]
@@ -310,9 +310,7 @@ def _errors(
         model = Model.of(network, entries, finding.contest.probe.scaling.ids)
         sizes = np.array([[e.size for e in entries]])
         end = finding.contest.grid.span_s
-        runs.append(
-            model.run(time, inputs, state[None, : len(network.nodes)], values[None, :], sizes, end_s=end)[0]
-        )
+        runs.append(model.run(time, inputs, state[None, : len(network.nodes)], values[None, :], sizes, end_s=end)[0])
     if finding.fit is None:
         runs.append(runs[1])
     out = {}

@@ -26,7 +26,9 @@ class Formulas:
         exec(compile(source, f"<heats of {network.name}>", "exec"), scope)
         self._rhs = scope["rhs"]
         self._capacity = network.index([f"{node}.capacitance" for node in network.nodes])
-        remembering = tuple(p.id for p in network.parameters.values() if p.status != "fixed" or p.value not in (0.0, 1.0))
+        remembering = tuple(
+            p.id for p in network.parameters.values() if p.status != "fixed" or p.value not in (0.0, 1.0)
+        )
         self.system = System(network, remembering)
         names = {name for name, f in self.system.parts if f.states}
         self._states = sum(len(f.states) for name, f in self.system.parts if name in names)

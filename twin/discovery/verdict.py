@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -72,8 +72,8 @@ class Finding:
     state: Array
 
 
-def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest) -> tuple[Ranked, ...]:
-    """Fits by posterior cost; weights are tempered by `width`."""
+def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest, start: float) -> tuple[Ranked, ...]:
+    """Fits by posterior cost; weights are tempered by `width`. `start` is the misfit without any effect."""
     costs = []
     for fitted, _ in trials:
         cost = fitted.total
@@ -83,7 +83,7 @@ def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest) -> tuple
             cost += min((e.size / (_TYPICALS * e.candidate.typical)) ** 2, 20.0)
         costs.append(cost)
     least = min(costs)
-    temper = width(max(contest.misfit - min(f.total for f, _ in trials), 0.0)) / 10.0
+    temper = width(max(start - min(f.total for f, _ in trials), 0.0)) / 10.0
     raw = [math.exp(-0.5 * (c - least) / temper) * _prior(f.entries) for c, (f, _) in zip(costs, trials, strict=True)]
     total = sum(raw)
     order = sorted(range(len(costs)), key=lambda i: -raw[i])
@@ -197,6 +197,8 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
     c = entry.candidate
     spread = SE90 * entry.sd * math.sqrt(max(finding.fit.chi, 1.0)) if finding.fit else 0.0
     onset_spread = SE90 * entry.onset_sd_s
+    grown = _final(entry, finding)
+    spread *= grown
     gain = max(finding.start - (finding.fit.total if finding.fit else 0.0), 0.0)
     share = gain / max(finding.start, 1e-9)
     return Effect(
@@ -204,9 +206,9 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
         where=c.where,
         driver=entry.driver,
         change=entry.change,
-        value=entry.size,
+        value=entry.size * grown,
         unit=c.unit,
-        interval90=(entry.size - spread, entry.size + spread),
+        interval90=(entry.size * grown - spread, entry.size * grown + spread),
         onset_s=start + entry.shape.onset_s,
         onset_interval90_s=(
             start + max(entry.shape.onset_s - onset_spread, 0.0),
@@ -273,7 +275,7 @@ def _others(finding: Finding) -> tuple[tuple[Alternative, ...], tuple[Alternativ
         label = last.label
         if label in taken or label in same:
             continue
-        if r.cost - first.cost < limit:
+        if r.cost - first.cost < limit and r.weight > 0.003:
             same[label] = Alternative(*label, confidence=r.weight)
         elif label not in out:
             why = f"leaves {r.fit.chi:.2f} of misfit where the answer leaves {first.fit.chi:.2f}"
@@ -442,7 +444,3 @@ def summarise(
         names = ", ".join(f"{a.kind.replace('_', ' ')} at {a.where}" for a in others)
         return f"{said}; but this record cannot tell that from {names}." + fit_text
     return said + "." + fit_text
-
-
-def with_confidence(effect: Effect, confidence: float) -> Effect:
-    return replace(effect, confidence=confidence)

@@ -1,0 +1,141 @@
+"""`hil diagnose`: why the twin was wrong, and the effect that it lacks."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.commands.paths import INPUT_FILE
+from hil.errors import FOUND
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from twin.discovery.diagnosis import Diagnosis
+
+STEPS = 4.0
+
+
+@click.command()
+@click.argument("target", type=click.Path(exists=True, path_type=Path), metavar="RUN|RECORD")
+@click.option("--twin", type=INPUT_FILE, help="Twin file; of a run, the one that it ran with.")
+@click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, the one it was commissioned on.")
+@click.option("--clock", help="Time of day at 0 s of the record, like 08:00, where the record does not tell.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")
+@click.option("--dry", is_flag=True, help="Propose only: no revision of the twin, no files.")
+@click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
+def command(
+    target: Path, twin: Path | None, healthy: Path | None, clock: str | None, out: Path | None, dry: bool, as_json: bool
+) -> None:
+    """Find the residual of RUN or RECORD, trace it to an effect that the twin lacks, and add that effect.
+
+    Writes diagnosis.json, a page with pictures, and a new revision of the twin beside the old one. Exit code 0 where
+    the twin is adequate, 1 where something was found.
+
+    \b
+    Example:
+      hil diagnose runs/<a run> --healthy runs/<a healthy run>/record.parquet
+      hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet
+    """
+    from hil.diagnosing import clock_of, read_columns, revise, subject_of, with_clock, write
+    from hil.terminal import Steps, console
+    from twin.discovery.engine import diagnose
+    from twin.network import TwinFileError
+    from twin.twinfile import load
+
+    began = time.monotonic()
+    subject = subject_of(target, twin, out)
+    network = load(subject.twin)
+    hour = clock_of(clock) if clock else None
+    told = with_clock(network) if hour is not None else network
+    record, messages = read_columns(told, subject.record, hour)
+    good = read_columns(told, healthy, hour)[0] if healthy else None
+    stages = 0
+    with Steps("diagnosing", STEPS, quiet=as_json) as steps:
+        for message in messages:
+            steps.say(message)
+
+        def say(what: str) -> None:
+            nonlocal stages
+            stages += 1
+            steps.update(min(float(stages), STEPS), what)
+
+        try:
+            diagnosis = diagnose(told, record, good, say=say)
+        except TwinFileError as error:
+            raise TwinFileError(f"{subject.record}: {error}") from None
+    revision = None if dry else revise(diagnosis, network, subject.twin, subject.record)
+    extra: dict[str, object] = {
+        "record": str(subject.record), "twin": str(subject.twin), "revision": str(revision) if revision else None,
+        "healthy": str(healthy) if healthy else None, "seconds": round(time.monotonic() - began, 2),
+    }  # fmt: skip
+    if not dry:
+        write(diagnosis, subject.out, extra)
+    if as_json:
+        click.echo(json.dumps({**diagnosis.document(), **extra}, indent=1))
+    else:
+        to = console()
+        _show(to, diagnosis)
+        if revision:
+            to.print(f"revision of the twin: {revision}", soft_wrap=True)
+        if not dry:
+            to.print(f"results: {subject.out}", soft_wrap=True)
+        to.print(f"{time.monotonic() - began:.1f} s")
+    if diagnosis.verdict != "adequate":
+        sys.exit(FOUND)
+
+
+def _show(to: Console, d: Diagnosis) -> None:
+    from rich.table import Table
+
+    for warning in d.warnings:
+        to.print(f"warning: {warning}", style="yellow", soft_wrap=True)
+    to.print(f"[bold]{d.verdict}[/bold]: {d.summary}", soft_wrap=True)
+    for note in d.notes:
+        to.print(note, soft_wrap=True)
+    if d.effects:
+        table = Table(title="Effects", title_justify="left")
+        for heading in ("kind", "where", "driver", "change", "size", "90 %", "since", "z"):
+            table.add_column(heading, justify="right" if heading in ("size", "90 %", "since", "z") else "left")
+        for e in d.effects:
+            low, high = e.interval90
+            table.add_row(
+                e.kind, e.where, e.driver, e.change, f"{e.value:.4g} {e.unit}", f"{low:.4g} to {high:.4g}",
+                f"{e.onset_s / 3600.0:.2f} h", f"{e.z:.0f}",
+            )  # fmt: skip
+        to.print(table)
+    if d.indistinguishable or d.alternatives:
+        table = Table(title="Other explanations", title_justify="left")
+        for heading in ("kind", "where", "driver", "why not"):
+            table.add_column(heading)
+        for a in d.indistinguishable:
+            table.add_row(a.kind, a.where, a.driver, "this record cannot tell it from the answer", style="bold")
+        for a in d.alternatives[:8]:
+            table.add_row(a.kind, a.where, a.driver, a.why_not)
+        to.print(table)
+    low, high = d.held_out_s
+    title = f"RMSE in K, free run over {low / 3600.0:.1f} to {high / 3600.0:.1f} h, which the fit never saw"
+    table = Table(title=title, title_justify="left")
+    for heading in ("sensor", "stale", "re-tuned", "with the effect", "noise"):
+        table.add_column(heading, justify="left" if heading == "sensor" else "right")
+    for name, error in d.errors.items():
+        table.add_row(name, *(f"{x:.3f}" for x in (error.stale, error.before, error.after, error.noise)))
+    to.print(table)
+    far = [m for m in d.moved if max(abs(m.before_sd), abs(m.after_sd)) > 3.0]
+    if far and d.effects:
+        table = Table(title="Tunables that had to move, in standard deviations of commissioning", title_justify="left")
+        for heading in ("parameter", "commissioned", "re-tuned alone", "beside the effect", "unit"):
+            table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
+        for m in far:
+            table.add_row(
+                m.parameter, f"{m.commissioned:.4g}", f"{m.before:.4g} ({m.before_sd:+.0f})",
+                f"{m.after:.4g} ({m.after_sd:+.0f})", m.unit,
+            )  # fmt: skip
+        to.print(table)
+    for spot in d.blind_spots:
+        to.print(f"blind spot: {spot}", soft_wrap=True)

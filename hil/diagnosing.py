@@ -1,0 +1,131 @@
+"""A record or a run handed to the diagnosis: columns chosen, the time of day added, the result written.
+
+The work itself is in `twin.discovery`; here is what concerns files.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.atomic import replacing
+from hil.record import Record, read_record
+from twin.discovery.diagnosis import Diagnosis
+from twin.discovery.engine import Columns
+from twin.network import InputSpec, Network, Revision
+from twin.revisions import save_revision
+
+CLOCK = "time_of_day_h"
+
+
+class DiagnosingError(ValueError):
+    """What is to be diagnosed is not there; the message is one plain sentence."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is diagnosed: the record's file, the twin's file and the folder for results."""
+
+    record: Path
+    twin: Path
+    out: Path
+
+
+def subject_of(target: Path, twin: Path | None, out: Path | None) -> Subject:
+    """Resolve a record file or a run folder; raises DiagnosingError where a part is missing."""
+    if target.is_dir():
+        record, own = target / "record.parquet", target / "twin.toml"
+        if not record.is_file():
+            raise DiagnosingError(f"{target} holds no record.parquet; give a run folder of a finished run, or a record")
+        chosen = twin or own
+        if not chosen.is_file():
+            raise DiagnosingError(f"{target} holds no twin.toml; name the twin with --twin")
+        return Subject(record, chosen, out or target / "diagnosis")
+    if twin is None:
+        raise DiagnosingError(f"{target} is a record and does not say which twin it belongs to; name it with --twin")
+    return Subject(target, twin, out or Path(f"diagnosis-{target.parent.name or target.stem}-{target.stem}"))
+
+
+def clock_of(text: str) -> float:
+    """Hours since midnight of a time like 08:00."""
+    try:
+        moment = datetime.time.fromisoformat(text)
+    except ValueError:
+        raise DiagnosingError(f"--clock {text!r} is not a time of day; write it like 08:00") from None
+    return moment.hour + moment.minute / 60.0 + moment.second / 3600.0
+
+
+def start_hour(record: Record) -> float | None:
+    """Hours since midnight at 0 s, where the record tells it."""
+    if record.start is None:
+        return None
+    s = record.start
+    return s.hour + s.minute / 60.0 + s.second / 3600.0
+
+
+def with_clock(network: Network) -> Network:
+    """The network with the time of day as an input, so that effects may follow it."""
+    if CLOCK in network.inputs:
+        return network
+    spec = InputSpec(CLOCK, 12.0, 0.0, 24.0, "h", "time of day of the record")
+    return dataclasses.replace(network, inputs=MappingProxyType({**network.inputs, CLOCK: spec}))
+
+
+def columns_of(network: Network, record: Record, hour_at_0: float | None) -> Columns:
+    """What the network needs of a record.
+
+    Raises:
+        RecordError: an input column is missing. TwinFileError: a sensor is.
+    """
+    columns: dict[str, NDArray[np.float64]] = dict(record.columns)
+    if CLOCK in network.inputs and CLOCK not in columns:
+        columns[CLOCK] = (((hour_at_0 or 0.0) + record.time_s / 3600.0) % 24.0).astype(np.float64)
+    Record(record.time_s, columns, path=record.path).require(*network.input_columns)
+    return Columns.of(network, record.time_s, columns)
+
+
+def read_columns(network: Network, path: Path, hour_at_0: float | None) -> tuple[Columns, tuple[str, ...]]:
+    """Columns of a record file, and what reading it met."""
+    record = read_record(path)
+    hour = hour_at_0 if hour_at_0 is not None else start_hour(record)
+    return columns_of(network, record, hour), record.messages
+
+
+def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path) -> Path | None:
+    """Save the twin with its new effects beside the old one; None where there is nothing to add."""
+    bigger = diagnosis.network
+    if bigger is None:
+        return None
+    used = {column for element in bigger.elements for column in element.inputs()}
+    inputs = {c: s for c, s in bigger.inputs.items() if c in used or c in network.inputs and c != CLOCK}
+    revision = Revision(
+        number=network.revision.number + 1,
+        made_by=f"hil diagnose {record.name}",
+        window_s=(0.0, diagnosis.held_out_s[0]),
+        error_before_K={name: float(e.before) for name, e in diagnosis.errors.items()},
+        error_after_K={name: float(e.after) for name, e in diagnosis.errors.items()},
+        held_out_s=diagnosis.held_out_s,
+        effects=tuple(
+            f"{e.kind} at {e.where}, {e.driver}, {e.value:.4g} {e.unit}, {e.shape} since {e.onset_s:.0f} s"
+            for e in diagnosis.effects
+        ),
+        evidence=diagnosis.summary,
+    )
+    saved = dataclasses.replace(bigger, inputs=MappingProxyType(inputs), revision=revision)
+    return save_revision(saved, twin)
+
+
+def write(diagnosis: Diagnosis, out: Path, extra: dict[str, object]) -> Path:
+    """Write `diagnosis.json` into the folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / "diagnosis.json"
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps({**diagnosis.document(), **extra}, indent=1) + "\n", encoding="utf-8")
+    return path
