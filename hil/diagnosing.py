@@ -104,7 +104,7 @@ def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path) -> 
     if bigger is None:
         return None
     used = {column for element in bigger.elements for column in element.inputs()}
-    inputs = {c: s for c, s in bigger.inputs.items() if c in used or c in network.inputs and c != CLOCK}
+    inputs = {c: s for c, s in bigger.inputs.items() if c in used or (c in network.inputs and c != CLOCK)}
     revision = Revision(
         number=network.revision.number + 1,
         made_by=f"hil diagnose {record.name}",

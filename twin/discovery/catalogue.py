@@ -1,4 +1,4 @@
-"""Everything that a twin may lack: each element kind at each place where it may stand, and each parameter that may move.
+"""Everything that a twin may lack: each kind of element wherever it may stand, and each parameter that may move.
 
 The kinds themselves say where they could stand and what they would do there (`Element.missing`, `Element.moved`), so a
 new kind of element joins the search by its own file.

@@ -165,13 +165,13 @@ class Contest:
         if not len(vectors):
             return Estimate(np.empty(0), np.empty((0, 0)), 0.0)
         gram, score = self.joint(vectors)
-        covariance = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
+        covariance: Array = np.asarray(np.linalg.pinv(gram, rcond=1e-10, hermitian=True), dtype=np.float64)
         sizes = covariance @ score
         return Estimate(sizes, covariance, float(sizes @ score))
 
     def moved(self, vectors: Array, sizes: Array) -> Array:
         """Change of [tunables z, initial state] (q + k,) that goes with effects of these sizes."""
-        shift: Array = self._shift.copy()
+        shift = np.array(self._shift, dtype=np.float64)
         for vector, size in zip(vectors, sizes, strict=True):
             shift -= self._taken @ vector.ravel() * size
         return shift

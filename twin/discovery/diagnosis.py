@@ -83,7 +83,7 @@ class Course:
 
 @dataclass(frozen=True)
 class Rung:
-    """One step of the ladder: what was in the twin, the misfit left (chi per block and sensor) and the best next score."""
+    """One step of the ladder: what the twin held, the misfit left (chi per block and sensor), the best next score."""
 
     what: str
     chi: float

@@ -147,7 +147,6 @@ def diagnose(
     say("reading")
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
     known = basis(network, healthy, grid)
-    probe = known.probe
     say("scanning")
     bins = len(grid.time)
     split = int(bins * (1.0 - held_out))
@@ -209,8 +208,8 @@ class _Part:
 
 def _search(part: _Part, say: Callable[[str], None]) -> Finding:
     """Add effects one by one, each the best of the finalists after a joint fit, until nothing more is to be gained."""
-    network, contest, probe = part.basis.probe.network, part.contest, part.basis.probe
-    ids = probe.scaling.ids
+    network, contest = part.basis.probe.network, part.contest
+    ids = part.basis.probe.scaling.ids
     start_chi = contest.misfit / max(contest.count, 1)
     ladder = [Rung("as commissioned", start_chi, part.best_z)]
     part.reset()
@@ -249,7 +248,7 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
         part.reset()
         again = fit(contest, Model.of(network, chosen, ids), part.state, rounds=2)
         given = np.stack([e.placed(contest) for e in again.entries])
-        entries = [e for e in scan(contest, part.laws, given)[: 4 * FINALISTS]]
+        entries = scan(contest, part.laws, given)[: 4 * FINALISTS]
         entries.sort(key=lambda e: -e.gain)
         ladder.append(
             Rung(

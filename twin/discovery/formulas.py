@@ -56,7 +56,7 @@ class Formulas:
                 continue
             p = {f"p{k}": v for k, v in enumerate(parameters)}
             if drive.dead_time:
-                late = int(round(eval(self.system.text(drive.dead_time), {}, p) / step_s))
+                late = round(eval(self.system.text(drive.dead_time), {}, p) / step_s)
                 values = np.concatenate([np.full(late, values[0]), values[: len(values) - late]])
             if drive.lag:
                 values = follow(values, float(eval(self.system.text(drive.lag), {}, p)), step_s)

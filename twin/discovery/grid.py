@@ -84,8 +84,8 @@ def _held_means(t: Array, u: Array, where: np.ndarray, grid_time: Array) -> Arra
     """Means of inputs (bins, c); a bin without a sample holds the one before."""
     bins = len(grid_time)
     count = np.bincount(where, minlength=bins)
-    mean = np.stack([np.bincount(where, u[:, j], bins) for j in range(u.shape[1])], axis=1)
-    mean = mean / np.maximum(count, 1)[:, None]
+    total = np.stack([np.bincount(where, u[:, j], bins) for j in range(u.shape[1])], axis=1)
+    mean = total / np.maximum(count, 1)[:, None]
     latest = np.maximum.accumulate(np.where(count > 0, np.arange(bins), 0))
     out: Array = np.ascontiguousarray(mean[latest])
     return out

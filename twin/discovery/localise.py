@@ -7,6 +7,8 @@ marginal likelihood says how well an unknown at this site explains the record; t
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from twin.discovery.contest import Contest
@@ -46,7 +48,7 @@ def courses(contest: Contest, sites: dict[str, tuple[Array, float, str]]) -> tup
     return tuple(found)
 
 
-def describe(course: Course, drivers: dict[str, Array], step_h: float) -> dict[str, object]:
+def describe(course: Course, drivers: dict[str, Array], step_h: float) -> dict[str, Any]:
     """What a course looks like: since when, how much, what it follows.
 
     Args:
@@ -54,7 +56,7 @@ def describe(course: Course, drivers: dict[str, Array], step_h: float) -> dict[s
     """
     mean, sd = course.mean, course.sd
     significant = np.abs(mean) > 2.0 * sd
-    out: dict[str, object] = {"site": course.site, "unit": course.unit, "present_share": float(significant.mean())}
+    out: dict[str, Any] = {"site": course.site, "unit": course.unit, "present_share": float(significant.mean())}
     onset = _onset(mean)
     out["onset_s"] = float(course.hours[onset] * 3600.0)
     after = mean[onset:]
@@ -71,7 +73,7 @@ def describe(course: Course, drivers: dict[str, Array], step_h: float) -> dict[s
     period, share = _period(after, step_h)
     if share > 0.35:
         out["period_s"] = period
-    top = next(iter(out["follows"]), "") if scores else ""  # type: ignore[call-overload]
+    top = next(iter(out["follows"]), "") if scores else ""
     driver = "history"
     if share > 0.35:
         driver = "periodic"

@@ -14,6 +14,7 @@ import numpy as np
 
 from twin.discovery.grid import Grid
 from twin.elements import Parameter
+from twin.elements.base import Status
 from twin.elements.heat_source import HeatSource
 from twin.elements.sensor import Sensor
 from twin.gauss_newton import Data, Prior, Scaling, align
@@ -168,7 +169,7 @@ def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, t
         elements.append(element)
         for spec in element.parameter_specs():
             key = f"{element.name}.{spec.name}"
-            status = "tunable" if spec.name == "gain" else "fixed"
+            status: Status = "tunable" if spec.name == "gain" else "fixed"
             parameters[key] = Parameter(
                 key, element.name, spec.name, 0.0, spec.unit, spec.lower, spec.upper, status, "a question"
             )  # fmt: skip

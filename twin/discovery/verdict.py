@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -124,7 +124,7 @@ def conclude(
     effects: tuple[Effect, ...] = ()
     others: tuple[Alternative, ...] = ()
     alternatives: tuple[Alternative, ...] = ()
-    description: dict[str, object] = {}
+    description: dict[str, Any] = {}
     bigger: Network | None = None
     sites = _sites(known, whole, entries)
     found: tuple[Course, ...] = courses(whole, sites) if sites else ()
@@ -290,7 +290,7 @@ def _others(finding: Finding) -> tuple[tuple[Alternative, ...], tuple[Alternativ
 
 
 def _near_misses(finding: Finding) -> tuple[Alternative, ...]:
-    out = {}
+    out: dict[tuple[str, str, str], Alternative] = {}
     for e in finding.scanned[:24]:
         if e.label not in out and len(out) < 8:
             share = e.gain / max(finding.start, 1e-9)
@@ -323,11 +323,11 @@ def _drivers(network: Network, grid: Grid, contest: Contest) -> dict[str, Array]
     return out
 
 
-def _unknown(found: tuple[Course, ...], description: dict[str, object], start: float) -> tuple[Effect, ...]:
+def _unknown(found: tuple[Course, ...], description: dict[str, Any], start: float) -> tuple[Effect, ...]:
     if not found or not description:
         return ()
     best = found[0]
-    low, high = description["range"]  # type: ignore[misc]
+    low, high = description["range"]
     second = found[1].log_evidence if len(found) > 1 else best.log_evidence - 100.0
     return (
         Effect(
@@ -335,11 +335,11 @@ def _unknown(found: tuple[Course, ...], description: dict[str, object], start: f
             where=best.site,
             driver=str(description["driver"]),
             change="new",
-            value=float(description["mean"]),  # type: ignore[arg-type]
+            value=float(description["mean"]),
             unit=best.unit,
             interval90=(float(low), float(high)),
-            onset_s=start + float(description["onset_s"]),  # type: ignore[arg-type]
-            onset_interval90_s=(start + float(description["onset_s"]),) * 2,  # type: ignore[arg-type]
+            onset_s=start + float(description["onset_s"]),
+            onset_interval90_s=(start + float(description["onset_s"]),) * 2,
             shape="unknown",
             confidence=float(1.0 / (1.0 + math.exp(min(max(second - best.log_evidence, -50.0), 50.0) / 10.0))),
             z=float(np.sqrt(max(best.log_evidence, 0.0) * 2.0)),
@@ -412,7 +412,7 @@ def summarise(
     effects: tuple[Effect, ...],
     errors: dict[str, SensorError],
     others: tuple[Alternative, ...],
-    description: dict[str, object],
+    description: dict[str, Any],
     finding: Finding,
     scanned: list[Entry],
 ) -> str:
@@ -425,8 +425,8 @@ def summarise(
     if worst:
         e = errors[worst]
         fit_text = (
-            f" On the part that the fit never saw, {worst} is off by {e.stale:.2g} K, by {e.before:.2g} K when re-tuned, "
-            f"by {e.after:.2g} K with the new term, at a noise of {e.noise:.2g} K."
+            f" On the part that the fit never saw, {worst} is off by {e.stale:.2g} K, by {e.before:.2g} K when "
+            f"re-tuned, by {e.after:.2g} K with the new term, at a noise of {e.noise:.2g} K."
         )
     if verdict == "unexplained":
         if not effects:

@@ -1,4 +1,4 @@
-"""What becomes of a command, or of a quantity as its meter tells it: the elements see the output of an actuator instead of its input column.
+"""What becomes of a command, or of what a meter tells: elements see an actuator instead of its input column.
 
     c(t)  = command(t - dead_time_s)
     lag_s * da/dt = c - a
@@ -51,17 +51,29 @@ class Actuator(Element):
             what, name = column.rsplit("_", 1)[0], f"actuator_of_{column}"
             table = {name: {"kind": cls.kind, "column": column}}
             if unit == "C":
-                offset = ("sensor", column, "constant", "new", {f"{name}.offset": 1.0}, "K", 0.5, -20.0, 20.0)
-                found.append(Candidate(*offset, "reads {value} off", adds=table))
+                says = "reads {value} off"
+                offset = Candidate(
+                    "sensor",
+                    column,
+                    "constant",
+                    "new",
+                    {f"{name}.offset": 1.0},
+                    "K",
+                    0.5,
+                    -20.0,
+                    20.0,
+                    says,
+                    adds=table,
+                )
+                found.append(offset)
                 continue
-            late = {"adds": table, "shapes": ("step",)}
             found += [
                 Candidate("actuator", what, "constant", "new", {f"{name}.gain": 1.0}, "1", 0.03, -0.9, 2.0,
                     "delivers another share of its command: a change by {value}", adds=table),
                 Candidate("actuator", what, what, "new", {f"{name}.droop": 1.0}, "1", 0.05, -0.4, 0.8,
                     "falls short by {value} at full command", adds=table),
                 Candidate("actuator", what, "history", "new", {f"{name}.lag_s": 1.0}, "s", 60.0, 0.0, 3600.0,
-                    "follows its command late by {value}", **late),
+                    "follows its command late by {value}", adds=table, shapes=("step",)),
             ]  # fmt: skip
         return tuple(found)
 

@@ -206,7 +206,7 @@ class Sites:
     """What a network offers to an element that it may lack.
 
     Attributes:
-        nodes, inputs: names. room: input column of the room temperature, or "". clock: column of the time of day, or "".
+        nodes, inputs: names. room, clock: input columns of the room temperature and the time of day, or "".
         before: node -> the node before it on a flow path. places: node -> what an operator calls the place.
         groups: place -> nodes that are alike and are named together.
         elements: every element. values: id -> present value.

@@ -34,7 +34,7 @@ class Bypass(Element):
 
     @classmethod
     def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
-        around = [(sites.places[node], (node,)) for node in sites.before]
+        around: list[tuple[str, tuple[str, ...]]] = [(sites.places[node], (node,)) for node in sites.before]
         around += [(place, group) for place, group in sites.groups.items() if all(n in sites.before for n in group)]
         return tuple(
             Candidate(

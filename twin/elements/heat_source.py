@@ -87,7 +87,7 @@ class HeatSource(Element):
         found: list[Candidate] = []
         known = {e.node for e in sites.having(cls.kind) if not e.driver}
         stands = [(sites.places[node], (node,)) for node in sites.nodes] + list(sites.groups.items())
-        for place, nodes in stands:
+        for where, nodes in stands:
             for driver, table, sizes, typical, says in _laws(sites):
                 if driver == "constant" and set(nodes) <= known:
                     continue
@@ -95,7 +95,7 @@ class HeatSource(Element):
                     e.driver == table["driver"] for e in sites.having(cls.kind) if e.node in nodes
                 ):
                     continue
-                words = "_".join((driver, nodes[0] if len(nodes) == 1 else place))
+                words = "_".join((driver, nodes[0] if len(nodes) == 1 else where))
                 names = {node: f"heat_by_{words}" if len(nodes) == 1 else f"heat_by_{words}_{node}" for node in nodes}
                 share = 1.0 / len(nodes)
                 changes = {
@@ -105,7 +105,7 @@ class HeatSource(Element):
                 unit = "W/W" if driver == "heater_power" else "W"
                 found.append(
                     Candidate(
-                        "heat_source", place, driver, "new", changes, unit, typical, 0.0, 2000.0 * typical / 20.0, says,
+                        "heat_source", where, driver, "new", changes, unit, typical, 0.0, 2000.0 * typical / 20.0, says,
                         adds=adds,
                     )
                 )  # fmt: skip
@@ -151,7 +151,7 @@ class HeatSource(Element):
 
 
 def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], float, str]]:
-    """Driver, keys of the table, size parameters with weights, typical size and wording of sources that may be missing."""
+    """Sources that may be missing: driver, keys of the table, size parameters with weights, typical size, wording."""
     unknown = "gives off {value} that the twin does not know of"
     laws: list[tuple[str, dict[str, str], dict[str, float], float, str]] = [
         ("constant", {}, {"power": 1.0}, 20.0, unknown)

@@ -30,8 +30,8 @@ class Node(Element):
         says = "takes {value} more heat than when commissioned"
         return (
             self.moves(
-                "capacitance", "thermal_mass", sites.places[self.name], "history", "J/K", 0.1 * now, -0.8 * now, 5.0 * now,
-                says,
+                "capacitance", "thermal_mass", sites.places[self.name], "history", "J/K",
+                0.1 * now, -0.8 * now, 5.0 * now, says,
             ),
         )  # fmt: skip
 

@@ -63,7 +63,9 @@ class Sensor(Element):
             change="new" if now["lag_s"] == 0.0 else "existing", shapes=("step",),
         )  # fmt: skip
         found = [
-            replace(self.moves("bias_K", *sensor, "constant", "K", 0.2, -20.0, 20.0, "reads {value} off"), change="new"),
+            replace(
+                self.moves("bias_K", *sensor, "constant", "K", 0.2, -20.0, 20.0, "reads {value} off"), change="new"
+            ),
             replace(
                 self.moves("gain", *sensor, "temperature", "1", 0.01, 0.5 - now["gain"], 1.5 - now["gain"],
                     "reads by a factor that differs by {value}"),
