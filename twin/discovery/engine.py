@@ -308,8 +308,7 @@ def _errors(finding: Finding, network: Network, record: Columns, grid: Grid, spl
     ):
         model = Model.of(network, entries, finding.contest.probe.scaling.ids)
         sizes = np.array([[e.size for e in entries]])
-        end = finding.contest.grid.span_s
-        runs.append(model.run(time, inputs, state[None, : len(network.nodes)], values[None, :], sizes, end_s=end)[0])
+        runs.append(model.run(time, inputs, state[None, : len(network.nodes)], values[None, :], sizes)[0])
     if finding.fit is None:
         runs.append(runs[1])
     out = {}

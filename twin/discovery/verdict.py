@@ -78,7 +78,7 @@ def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest, start: f
     for fitted, _ in trials:
         cost = fitted.total
         for e in fitted.entries:
-            free = 1.0 + (e.shape.onset_s > 0.0) + (e.shape.name == "saturating")
+            free = 1.0 + (e.shape.onset_s > 0.0) + (e.shape.name != "step")
             cost += free * math.log(contest.count) - 2.0 * math.log(plausibility(e))
             cost += min((e.size / (_TYPICALS * e.candidate.typical)) ** 2, 20.0)
         costs.append(cost)
@@ -180,8 +180,7 @@ def _stale(known: Basis, grid: Grid) -> Run:
 def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
     model = Model.of(network, fitted.entries, finding.contest.probe.scaling.ids)
     sizes = np.array([[e.size for e in fitted.entries]])
-    end = finding.contest.grid.span_s
-    return model.run(grid.time, grid.inputs, fitted.state[None, :], fitted.values[None, :], sizes, end_s=end)[0]
+    return model.run(grid.time, grid.inputs, fitted.state[None, :], fitted.values[None, :], sizes)[0]
 
 
 def _groups(ranked: tuple[Ranked, ...]) -> dict[tuple[str, str], float]:
@@ -217,13 +216,13 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
         shape=entry.shape.name,
         confidence=sure.get((c.kind, c.where), 1.0),
         z=math.sqrt(gain),
-        evidence=f"{sentence(entry, start)}; with it {100.0 * share:.1f} % of the mismatch is gone",
+        evidence=f"{sentence(entry, start, grown)}; with it {100.0 * share:.1f} % of the mismatch is gone",
         growth_s=entry.shape.growth_s,
     )
 
 
-def sentence(entry: Entry, start: float = 0.0) -> str:
-    """The effect in plain words."""
+def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0) -> str:
+    """The effect in plain words; `grown` is the share of its size that it has reached."""
     c = entry.candidate
     who = {"loop": "The loop", "modules": "The modules"}.get(c.where)
     if who is None:
@@ -231,13 +230,14 @@ def sentence(entry: Entry, start: float = 0.0) -> str:
     says = c.says
     if who == "The modules":
         says = _plural(says)
-    text = f"{who} {says.format(value=amount(entry.size, c.unit))}"
+    text = f"{who} {says.format(value=amount(entry.size * grown, c.unit))}"
     since = start + entry.shape.onset_s
     when = f"since {clock(since)}" if entry.shape.onset_s > 0.0 else "from the beginning of the record"
     if entry.shape.name == "ramp":
-        return f"{text} by the end, growing steadily {when}"
+        until = f" for {clock(entry.shape.growth_s)}" if grown >= 1.0 else ""
+        return f"{text} by the end, having grown steadily {when}{until}"
     if entry.shape.name == "saturating":
-        return f"{text} in the end, growing {when} with a time constant of {clock(entry.shape.growth_s)}"
+        return f"{text} by the end, growing {when} with a time constant of {clock(entry.shape.growth_s)}"
     return f"{text}, {when}"
 
 
@@ -365,7 +365,7 @@ def _bigger(finding: Finding, network: Network) -> Network:
 
 def _final(entry: Entry, finding: Finding) -> float:
     end = finding.contest.grid.span_s
-    return 1.0 if entry.shape.name == "step" else entry.shape.mean(end - 1.0, end, end)
+    return 1.0 if entry.shape.name == "step" else entry.shape.mean(end - 1.0, end)
 
 
 def _moved(finding: Finding, known: Basis) -> tuple[Moved, ...]:
@@ -439,7 +439,7 @@ def summarise(
         )
     assert finding.fit is not None
     start = effects[0].onset_s - finding.fit.entries[0].shape.onset_s
-    said = ". ".join(sentence(e, start) for e in finding.fit.entries)
+    said = ". ".join(sentence(e, start, _final(e, finding)) for e in finding.fit.entries)
     if verdict == "ambiguous":
         names = ", ".join(f"{a.kind.replace('_', ' ')} at {a.where}" for a in others)
         return f"{said}; but this record cannot tell that from {names}." + fit_text
