@@ -20,8 +20,14 @@ if TYPE_CHECKING:
 @click.option("--datasheet", type=INPUT_FILE, help="Start from a rig's datasheet.json instead of a twin file.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="New twin file to write.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the fit's further starting points.")
+@click.option(
+    "--initial-sd", type=click.FloatRange(min=0.0, min_open=True), default=5.0, show_default=True, metavar="K",
+    help="How firmly the state at the beginning is held to the first readings; 0.1 for a record that begins at rest.",
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-def command(record: Path, twin: Path | None, datasheet: Path | None, out: Path, seed: int, as_json: bool) -> None:
+def command(
+    record: Path, twin: Path | None, datasheet: Path | None, out: Path, seed: int, initial_sd: float, as_json: bool
+) -> None:
     """Fit the tunables of a twin to RECORD, a healthy one, and write them as a new revision.
 
     The last fifth of the record is kept out of the fit; errors before and after are of a free run over it.
@@ -44,7 +50,10 @@ def command(record: Path, twin: Path | None, datasheet: Path | None, out: Path, 
     data = read_record(record)
     data.require(*network.input_columns)
     inputs, measured = network.select(data.columns)
-    result = commission(network, data.time_s, inputs, measured, seed=seed, made_by=f"hil commission {record.name}")
+    result = commission(
+        network, data.time_s, inputs, measured,
+        seed=seed, initial_sd=initial_sd, made_by=f"hil commission {record.name}",
+    )  # fmt: skip
     save(result.network, out)
     if as_json:
         click.echo(json.dumps(_document(result, out), indent=1))
