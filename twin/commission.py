@@ -154,7 +154,7 @@ def commission(
     tempered = Prior(prior.mean, prior.precision * inflation)
     best = descend(kernel, scaling, network.values, data, best.values, best.state, tempered)
     residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
-    covariance: Array = np.linalg.inv(best.normal / inflation + prior.precision)
+    covariance = np.asarray(np.linalg.inv(best.normal / inflation + prior.precision), dtype=np.float64)
     spread = np.sqrt(np.diag(covariance)[: len(ids)])
     told = spread / scaling.prior_sd() < CANNOT_TELL
     low, high = (scaling.to_values(scaling.to_z(best.values) + s * SE90 * spread) for s in (-1.0, 1.0))

@@ -155,7 +155,9 @@ def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, dat
         weight = data.weight[new]
         centre = lanes[:, :, 0]
         readings[new] = centre
-        jacobian = ((lanes[:, :, 1:] - centre[:, :, None]) * weight[:, :, None]).reshape(-1, q)
+        difference = lanes[:, :, 1:] - centre[:, :, None]
+        difference *= weight[:, :, None]
+        jacobian = difference.reshape(-1, q)
         residual = (centre - data.measured[new]) * weight
         jtj += jacobian.T @ jacobian
         jtr += residual.ravel() @ jacobian
@@ -275,15 +277,21 @@ def descend(
 
 def _bounded_step(hessian: Array, gradient: Array, free: np.ndarray, damping: float, low: Array, high: Array) -> Array:
     """Damped step inside [low, high]; variables that would leave are put on the bound and solved around."""
+    diagonal = np.diag(hessian)
+    scale = damping * np.maximum(diagonal, 1e-12 * max(diagonal.max(), 1e-300))
+    damped = hessian + np.diag(scale)
+    if free.all():
+        step = np.asarray(-np.linalg.solve(damped, gradient), dtype=np.float64)
+        if not ((step < low) | (step > high)).any():
+            return step
     step = np.zeros_like(gradient)
     free = free.copy()
     for _ in range(gradient.size):
         if not free.any():
             break
-        h = hessian[np.ix_(free, free)]
-        pull = gradient[free] + hessian[np.ix_(free, ~free)] @ step[~free]
-        scale = damping * np.maximum(np.diag(h), 1e-12 * max(np.diag(h).max(), 1e-300))
-        step[free] = -np.linalg.solve(h + np.diag(scale), pull)
+        rows = damped[free]
+        pull = gradient[free] + rows[:, ~free] @ step[~free]
+        step[free] = -np.linalg.solve(rows[:, free], pull)
         out = free & ((step < low) | (step > high))
         if not out.any():
             break
