@@ -230,8 +230,14 @@ class Problem:
             box = np.maximum(low - v, -self._reach), np.minimum(high - v, self._reach)
             step = _bounded_step(hessian, gradient, free, damping, *box)
             predicted = -float(2.0 * gradient @ step + step @ hessian @ step)
-            if predicted <= tolerance * max(cost, 1e-300) * 1e-2 or not np.isfinite(predicted):
+            if not np.isfinite(predicted):
                 break
+            if predicted <= tolerance * max(cost, 1e-300) * 1e-2:
+                if (np.abs(step) < self._reach).all() or damping > 1e12:
+                    break
+                # Variables held at their reach one after the other need not add up to a descent; a shorter step does.
+                damping, growth = damping * growth, growth * 2.0
+                continue
             trial = v + step
             new_out = self.linearise(trial)
             new_cost = total(trial, new_out)

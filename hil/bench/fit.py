@@ -16,7 +16,6 @@ from hil.bench.report import Cell, Table
 from hil.bench.whole_record import whole_table
 from hil.terminal import Steps
 from twin.calibrators import NAMES, make
-from twin.calibrators.posterior import TOLERANCE
 from twin.gauss_newton import Data, Prior, Scaling
 from twin.gauss_newton import Problem as GaussNewton
 from twin.kernel import masked
@@ -29,8 +28,8 @@ AT_OPTIMUM = 5e-4
 DESCENT = "ours: Gauss-Newton alone"
 NO_PRIOR = 1e-10
 """Precision of the descent's prior as a share of the calibrators': enough to keep its equations regular."""
-MOST = 100
-"""Linearisations of the descent, at most; its tolerance is the calibrators'."""
+MOST, TOLERANCE = 100, 1.0e-6
+"""Linearisations of the descent, at most, and the relative decrease at which it ends."""
 SETS = ("paper4", "nine", "twelve")
 
 Peer = Callable[[Problem, int], Array]
