@@ -143,9 +143,11 @@ def test_descent_goes_on_where_several_tunables_reach_their_longest_step(loop: N
     here = scaling.to_z(loop.values[scaling.index])
     far = here + np.random.default_rng(30).normal(0.0, 2.0, len(ids)) * scaling.prior_sd()
     t, u = drive(600)
-    y = simulate(loop.with_values(dict(zip(ids, scaling.to_values(far).tolist(), strict=True))), t, u, START)
+    there = loop.values.copy()
+    there[scaling.index] = scaling.to_values(far)
+    y = simulate(loop, t, u, START, there)
     problem = Problem(kernel, scaling, loop.values, Data(t, u, *masked(y, loop.sigma)), START)
     v = np.concatenate([here, START])
     flat = Prior(v, np.diag(np.concatenate([1e-8 * np.ones(len(ids)), np.ones(START.size)])))
     fit = problem.minimise(v, flat, held=np.arange(v.size) >= len(ids), most=100)
-    assert fit.sse.sum() < 1e-6 * problem.linearise(v).sse.sum()
+    assert fit.sse.sum() < 1e-3
