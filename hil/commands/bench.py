@@ -47,7 +47,7 @@ def command(context: click.Context) -> None:
     _one_thread()
     if context.invoked_subcommand is None:
         for name, about in BENCHMARKS.items():
-            click.echo(f"{invocation()} bench {name:<8} {about}")
+            click.echo(f"{invocation()} bench {name:<10} {about}")
 
 
 def _finish(
@@ -193,3 +193,20 @@ def records_command(seed: int, out: Path | None, as_json: bool) -> None:
 
     tables, skipped = measure(_data_folder(), seed)
     _finish("records", seed, tables, skipped, out, as_json)
+
+
+@command.command("structure")
+@SEED
+@OUT
+@JSON
+def structure_command(seed: int, out: Path | None, as_json: bool) -> None:
+    """How true commissioned twins of four and of ten volumes stay over forty healthy hours of other rigs ($HIL_DATA).
+
+    \b
+    Example:
+      hil bench structure
+    """
+    from hil.bench.structure import measure
+
+    tables, skipped = measure(_data_folder(), seed)
+    _finish("structure", seed, tables, skipped, out, as_json)
