@@ -201,13 +201,32 @@ class System:
 
     @cached_property
     def rates(self) -> tuple[str, ...]:
-        """Bounds on each state's own rate, 1/s."""
+        """Bounds on each state's own rate, 1/s: of an affine row its own coefficient, else what elements declare."""
+        speeds = [self.text(s.speed) for _, f in self.parts for s in f.states]
+        late = {d.late for d in self.delays}
         rows = []
-        for j, node in enumerate(self.network.nodes):
-            found = [f"({self.text(f.conductance[node])})" for _, f in self.parts if node in f.conductance]
-            rows.append(f"({' + '.join(found) or ZERO}) * c{j}")
-        rows += [self.text(s.speed) for _, f in self.parts for s in f.states]
+        for j, (form, rest) in enumerate(self.slopes):
+            own = form.slopes.get(f"x{j}", ZERO)
+            if rest == ZERO and not late & self._behind(own):
+                rows.append(times(own, "-1.0"))
+            elif j < len(self.network.nodes):
+                node = self.network.nodes[j]
+                found = [f"({self.text(f.conductance[node])})" for _, f in self.parts if node in f.conductance]
+                rows.append(f"({' + '.join(found) or ZERO}) * c{j}")
+            else:
+                rows.append(speeds[j - len(self.network.nodes)])
         return tuple(rows)
+
+    def _behind(self, text: str) -> set[str]:
+        """Names that an expression depends on, through coefficients too."""
+        found: set[str] = set()
+        queue = [text]
+        while queue:
+            for name in names_in(queue.pop()) - found:
+                found.add(name)
+                if name in self.coefficients:
+                    queue.append(self.coefficients[name])
+        return found
 
     @cached_property
     def readings(self) -> tuple[str, ...]:

@@ -14,16 +14,17 @@ compiler turns it into vector instructions. The row offsets are literals, which 
 not overlap. A coefficient that all lanes share is a plain scalar. A kernel for one particle has one lane.
 
 Inputs are held from one sample to the next (zero-order hold). Each interval is cut into as many equal substeps
-as keep  substep * (largest bound on a state's own rate)  below STEP_LIMIT, with the largest taken over the lanes of
+as keep  substep * (largest bound on a state's own rate)  below a limit, with the largest taken over the lanes of
 the block: that keeps the error of a cooling loop below 1e-6 K, and every corner of the declared bounds stable.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import Literal
 
-from twin.affine import ZERO, Form, names_in, plus, times
+from twin.affine import ZERO, Form, names_in, plus, shared_call, times
 from twin.assembly import System, python_source
 from twin.delays import DELAY_FUNCTIONS, SLOTS, delay_lines
 from twin.network import Network
@@ -32,6 +33,9 @@ LANES = 32
 ORDER = 5
 """Order of the Taylor series for linear networks."""
 STEP_LIMIT = 0.2
+FEW = 5
+"""Networks of more states than this are stiffer: one step of a higher order costs less than several."""
+HIGH_ORDER, HIGH_ORDER_LIMIT = 8, 0.55
 MOST_STEPS = 1.0e6
 """Substeps in one sample interval, at most."""
 OUTLINE_LINES = 60
@@ -90,9 +94,13 @@ class _Kernel:
         self.k, self.m = len(s.states), len(s.readings)
         self.rows: dict[str, int] = {}
         self.functions: list[str] = []
+        self.table: dict[str, int] = {}
         self.parameters = {f"p{i}": row for row, i in enumerate(network.index(lane_ids))}
         for name in (*self.states(), *self.memories(), *self.parameters):
             self.row(name)
+        self.constants = list(dict.fromkeys(f.constant for f in s.followers))
+        self.order = ORDER if self.k <= FEW else HIGH_ORDER
+        self.step_limit = STEP_LIMIT if self.order == ORDER or not s.linear else HIGH_ORDER_LIMIT
         self.delays = delay_lines(s, self) if s.delays else None
         self._levels()
 
@@ -121,7 +129,9 @@ class _Kernel:
             self.row(name)
         for c in s.driven:
             self.row(f"u{c}")
-        for name, text in s.coefficients.items():
+        self.texts: dict[str, str] = {}
+        for name, text in self._hoisted():
+            self.texts[name] = text
             needed = names_in(text)
             inputs = {int(n[1:]) for n in needed if re.fullmatch(r"u\d+", n)}
             self.uses[name] = frozenset(inputs).union(*(self.uses.get(n, frozenset()) for n in needed))
@@ -137,10 +147,23 @@ class _Kernel:
         self.slow |= inputs
         self.fast = frozenset().union(*self.uses.values()) - self.slow if self.uses else frozenset()
 
+    def _hoisted(self) -> Iterator[tuple[str, str]]:
+        """Coefficients, with the function calls in them that all lanes share as coefficients of their own."""
+        count = 0
+        for name, text in self.system.coefficients.items():
+            while names_in(text) & self.rows.keys():
+                shared = shared_call(text, self.rows.keys())
+                if shared is None:
+                    break
+                yield f"shared_{count}", shared
+                text = text.replace(shared, f"shared_{count}")
+                count += 1
+            yield name, text
+
     def coefficients(self, pick: str, late: bool, lane: bool) -> list[str]:
         """Assignments of one level: ``fixed``, ``slow`` or ``fast``; of lanes or of scalars."""
         out = []
-        for name, text in self.system.coefficients.items():
+        for name, text in self.texts.items():
             inputs = self.uses[name]
             level = "fixed" if not inputs else "slow" if inputs <= self.slow else "fast"
             if late and level == "fixed" and name in self.late:
@@ -173,14 +196,18 @@ class _Kernel:
             return lines
         assigned = {"l", "W", *(line.strip().partition(" = ")[0] for line in lines)}
         scalars = sorted({n for line in lines for n in _NAME.findall(line)} - assigned - _WORDS)
+        self.define(name, f"f8[::1]{', f8' * len(scalars)}", ", ".join(["W", *scalars]), lines)
+        return [f"{name}({', '.join(['W', *scalars])})"]
+
+    def define(self, name: str, types: str, arguments: str, lines: list[str]) -> None:
+        """A compiled function beside the kernel."""
         self.functions += [
-            f"@nb.njit('void(f8[::1]{', f8' * len(scalars)})', cache=True, fastmath=FAST, error_model='numpy')",
-            f"def {name}({', '.join(['W', *scalars])}):",
+            f"@nb.njit('void({types})', cache=True, fastmath=FAST, error_model='numpy')",
+            f"def {name}({arguments}):",
             *indent(lines),
             "",
             "",
         ]
-        return [f"{name}({', '.join(['W', *scalars])})"]
 
     # --- one interval ---------------------------------------------------------------------------------------
 
@@ -214,20 +241,18 @@ class _Kernel:
     def refresh(self) -> list[str]:
         """Coefficients whose inputs have changed, the step, and what depends on the step."""
         s, lanes = self.system, self.lanes
-        bounds = ["rate = 0.0", *(f"rate = max(rate, {r})" for r in dict.fromkeys(s.rates))]
-        slow = self.coefficients("slow", late=False, lane=False)
-        at, half = self.row("rate") * lanes, lanes // 2
-        bounds.append(f"W[{at} + l] = rate")
-        slow += self.outlined("renew", [*self.coefficients("slow", late=False, lane=True), *bounds])
-        while half >= 8:
-            slow += [f"for l in range({half}):", f"    W[{at} + l] = max(W[{at} + l], W[{at + half} + l])"]
-            half //= 2
-        slow += ["limit = 0.0", f"for l in range({min(lanes, 8)}):", f"    limit = max(limit, W[{at} + l])"]
+        at = self.row("rate") * lanes
+        # Most often one substep does for all lanes; counting those for which it does not is a vector operation,
+        # finding the largest rate is not.
+        rates = [*(f"rate = max(rate, {r})" for r in dict.fromkeys(s.rates)), f"W[{at} + l] = rate"]
+        body = ["rate = 0.0", *self.coefficients("slow", late=False, lane=True), *rates, "fast += int(rate > limit)"]
+        slow = [*self.shared("slow"), "limit = STEP_LIMIT / max(dt, 1e-30)", "fast = 0", *self.loop(body)]
+        slow += ["if fast > 0:", f"    for l in range({lanes}):", f"        limit = max(limit, W[{at} + l])"]
         stepwise = [
             # Beyond LONGEST / limit the inputs have been constant for so many time constants that more of
             # the same changes nothing; without the cut a gap of months would take minutes.
-            "dt = min(time[i + 1] - time[i], LONGEST / max(limit, 1e-30))",
-            "steps = int(dt * limit * PER_STEP) + 1",
+            "dt = min(dt, LONGEST / limit)",
+            "steps = max(int(np.ceil(dt * limit * PER_STEP - 1e-9)), 1)",
             "h = dt / steps",
         ]
         on_step = self.followers_refresh()
@@ -235,11 +260,11 @@ class _Kernel:
             on_step = [*self.delays.refresh(), *on_step]
         on_step += self.coefficients("slow", late=True, lane=False)
         on_step += self.outlined("renew_late", self.coefficients("slow", late=True, lane=True))
-        fast = [line for late in (False, True) for line in self.coefficients("fast", late=late, lane=False)]
+        fast = [*self.shared("fast"), *self.coefficients("fast", late=True, lane=False)]
         body = [x for late in (False, True) for x in self.coefficients("fast", late=late, lane=True)]
         fast += self.outlined("renew_offsets", body)
-        new = f"i == {self.first} or {self.changed(self.slow)}"
-        out = [f"new = {new}", "if new:", *indent(slow), *stepwise]
+        new = f"i == first or abs(dt - known_dt) > 1e-9 * dt or {self.changed(self.slow)}"
+        out = ["dt = time[i + 1] - time[i]", f"new = {new}", "if new:", "    known_dt = dt", *indent(slow), *stepwise]
         if on_step:
             out += ["if new or abs(h - known_h) > 1e-9 * h:", *indent(["known_h = h", "fresh = True", *on_step])]
             out += ["    new = True"]
@@ -247,15 +272,39 @@ class _Kernel:
             out += [f"if new or {self.changed(self.fast)}:", *indent(fast)]
         return out
 
+    def shared(self, level: str) -> list[str]:
+        """Coefficients that all lanes share: looked up for a swarm, which would compute them in every block."""
+        lines = self.coefficients(level, late=False, lane=False)
+        names = [line.partition(" = ")[0] for line in lines]
+        if self.lanes == 1:
+            return lines
+        return [f"{name} = S[i, {self.table.setdefault(name, len(self.table))}]" for name in names]
+
+    def tabulate(self) -> list[str]:
+        """Fill the table of the coefficients that all lanes share, sample by sample."""
+        if not self.table:
+            return []
+        columns = {int(c) for name in self.table for c in self.uses[name]}
+        again = " or ".join(f"inputs[i, {c}] != inputs[i - 1, {c}]" for c in sorted(columns))
+        level = [line for pick in ("slow", "fast") for line in self.coefficients(pick, late=False, lane=False)]
+        body = [f"u{c} = inputs[i, {c}]" for c in sorted(columns)] + level
+        return [
+            f"S = np.empty((n, {len(self.table)}))",
+            "for i in range(n):",
+            f"    if i == 0 or {again}:",
+            *indent(indent(body)),
+            *[f"    S[i, {column}] = {name}" for name, column in self.table.items()],
+        ]
+
     def followers_refresh(self) -> list[str]:
         body: list[str] = []
-        for j, f in enumerate(self.system.followers):
-            for name in (f"ratio{j}", f"decay{j}"):
+        for g, constant in enumerate(self.constants):
+            for name in (f"ratio{g}", f"decay{g}"):
                 self.row(name)
             body += [
-                f"ratio{j} = ({f.constant}) / max(h, 1e-12)",
-                f"{self.at(f'ratio{j}')} = ratio{j}",
-                f"{self.at(f'decay{j}')} = exp(-1.0 / max(ratio{j}, 1e-12))",
+                f"ratio{g} = ({constant}) / max(h, 1e-12)",
+                f"{self.at(f'ratio{g}')} = ratio{g}",
+                f"{self.at(f'decay{g}')} = exp(-1.0 / max(ratio{g}, 1e-12))",
             ]
         return self.loop(body)
 
@@ -287,13 +336,14 @@ class _Kernel:
         for j, f in enumerate(self.system.followers):
             first = renamed(ordered(Form(f.of.slopes)), {f"x{i}": f"e{i}" for i in k} | self.starts_of_delays("Da"))
             here = self.starts_of_delays("Ds")
+            g = self.constants.index(f.constant)
             lines += [
                 f"t0 = {renamed(ordered(f.of), here)}",
                 f"t1 = {renamed(ordered(f.of), new)}",
                 f"t2 = {first}",
                 "bend = 2.0 * (t1 - t0 - t2)",
-                f"slope = t2 + bend - ratio{j} * bend",
-                f"f{j} = t1 - ratio{j} * slope + decay{j} * (f{j} - t0 + ratio{j} * (t2 - ratio{j} * bend))",
+                f"slope = t2 + bend - ratio{g} * bend",
+                f"f{j} = t1 - ratio{g} * slope + decay{g} * (f{j} - t0 + ratio{g} * (t2 - ratio{g} * bend))",
                 f"{self.at(f'f{j}')} = f{j}",
             ]
         if self.delays:
@@ -309,10 +359,10 @@ class _Kernel:
         x_i = x + h/(s + 1 - i) f(x_(i-1)), i = 1 .. s: of order s, as Horner's scheme of exp.
         """
         k, y, lines = range(self.k), self.states(), list[str]()
-        for i in range(ORDER, 0, -1):
+        for i in range(self.order, 0, -1):
             last = i == 1
             lines += self.slopes(y, "D", f"s{i}")
-            if i == ORDER and self.system.followers:
+            if i == self.order and self.system.followers:
                 lines += [f"e{j} = h * k{j}s{i}" for j in k]
             y = [f"n{j}" if last else f"y{j}s{i}" for j in k]
             lines += [f"{y[j]} = x{j} + {'h' if last else f'h{i}'} * k{j}s{i}" for j in k]
@@ -326,7 +376,7 @@ class _Kernel:
         assert self.delays is not None
         k, lines = range(self.k), self.delays.polynomials()
         y, outlets, total = self.states(), "Ds", self.states()
-        for i in range(1, ORDER + 1):
+        for i in range(1, self.order + 1):
             names = {f"x{j}": y[j] for j in k} | self.starts_of_delays(outlets)
             for j, (form, _) in enumerate(self.system.slopes):
                 slopes = {v: t for v, t in form.slopes.items() if outlets or v.startswith("x")}
@@ -381,8 +431,6 @@ class _Kernel:
             block += [f"if w{j} != 0.0:", *indent(inner)]
         return block
 
-    first = "first"
-
     def block(self) -> list[str]:
         """One block of lanes from the first sample to the last."""
         s, n = self.system, self.lanes
@@ -414,7 +462,12 @@ class _Kernel:
         interval = [f"u{c} = inputs[i, {c}]" for c in range(len(self.network.input_columns)) if c not in s.driven]
         interval += [*self.observe("i"), *self.drive(), *refresh]
         interval += [*[f"h{i} = h / {i}.0" for i in range(2, 9)], "for step in range(steps):", *indent(inner)]
-        lines += ["limit = 0.0", "known_h = -1.0", "fresh = True", "for i in range(first, n - 1):", *indent(interval)]
+        lines += [
+            "limit = 0.0",
+            "known_dt, known_h, fresh = -1.0, -1.0, True",
+            "for i in range(first, n - 1):",
+            *indent(interval),
+        ]
         lines += self.observe("n - 1")
         leave = [f"end[b, {j}, l] = W[{self.row(name) * n} + l]" for j, name in enumerate(remembered)]
         if cost:
@@ -438,7 +491,7 @@ class _Kernel:
         if self.delays:
             head += self.delays.head()
         head += [f"p{i} = base[{i}]" for i in range(len(self.network.ids)) if f"p{i}" not in self.parameters]
-        head += self.coefficients("fixed", late=False, lane=False)
+        head += [*self.coefficients("fixed", late=False, lane=False), *self.tabulate()]
         jit = f"{_SIGNATURE[self.mode]!r}, cache=True, fastmath=FAST, nogil=True, error_model='numpy'"
         functions = _FUNCTIONS + (_ARRIVED if any(d.dead_time for _, d in s.drives) else "")
         return "\n".join(
@@ -452,8 +505,9 @@ class _Kernel:
                 "",
                 f"LANES = {n}",
                 f"SLOTS = {SLOTS}",
-                f"PER_STEP = {1.0 / STEP_LIMIT!r}",
-                f"LONGEST = {MOST_STEPS * STEP_LIMIT!r}",
+                f"STEP_LIMIT = {self.step_limit!r}",
+                f"PER_STEP = {1.0 / self.step_limit!r}",
+                f"LONGEST = {MOST_STEPS * self.step_limit!r}",
                 "FAST = {'contract', 'nsz', 'arcp'}",
                 "",
                 functions,

@@ -32,55 +32,22 @@ DELAY_FUNCTIONS = '''
 @nb.njit('i8(f8[::1], i8, i8, f8, i8)', cache=True)
 def seek(H, v, s, y, tip):
     """Slot that holds volume y, from slot s on; boundaries older than tip + 1 are gone."""
-    while s != ((tip + 1) & (SLOTS - 1)) and H[v + s * LANES] > y:
+    while s != ((tip + 1) & (SLOTS - 1)) and H[v + s * 2 * LANES] > y:
         s = (s - 1) & (SLOTS - 1)
-    while ((s + 1) & (SLOTS - 1)) != tip and H[v + ((s + 1) & (SLOTS - 1)) * LANES] < y:
+    while ((s + 1) & (SLOTS - 1)) != tip and H[v + ((s + 1) & (SLOTS - 1)) * 2 * LANES] < y:
         s = (s + 1) & (SLOTS - 1)
     return s
 
 
-@nb.njit('i8(f8[::1], f8[::1], i8, i8, i8, i8, i8, i8, i8, i8, f8, b1)', cache=True, fastmath=FAST, error_model='numpy')
-def look(H, W, v, w, now, flow, far, out, s, tip, ahead, tight):
-    """Water that comes out `ahead` seconds from now, for all lanes, into row `out`; the slot of lane 0."""
-    s = seek(H, v, s, W[now] + ahead * W[flow] - W[far], tip)
-    if tight:
-        here, then, width = v + s * LANES, w + ((s + 1) & (SLOTS - 1)) * LANES, v + (SLOTS + s) * LANES
-        first, slope = w + s * LANES, w + (SLOTS + s) * LANES
-        for l in range(LANES):
-            r = (W[now + l] + ahead * W[flow + l] - W[far + l] - H[here + l]) * H[width + l]
-            a, m = H[first + l], H[slope + l]
-            W[out + l] = a + r * (m + r * (H[then + l] - a - m))
-        return s
+@nb.njit('void(f8[::1], f8[::1], i8, i8, i8, i8, i8, i8, i8, i8, f8)', cache=True, error_model='numpy')
+def look_apart(H, W, v, w, now, flow, far, out, s, tip, ahead):
+    """Water that comes out `ahead` seconds from now, into row `out`: every lane looks for its own slot."""
     for l in range(LANES):
         y = W[now + l] + ahead * W[flow + l] - W[far + l]
         own = seek(H, v + l, s, y, tip)
-        r = (y - H[v + own * LANES + l]) * H[v + (SLOTS + own) * LANES + l]
-        a, m = H[w + own * LANES + l], H[w + (SLOTS + own) * LANES + l]
-        W[out + l] = a + r * (m + r * (H[w + ((own + 1) & (SLOTS - 1)) * LANES + l] - a - m))
-    return s
-
-
-@nb.njit('void(f8[::1], f8[::1], i8, i8, i8, i8, i8, f8)', cache=True, fastmath=FAST, error_model='numpy')
-def move(H, W, v, now, flow, i, j, h):
-    """Volume at the end of a step, from boundary i to boundary j."""
-    for l in range(LANES):
-        y = W[now + l] + W[flow + l] * h
-        W[now + l] = y
-        H[v + j * LANES + l] = y
-        H[v + (SLOTS + i) * LANES + l] = 1.0 / max(y - H[v + i * LANES + l], 1e-12)
-
-
-@nb.njit('void(f8[::1], f8[::1], i8, i8, i8, i8, i8, b1)', cache=True, fastmath=FAST, error_model='numpy')
-def note(H, W, w, water, slope, i, j, whole):
-    """Water at boundary j; a slot that one step fills keeps its slope, any other is a straight line."""
-    for l in range(LANES):
-        H[w + j * LANES + l] = W[water + l]
-    if whole:
-        for l in range(LANES):
-            H[w + (SLOTS + i) * LANES + l] = W[slope + l]
-    else:
-        for l in range(LANES):
-            H[w + (SLOTS + i) * LANES + l] = W[water + l] - H[w + i * LANES + l]
+        r = (y - H[v + own * 2 * LANES + l]) * H[v + (own * 2 + 1) * LANES + l]
+        at = w + own * 3 * LANES + l
+        W[out + l] = H[at] + r * (H[at + LANES] + r * H[at + 2 * LANES])
 '''
 
 
@@ -103,18 +70,21 @@ class DelayLines:
                 kernel.row(name)
 
     def _v(self, g: int) -> int:
-        """Offset in H of the volumes of flow g; one over the widths of the slots follow."""
+        """Offset in H of flow g: per slot the volume at which it begins, and one over its width."""
         return 2 * g * SLOTS * self.lanes
 
     def _w(self, p: int) -> int:
-        """Offset in H of the water of delay p; its slopes follow."""
-        return 2 * (len(self.flows) + p) * SLOTS * self.lanes
+        """Offset in H of delay p: per slot the coefficients of 1, r and r^2."""
+        return (2 * len(self.flows) + 3 * p) * SLOTS * self.lanes
 
-    def _in_slot(self, offset: int, slot: str) -> str:
-        return f"H[{offset} + {slot} * {self.lanes} + l]"
+    def _volume(self, g: int, slot: str, part: int = 0) -> str:
+        return f"H[{slot} * {2 * self.lanes} + {self._v(g) + part * self.lanes} + l]"
+
+    def _water(self, p: int, slot: str, part: int = 0) -> str:
+        return f"H[{slot} * {3 * self.lanes} + {self._w(p) + part * self.lanes} + l]"
 
     def head(self) -> list[str]:
-        return [f"H = np.zeros({2 * (len(self.flows) + len(self.delays)) * SLOTS * self.lanes})"]
+        return [f"H = np.zeros({(2 * len(self.flows) + 3 * len(self.delays)) * SLOTS * self.lanes})"]
 
     def enter(self) -> list[str]:
         """Fill the lines: with what `past` holds, or with the water at rest."""
@@ -122,12 +92,11 @@ class DelayLines:
         row = 0
         lines: list[str] = []
         for g in self.flows:
-            v = self._v(g)
-            rest += [f"{self._in_slot(v, 'e')} = (e - SLOTS + 1) * {NEVER!r}"]
-            rest += [f"{self._in_slot(v + SLOTS * self.lanes, 'e')} = {1.0 / NEVER!r}"]
-            load += [f"{self._in_slot(v, 'e')} = past[b, {row} + e, l]"]
-            width = f"past[b, {row} + min(e + 1, SLOTS - 1), l] - past[b, {row} + e, l]"
-            load += [f"{self._in_slot(v + SLOTS * self.lanes, 'e')} = 1.0 / max({width}, 1e-12)"]
+            rest += [f"{self._volume(g, 'e')} = (e - SLOTS + 1) * {NEVER!r}"]
+            rest += [f"{self._volume(g, 'e', 1)} = {1.0 / NEVER!r}"]
+            load += [f"{self._volume(g, 'e')} = past[b, {row} + e, l]"]
+            width = f"past[b, {row} + after, l] - past[b, {row} + e, l]"
+            load += [f"{self._volume(g, 'e', 1)} = 1.0 / max({width}, 1e-12)"]
             row += SLOTS
             lines += [f"since{g} = 0", f"if past.shape[0] > 0: since{g} = int(past[b, {row}, 0])"]
             lines += [f"tip{g} = SLOTS - 1", f"i{g} = SLOTS - 1 if since{g} == 0 else SLOTS - 2"]
@@ -135,13 +104,13 @@ class DelayLines:
             row += 1
             for p, delay in enumerate(self.delays):
                 if delay.line == g:
-                    w = self._w(p)
-                    rest += [f"{self._in_slot(w, 'e')} = {delay.start}"]
-                    rest += [f"{self._in_slot(w + SLOTS * self.lanes, 'e')} = 0.0"]
-                    load += [f"{self._in_slot(w, 'e')} = past[b, {row} + e, l]"]
-                    load += [f"{self._in_slot(w + SLOTS * self.lanes, 'e')} = past[b, {row + SLOTS} + e, l]"]
+                    a, m = f"past[b, {row} + e, l]", f"past[b, {row + SLOTS} + e, l]"
+                    values = (a, m, f"past[b, {row} + after, l] - {a} - {m}")
+                    rest += [f"{self._water(p, 'e', n)} = {v}" for n, v in enumerate((delay.start, "0.0", "0.0"))]
+                    load += [f"{self._water(p, 'e', n)} = {v}" for n, v in enumerate(values)]
                     row += 2 * SLOTS
                     lines.append(f"s{p} = SLOTS - 2")
+        load = ["after = min(e + 1, SLOTS - 1)", *load]
         lines += ["if past.shape[0] > 0:", "    for e in range(SLOTS):", *_in(k.loop(load), 2)]
         lines += ["else:", "    for e in range(SLOTS):", *_in(k.loop(rest), 2)]
         return lines + k.loop([f"{k.at(f'v{g}')} = 0.0" for g in self.flows])
@@ -176,19 +145,39 @@ class DelayLines:
     def look(self) -> list[str]:
         """Outlets at the start, the middle and the end of the step."""
         out, fresh = list[str](), list[str]()
-        for p, delay in enumerate(self.delays):
-            g, row = delay.line, {n: self.kernel.row(n) * self.lanes for n in (f"v{delay.line}", f"q{delay.line}")}
-
-            def call(
-                target: str, ahead: str, p: int = p, g: int = g, at: tuple[int, int] = (row[f"v{g}"], row[f"q{g}"])
-            ) -> str:
-                far, to = (self.kernel.row(n) * self.lanes for n in (f"far{p}", f"{target}{p}"))
-                places = f"{self._v(g)}, {self._w(p)}, {at[0]}, {at[1]}, {far}, {to}"
-                return f"s{p} = look(H, W, {places}, s{p}, tip{g}, {ahead}, tight{g})"
-
-            fresh.append(call("Ds", "0.0"))
-            out += [call("Dm", "h2"), call("De", "h")]
+        for p in range(len(self.delays)):
+            fresh += self._look(p, "start", (("Ds", "0.0"),))
+            out += self._look(p, "later", (("Dm", "h2"), ("De", "h")))
         return ["if fresh:", *_in(fresh), "    fresh = False", *out]
+
+    def _look(self, p: int, name: str, targets: tuple[tuple[str, str], ...]) -> list[str]:
+        """Look-ups of one delay: slots from lane 0, then one loop over lanes, or each lane for itself."""
+        k, g = self.kernel, self.delays[p].line
+        row = {n: k.row(n) * self.lanes for n in (f"v{g}", f"q{g}", f"far{p}")}
+        lines, apart, body, slots = list[str](), list[str](), list[str](), list[str]()
+        for n, (target, ahead) in enumerate(targets):
+            y = f"W[{row[f'v{g}']}] + {ahead} * W[{row[f'q{g}']}] - W[{row[f'far{p}']}]"
+            lines.append(f"s{p} = seek(H, {self._v(g)}, s{p}, {y}, tip{g})")
+            slots.append(f"t{p}{n}")
+            lines.append(f"t{p}{n} = s{p}")
+            places = f"{self._v(g)}, {self._w(p)}, {row[f'v{g}']}, {row[f'q{g}']}, {row[f'far{p}']}"
+            to = k.row(f"{target}{p}") * self.lanes
+            apart.append(f"look_apart(H, W, {places}, {to}, s{p}, tip{g}, {ahead})")
+            s = f"t{n}"
+            parts = [self._water(p, s, part) for part in range(3)]
+            body += [
+                f"r = (v{g} + ahead{n} * q{g} - far{p} - {self._volume(g, s)}) * {self._volume(g, s, 1)}",
+                f"W[{to} + l] = {parts[0]} + r * ({parts[1]} + r * {parts[2]})",
+            ]
+        # Few places in H to a function, and rows of W at literal offsets: more, and the compiler gives up proving
+        # that they do not overlap.
+        names = [f"t{n}" for n in range(len(targets))], [f"ahead{n}" for n in range(len(targets))]
+        k.define(
+            f"{name}{p}", "f8[::1], f8[::1]" + ", i8" * len(targets) + ", f8" * len(targets),
+            ", ".join(["H", "W", *names[0], *names[1]]), [*map(_positive, names[0]), *k.loop(body)],
+        )  # fmt: skip
+        call = f"{name}{p}(H, W, {', '.join([*slots, *(ahead for _, ahead in targets)])})"
+        return [*lines, f"if tight{g}:", f"    {call}", "else:", *_in(apart)]
 
     def polynomials(self) -> list[str]:
         """Outlets over the step as Ds + Da r + Db r^2."""
@@ -214,21 +203,40 @@ class DelayLines:
 
     def advance(self) -> list[str]:
         """Remember what has entered, and close slots that are wide enough."""
-        out = []
-        rows = {name: row * self.lanes for name, row in self.kernel.rows.items()}
+        k, out = self.kernel, list[str]()
         for g in self.flows:
-            v = self._v(g)
-            out.append(f"move(H, W, {v}, {rows[f'v{g}']}, {rows[f'q{g}']}, i{g}, j{g}, h)")
+            body = [
+                f"v{g} = v{g} + q{g} * h",
+                f"{k.at(f'v{g}')} = v{g}",
+                f"{self._volume(g, 'j')} = v{g}",
+                f"{self._volume(g, 'i', 1)} = 1.0 / max(v{g} - {self._volume(g, 'i')}, 1e-12)",
+            ]
+            k.define(
+                f"move{g}", "f8[::1], f8[::1], i8, i8, f8", "H, W, i, j, h", [*map(_positive, "ij"), *k.loop(body)]
+            )
+            out.append(f"move{g}(H, W, i{g}, j{g}, h)")
             for p, delay in enumerate(self.delays):
                 if delay.line == g:
-                    out.append(
-                        f"note(H, W, {self._w(p)}, {rows[f'wn{p}']}, {rows[f'ws{p}']}, i{g}, j{g}, since{g} == 0)"
+                    # A slot that one step fills keeps the slope at its start, any other is a straight line.
+                    body = [
+                        f"rise = wn{p} - {self._water(p, 'i')}",
+                        f"slope = whole * ws{p} + (1.0 - whole) * rise",
+                        f"{self._water(p, 'i', 1)} = slope",
+                        f"{self._water(p, 'i', 2)} = rise - slope",
+                        f"{self._water(p, 'j')} = wn{p}",
+                    ]
+                    k.define(
+                        f"note{p}",
+                        "f8[::1], f8[::1], i8, i8, f8",
+                        "H, W, i, j, whole",
+                        [*map(_positive, "ij"), *k.loop(body)],
                     )
-            width = f"H[{v} + j{g} * {self.lanes}] - H[{v} + i{g} * {self.lanes}]"
+                    out.append(f"note{p}(H, W, i{g}, j{g}, 1.0 if since{g} == 0 else 0.0)")
+            volume = [f"H[{s}{g} * {2 * self.lanes} + {self._v(g)}]" for s in "ji"]
             out += [
                 f"since{g} += 1",
                 f"tip{g} = j{g}",
-                f"if {width} >= closing{g}:",
+                f"if {volume[0]} - {volume[1]} >= closing{g}:",
                 f"    i{g} = j{g}",
                 f"    since{g} = 0",
                 f"j{g} = (i{g} + 1) & (SLOTS - 1)",
@@ -241,14 +249,15 @@ class DelayLines:
         row = 0
         for g in self.flows:
             slot = f"((tip{g} + 1 + e) & (SLOTS - 1))"
-            body.append(f"future[b, {row} + e, l] = {self._in_slot(self._v(g), slot)} - v{g}")
+            body.append(f"future[b, {row} + e, l] = {self._volume(g, slot)} - v{g}")
             extra.append(f"future[b, {row + SLOTS}, l] = since{g}")
             row += SLOTS + 1
             for p, delay in enumerate(self.delays):
                 if delay.line == g:
-                    w = self._w(p)
-                    body.append(f"future[b, {row} + e, l] = {self._in_slot(w, slot)}")
-                    body.append(f"future[b, {row + SLOTS} + e, l] = {self._in_slot(w + SLOTS * self.lanes, slot)}")
+                    body += [
+                        f"future[b, {row} + e, l] = {self._water(p, slot)}",
+                        f"future[b, {row + SLOTS} + e, l] = {self._water(p, slot, 1)}",
+                    ]
                     row += 2 * SLOTS
         lines = ["if future.shape[0] > 0:", "    for e in range(SLOTS):", *_in(k.loop(body), 2)]
         return lines + _in(k.loop(extra))
@@ -256,6 +265,11 @@ class DelayLines:
 
 def delay_lines(system: System, kernel: _Kernel) -> DelayLines:
     return DelayLines(system, kernel)
+
+
+def _positive(slot: str) -> str:
+    """Tells the compiler that an index is not negative: no wrapping round, so the loop over lanes has one stride."""
+    return f"{slot} = {slot} & (SLOTS - 1)"
 
 
 def _in(lines: list[str], depth: int = 1) -> list[str]:
