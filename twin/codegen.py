@@ -24,22 +24,16 @@ import re
 from collections.abc import Iterator
 from typing import Literal
 
-from twin.affine import ZERO, Form, names_in, plus, shared_call, times
+from twin.affine import names_in, shared_call
 from twin.assembly import System, python_source
-from twin.delays import DELAY_FUNCTIONS, SLOTS, delay_lines
+from twin.delays import SLOTS, delay_lines
+from twin.integrators import NAME, PAIRS, Integrator
 from twin.network import Network
 
 LANES = 32
-ORDER = 5
-"""Order of the Taylor series for linear networks."""
-STEP_LIMIT = 0.2
-FEW = 5
-"""Networks of more states than this are stiffer: one step of a higher order costs less than several."""
-HIGH_ORDER, HIGH_ORDER_LIMIT = 8, 0.55
 MOST_STEPS = 1.0e6
 """Substeps in one sample interval, at most."""
 OUTLINE_LINES = 60
-_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")  # not the e of 1.0e-5
 _WORDS = {"for", "in", "range", "max", "min", "exp", "log", "abs", "if", "else"}
 Mode = Literal["cost", "trace", "gram"]
 MODES: tuple[Mode, ...] = ("cost", "trace", "gram")
@@ -82,13 +76,20 @@ def arrived(time, inputs, column, i, dead):
 '''
 
 
-def kernel_source(network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int = LANES) -> str:
-    """Source of one kernel. `lane_ids` are the parameters that may differ from particle to particle."""
-    return _Kernel(network, mode, lane_ids, lanes).source()
+def kernel_source(
+    network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int = LANES, alike: bool = True
+) -> str:
+    """Source of one kernel.
+
+    Args:
+        lane_ids: the parameters that may differ from particle to particle.
+        alike: whether the water in delay lines has been pushed the same way in all lanes before the first sample.
+    """
+    return _Kernel(network, mode, lane_ids, lanes, alike).source()
 
 
 class _Kernel:
-    def __init__(self, network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int) -> None:
+    def __init__(self, network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int, alike: bool) -> None:
         self.network, self.mode, self.lanes = network, mode, lanes
         self.system = s = System(network, lane_ids)
         self.k, self.m = len(s.states), len(s.readings)
@@ -98,11 +99,18 @@ class _Kernel:
         self.parameters = {f"p{i}": row for row, i in enumerate(network.index(lane_ids))}
         for name in (*self.states(), *self.memories(), *self.parameters):
             self.row(name)
-        self.constants = list(dict.fromkeys(f.constant for f in s.followers))
-        self.order = ORDER if self.k <= FEW else HIGH_ORDER
-        self.step_limit = STEP_LIMIT if self.order == ORDER or not s.linear else HIGH_ORDER_LIMIT
-        self.delays = delay_lines(s, self) if s.delays else None
+        for c in s.driven:
+            self.row(f"u{c}")
+        alike = lanes == 1 or (alike and self._pushed_alike())
+        self.delays = delay_lines(s, self, alike) if s.delays else None
+        self.integrator = Integrator(self)
         self._levels()
+
+    def _pushed_alike(self) -> bool:
+        """Whether no flow or volume of a delay differs between lanes."""
+        s = self.system
+        texts = [*s.flows, *(d.volume for d in s.delays)]
+        return not any(s.behind(text) & self.rows.keys() for text in texts)
 
     def states(self) -> list[str]:
         return [f"x{j}" for j in range(self.k)]
@@ -125,10 +133,6 @@ class _Kernel:
         late = {d.late for d in s.delays}
         self.uses: dict[str, frozenset[int]] = {}
         self.late: set[str] = set(late)
-        for name in late:
-            self.row(name)
-        for c in s.driven:
-            self.row(f"u{c}")
         self.texts: dict[str, str] = {}
         for name, text in self._hoisted():
             self.texts[name] = text
@@ -182,20 +186,20 @@ class _Kernel:
         loads: list[str] = []
         for line in body:
             target, _, value = line.partition(" = ")
-            for name in _NAME.findall(value if value else line):
+            for name in NAME.findall(value if value else line):
                 if name in self.rows and name not in known:
                     known.add(name)
                     loads.append(f"{name} = {self.at(name)}")
             known.add(target.strip())
         return [f"for l in range({self.lanes}):", *indent([*loads, *body])]
 
-    def outlined(self, name: str, body: list[str]) -> list[str]:
+    def outlined(self, name: str, body: list[str], always: bool = False) -> list[str]:
         """A loop over lanes as a function of its own: compilers take more than twice as long for twice the text."""
         lines = self.loop(body)
-        if len(lines) < OUTLINE_LINES:
+        if len(lines) < OUTLINE_LINES and not always:
             return lines
         assigned = {"l", "W", *(line.strip().partition(" = ")[0] for line in lines)}
-        scalars = sorted({n for line in lines for n in _NAME.findall(line)} - assigned - _WORDS)
+        scalars = sorted({n for line in lines for n in NAME.findall(line)} - assigned - _WORDS)
         self.define(name, f"f8[::1]{', f8' * len(scalars)}", ", ".join(["W", *scalars]), lines)
         return [f"{name}({', '.join(['W', *scalars])})"]
 
@@ -244,9 +248,18 @@ class _Kernel:
         at = self.row("rate") * lanes
         # Most often one substep does for all lanes; counting those for which it does not is a vector operation,
         # finding the largest rate is not.
-        rates = [*(f"rate = max(rate, {r})" for r in dict.fromkeys(s.rates)), f"W[{at} + l] = rate"]
-        body = ["rate = 0.0", *self.coefficients("slow", late=False, lane=True), *rates, "fast += int(rate > limit)"]
-        slow = [*self.shared("slow"), "limit = STEP_LIMIT / max(dt, 1e-30)", "fast = 0", *self.loop(body)]
+        body = ["rate = 0.0", *self.coefficients("slow", late=False, lane=True)]
+        body += [*(f"rate = max(rate, {r})" for r in dict.fromkeys(s.rates)), f"W[{at} + l] = rate"]
+        body.append("fast += int(rate > limit)")
+        slow = [*self.shared("slow"), "limit = STEP_LIMIT / max(dt, 1e-30)", "fast = 0"]
+        if self.integrator.paired:
+            slow += [f"limit{n} = {z!r} / max(dt, 1e-30)" for n, (z, _) in enumerate(PAIRS[:-1])]
+            slow += [f"fast{n} = 0" for n in range(len(PAIRS) - 1)]
+            body += [f"fast{n} += int(rate > limit{n})" for n in range(len(PAIRS) - 1)]
+        slow += self.loop(body)
+        if self.integrator.paired:
+            slow += [f"pairs = {PAIRS[0][1]}"]
+            slow += [f"if fast{n} > 0: pairs = {PAIRS[n + 1][1]}" for n in range(len(PAIRS) - 1)]
         slow += ["if fast > 0:", f"    for l in range({lanes}):", f"        limit = max(limit, W[{at} + l])"]
         stepwise = [
             # Beyond LONGEST / limit the inputs have been constant for so many time constants that more of
@@ -255,7 +268,7 @@ class _Kernel:
             "steps = max(int(np.ceil(dt * limit * PER_STEP - 1e-9)), 1)",
             "h = dt / steps",
         ]
-        on_step = self.followers_refresh()
+        on_step = self.integrator.refresh()
         if self.delays:
             on_step = [*self.delays.refresh(), *on_step]
         on_step += self.coefficients("slow", late=True, lane=False)
@@ -266,7 +279,7 @@ class _Kernel:
         new = f"i == first or abs(dt - known_dt) > 1e-9 * dt or {self.changed(self.slow)}"
         out = ["dt = time[i + 1] - time[i]", f"new = {new}", "if new:", "    known_dt = dt", *indent(slow), *stepwise]
         if on_step:
-            out += ["if new or abs(h - known_h) > 1e-9 * h:", *indent(["known_h = h", "fresh = True", *on_step])]
+            out += ["if new or abs(h - known_h) > 1e-9 * h:", *indent(["known_h = h", *on_step])]
             out += ["    new = True"]
         if fast:
             out += [f"if new or {self.changed(self.fast)}:", *indent(fast)]
@@ -295,109 +308,6 @@ class _Kernel:
             *indent(indent(body)),
             *[f"    S[i, {column}] = {name}" for name, column in self.table.items()],
         ]
-
-    def followers_refresh(self) -> list[str]:
-        body: list[str] = []
-        for g, constant in enumerate(self.constants):
-            for name in (f"ratio{g}", f"decay{g}"):
-                self.row(name)
-            body += [
-                f"ratio{g} = ({constant}) / max(h, 1e-12)",
-                f"{self.at(f'ratio{g}')} = ratio{g}",
-                f"{self.at(f'decay{g}')} = exp(-1.0 / max(ratio{g}, 1e-12))",
-            ]
-        return self.loop(body)
-
-    # --- one substep ----------------------------------------------------------------------------------------
-
-    def slopes(self, y: list[str], outlets: str, stage: str) -> list[str]:
-        """Rates k0, k1, .. of a stage at temperatures `y`, with delay outlets named `outlets` + index."""
-        names = {f"x{j}": y[j] for j in range(self.k)}
-        names |= {f"D{p}": f"{outlets}{p}" for p in range(len(self.system.delays))}
-        staged = {name: f"{name}_{stage}" for name in self.system.curved}
-        lines = [f"{staged[n]} = {renamed(t, {**names, **staged})}" for n, t in self.system.curved.items()]
-        for j, (form, rest) in enumerate(self.system.slopes):
-            text = renamed(ordered(form), names)
-            if rest != ZERO:
-                text = plus(text, renamed(rest, {**names, **staged}))
-            lines.append(f"k{j}{stage} = {text}")
-        return lines
-
-    def substep(self) -> list[str]:
-        """Body of the lane loop of one substep."""
-        k = range(self.k)
-        if not self.system.linear:
-            lines = self.runge_kutta()
-        elif self.delays:
-            lines = self.taylor()
-        else:
-            lines = self.horner()
-        new = {f"x{j}": f"n{j}" for j in k} | {f"D{p}": f"De{p}" for p in range(len(self.system.delays))}
-        for j, f in enumerate(self.system.followers):
-            first = renamed(ordered(Form(f.of.slopes)), {f"x{i}": f"e{i}" for i in k} | self.starts_of_delays("Da"))
-            here = self.starts_of_delays("Ds")
-            g = self.constants.index(f.constant)
-            lines += [
-                f"t0 = {renamed(ordered(f.of), here)}",
-                f"t1 = {renamed(ordered(f.of), new)}",
-                f"t2 = {first}",
-                "bend = 2.0 * (t1 - t0 - t2)",
-                f"slope = t2 + bend - ratio{g} * bend",
-                f"f{j} = t1 - ratio{g} * slope + decay{g} * (f{j} - t0 + ratio{g} * (t2 - ratio{g} * bend))",
-                f"{self.at(f'f{j}')} = f{j}",
-            ]
-        if self.delays:
-            lines += self.delays.water(new)
-        return lines + [f"{self.at(f'x{j}')} = n{j}" for j in k]
-
-    def starts_of_delays(self, letter: str) -> dict[str, str]:
-        return {f"D{p}": f"{letter}{p}" for p in range(len(self.system.delays))}
-
-    def horner(self) -> list[str]:
-        """Taylor series of the exact solution, for a right side that is affine and constant in the step.
-
-        x_i = x + h/(s + 1 - i) f(x_(i-1)), i = 1 .. s: of order s, as Horner's scheme of exp.
-        """
-        k, y, lines = range(self.k), self.states(), list[str]()
-        for i in range(self.order, 0, -1):
-            last = i == 1
-            lines += self.slopes(y, "D", f"s{i}")
-            if i == self.order and self.system.followers:
-                lines += [f"e{j} = h * k{j}s{i}" for j in k]
-            y = [f"n{j}" if last else f"y{j}s{i}" for j in k]
-            lines += [f"{y[j]} = x{j} + {'h' if last else f'h{i}'} * k{j}s{i}" for j in k]
-        return lines
-
-    def taylor(self) -> list[str]:
-        """The same with delayed water that comes in as a quadratic in time, Ds + Da r + Db r^2 at the share r.
-
-        e_i = h/i (A e_(i-1) + F_(i-1)) with F_0 = b + E Ds, F_1 = E Da, F_2 = E Db; x + e_1 + e_2 + ..
-        """
-        assert self.delays is not None
-        k, lines = range(self.k), self.delays.polynomials()
-        y, outlets, total = self.states(), "Ds", self.states()
-        for i in range(1, self.order + 1):
-            names = {f"x{j}": y[j] for j in k} | self.starts_of_delays(outlets)
-            for j, (form, _) in enumerate(self.system.slopes):
-                slopes = {v: t for v, t in form.slopes.items() if outlets or v.startswith("x")}
-                text = renamed(ordered(Form(slopes, form.offset if i == 1 else ZERO)), names)
-                lines.append(f"{'e' if i == 1 else f'e{i}_'}{j} = {'h' if i == 1 else f'h{i}'} * ({text})")
-            y = [f"e{j}" if i == 1 else f"e{i}_{j}" for j in k]
-            total = [f"{total[j]} + {y[j]}" for j in k]
-            outlets = {1: "Da", 2: "Db"}.get(i, "")
-        return lines + [f"n{j} = {total[j]}" for j in k]
-
-    def runge_kutta(self) -> list[str]:
-        """Classical fourth order."""
-        k, x = range(self.k), self.states()
-        lines = self.delays.polynomials() if self.delays else []
-        lines += self.slopes(x, "Ds", "a")
-        stages = (("a", "b", "h2", "Dm"), ("b", "c", "h2", "Dm"), ("c", "d", "h", "De"))
-        for last, here, share, outlets in stages:
-            lines += [f"y{j}{here} = x{j} + {share} * k{j}{last}" for j in k]
-            lines += self.slopes([f"y{j}{here}" for j in k], outlets, here)
-        lines += [f"n{j} = x{j} + h6 * (k{j}a + 2.0 * (k{j}b + k{j}c) + k{j}d)" for j in k]
-        return lines + [f"e{j} = h * k{j}a" for j in k] if self.system.followers or self.delays else lines
 
     # --- samples --------------------------------------------------------------------------------------------
 
@@ -456,15 +366,15 @@ class _Kernel:
         lines += ["G[:] = 0.0"] if self.mode == "gram" else []
         # Before the substep: it gives the rows that the substep reads.
         refresh = self.refresh()
-        inner = self.outlined("advance", self.substep())
+        inner = self.integrator.substep()
         if self.delays:
             inner = [*self.delays.look(), *inner, *self.delays.advance()]
         interval = [f"u{c} = inputs[i, {c}]" for c in range(len(self.network.input_columns)) if c not in s.driven]
         interval += [*self.observe("i"), *self.drive(), *refresh]
-        interval += [*[f"h{i} = h / {i}.0" for i in range(2, 9)], "for step in range(steps):", *indent(inner)]
+        interval += [*[f"h{i} = h / {i}.0" for i in range(2, 7)], "for step in range(steps):", *indent(inner)]
         lines += [
             "limit = 0.0",
-            "known_dt, known_h, fresh = -1.0, -1.0, True",
+            "known_dt, known_h = -1.0, -1.0",
             "for i in range(first, n - 1):",
             *indent(interval),
         ]
@@ -485,7 +395,7 @@ class _Kernel:
         used = "used, " if self.mode == "gram" else ""
         out = {"cost": "sse", "trace": "Y", "gram": "gram, sse"}[self.mode]
         block = self.block()
-        head = ["n = time.shape[0]", f"W = np.empty({len(self.rows) * n})"]
+        head = ["n = time.shape[0]", f"W = np.zeros({len(self.rows) * n})"]
         if self.mode == "gram":
             head += [f"E = np.empty({self.m * n})", f"G = np.empty({n * n})"]
         if self.delays:
@@ -505,13 +415,13 @@ class _Kernel:
                 "",
                 f"LANES = {n}",
                 f"SLOTS = {SLOTS}",
-                f"STEP_LIMIT = {self.step_limit!r}",
-                f"PER_STEP = {1.0 / self.step_limit!r}",
-                f"LONGEST = {MOST_STEPS * self.step_limit!r}",
+                f"STEP_LIMIT = {self.integrator.limit!r}",
+                f"PER_STEP = {1.0 / self.integrator.limit!r}",
+                f"LONGEST = {MOST_STEPS * self.integrator.limit!r}",
                 "FAST = {'contract', 'nsz', 'arcp'}",
                 "",
                 functions,
-                DELAY_FUNCTIONS if self.delays else "",
+                self.delays.functions if self.delays else "",
                 "",
                 *self.functions,
                 f"@nb.njit({jit})",
@@ -528,19 +438,6 @@ _SIGNATURE: dict[Mode, str] = {
     "trace": f"void({_HEAD}, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1])",
     "gram": f"void({_HEAD}, f8[:,::1], f8[:,::1], i8, f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1])",
 }
-
-
-def ordered(form: Form) -> str:
-    """Text of a form as a chain of multiply-adds."""
-    total = form.offset
-    for name, slope in form.slopes.items():
-        total = plus(total, times(slope, name))
-    return total
-
-
-def renamed(text: str, names: dict[str, str]) -> str:
-    """The expression with whole names replaced."""
-    return _NAME.sub(lambda m: names.get(m.group(), m.group()), text)
 
 
 def indent(lines: list[str]) -> list[str]:

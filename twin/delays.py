@@ -1,23 +1,27 @@
 """Delay lines in the kernel: what the water was when it went in, looked up by the volume that followed it.
 
-Each flow counts the volume v that it has moved, each delay remembers its water at the ends of slots of that volume:
-slot s reaches from v_s to v_(s+1), with the water w_s + r (m_s + r (w_(s+1) - w_s - m_s)) at the share r of it. As
-long as one step fills a slot, m is the slope at its start and the error is of third order in the step; slower
-flows fill a slot in several steps and are taken as straight lines.
+Each flow counts the volume v that it has moved, each delay remembers its water in slots of that volume: a + r (m + r b)
+at the share r of a slot. As long as one step fills a slot, a, m and b are the water at its start, its slope there and
+what is missing to the water at its end, and the error is of third order in the step; slower flows fill a slot in
+several steps and are taken as straight lines. Jumps lie between slots.
 
 The outlet at v is the water at v - volume. Where one step moves more than the volume, it is that at v minus what
 the step moves, and only the share `late` of the water is delayed (see `twin.elements.base.Delay`). So a look-up
-never needs the step under way, and the outlet over a step is a known quadratic in time.
+never needs the step under way. The outlet over a step runs through parts of slots; the kernel takes the quadratic in
+time that has the same mean and first two moments, so a jump in the middle of a step does what it should to whatever
+is slow beside the step, and no heat is lost on the way.
 
-Lanes whose flows and volumes are nearly the same (the differences of a Jacobian, the common case of one pipe for
-all particles) share the slot and stay vectorised; others look for theirs one by one.
+Where all lanes share flow and volumes the volumes are counted once and the weights of a look-up are scalars; where
+they do not, every lane has its own, and all lanes go through the slots that any of them needs.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
-from twin.affine import Form
 from twin.assembly import System
 
 if TYPE_CHECKING:
@@ -27,216 +31,249 @@ SLOTS = 64
 """Slots of a delay line, a power of two; the longest pipe of a flow never needs more than SLOTS - 4."""
 NEVER = 1.0e6
 """Volume of a slot of water that was there from the beginning, L."""
+PARTS = 3
+"""Coefficients of a slot's water."""
 
-DELAY_FUNCTIONS = '''
-@nb.njit('i8(f8[::1], i8, i8, f8, i8)', cache=True)
-def seek(H, v, s, y, tip):
-    """Slot that holds volume y, from slot s on; boundaries older than tip + 1 are gone."""
-    while s != ((tip + 1) & (SLOTS - 1)) and H[v + s * 2 * LANES] > y:
+_NOTE = '''
+@nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8)', cache=True, error_model='numpy')
+def note(H, R, i, water, steps):
+    """Fill slot i. R: rows of the water that enters at the start, of its slope there, of the water at the end."""
+    i = 3 * i
+    if steps == 0:
+        for l in range(LANES):  # one row to a loop: few rows to prove apart, and it stays vectorised
+            H[i, l] = R[water, l]
+        for l in range(LANES):
+            H[i + 1, l] = R[water + 1, l]
+        for l in range(LANES):
+            H[i + 2, l] = R[water + 2, l] - R[water, l] - R[water + 1, l]
+    else:
+        for l in range(LANES):
+            H[i + 1, l] = R[water + 2, l] - H[i, l]
+            H[i + 2, l] = 0.0
+'''
+_ALIKE = '''
+@nb.njit('i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, f8, f8, i8, i8)', cache=True, error_model='numpy')
+def look(V, H, R, flow, line, s, y, span, tip, out):
+    """Quadratic in time of the water from volume y to y + span, into rows from `out` on; the slot that holds y."""
+    while s != ((tip + 1) & (SLOTS - 1)) and V[flow + s, 0] > y:
         s = (s - 1) & (SLOTS - 1)
-    while ((s + 1) & (SLOTS - 1)) != tip and H[v + ((s + 1) & (SLOTS - 1)) * 2 * LANES] < y:
+    while ((s + 1) & (SLOTS - 1)) != tip and V[flow + ((s + 1) & (SLOTS - 1)), 0] <= y:
         s = (s + 1) & (SLOTS - 1)
-    return s
-
-
-@nb.njit('void(f8[::1], f8[::1], i8, i8, i8, i8, i8, i8, i8, i8, f8)', cache=True, error_model='numpy')
-def look_apart(H, W, v, w, now, flow, far, out, s, tip, ahead):
-    """Water that comes out `ahead` seconds from now, into row `out`: every lane looks for its own slot."""
-    for l in range(LANES):
-        y = W[now + l] + ahead * W[flow + l] - W[far + l]
-        own = seek(H, v + l, s, y, tip)
-        r = (y - H[v + own * 2 * LANES + l]) * H[v + (own * 2 + 1) * LANES + l]
-        at = w + own * 3 * LANES + l
-        W[out + l] = H[at] + r * (H[at + LANES] + r * H[at + 2 * LANES])
+    cursor, low, high, keep = s, 0.0, 0.0, 0.0
+    while high < 1.0:
+        after = (s + 1) & (SLOTS - 1)
+        begin, end = V[flow + s, 0], V[flow + after, 0]
+        one = 1.0 / max(end - begin, 1e-12)
+        high = 1.0 if after == tip else min(max((end - y) / span, low), 1.0)
+        c = min(max((y + low * span - begin) * one, 0.0), 1.0)
+        d = min(max((y + high * span - begin) * one, 0.0), 1.0) - c
+        w = high - low
+        # Integrals over the part of 1, t, t^2 times r^0, r, r^2 with r = c + d t, then of powers of the share.
+        cc, cd, dd = c * c, 2.0 * c * d, d * d
+        a0, a1, a2 = 1.0, 0.5, 1.0 / 3.0
+        m0, m1, m2 = c + d / 2.0, c / 2.0 + d / 3.0, c / 3.0 + d / 4.0
+        b0, b1, b2 = cc + cd / 2.0 + dd / 3.0, cc / 2.0 + cd / 3.0 + dd / 4.0, cc / 3.0 + cd / 4.0 + dd / 5.0
+        a2 = w * (low * low * a0 + w * (2.0 * low * a1 + w * a2))
+        m2 = w * (low * low * m0 + w * (2.0 * low * m1 + w * m2))
+        b2 = w * (low * low * b0 + w * (2.0 * low * b1 + w * b2))
+        a1, m1, b1 = w * (low * a0 + w * a1), w * (low * m0 + w * m1), w * (low * b0 + w * b1)
+        a0, m0, b0 = w * a0, w * m0, w * b0
+        ax, mx = 9.0 * a0 - 36.0 * a1 + 30.0 * a2, 9.0 * m0 - 36.0 * m1 + 30.0 * m2
+        bx = 9.0 * b0 - 36.0 * b1 + 30.0 * b2
+        ay = -36.0 * a0 + 192.0 * a1 - 180.0 * a2
+        my = -36.0 * m0 + 192.0 * m1 - 180.0 * m2
+        by = -36.0 * b0 + 192.0 * b1 - 180.0 * b2
+        az, mz, bz = 30.0 * a0 - 180.0 * (a1 - a2), 30.0 * m0 - 180.0 * (m1 - m2), 30.0 * b0 - 180.0 * (b1 - b2)
+        at = 3 * (line + s)
+        for l in range(LANES):
+            R[out, l] = keep * R[out, l] + (ax * H[at, l] + mx * H[at + 1, l] + bx * H[at + 2, l])
+        for l in range(LANES):
+            R[out + 1, l] = keep * R[out + 1, l] + (ay * H[at, l] + my * H[at + 1, l] + by * H[at + 2, l])
+        for l in range(LANES):
+            R[out + 2, l] = keep * R[out + 2, l] + (az * H[at, l] + mz * H[at + 1, l] + bz * H[at + 2, l])
+        low, keep, s = high, 1.0, after
+    return cursor
+'''
+_APART = '''
+@nb.njit('i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, i8, i8, i8)', cache=True, error_model='numpy')
+def look(V, H, R, flow, line, s, place, tip, out):
+    """Quadratic in time of the water from each lane's volume y = R[place] to y + R[place + 1], into rows from `out` on;
+    a slot that no lane's y lies before."""
+    while s != ((tip + 1) & (SLOTS - 1)):
+        over = 0
+        for l in range(LANES):
+            over += int(V[flow + s, l] > R[place, l])
+        if over == 0:
+            break
+        s = (s - 1) & (SLOTS - 1)
+    while ((s + 1) & (SLOTS - 1)) != tip:
+        over, after = 0, (s + 1) & (SLOTS - 1)
+        for l in range(LANES):
+            over += int(V[flow + after, l] > R[place, l])
+        if over > 0:
+            break
+        s = after
+    cursor, first, more = s, 0.0, 1
+    while more > 0:
+        after = (s + 1) & (SLOTS - 1)
+        last = 1.0 if after == tip else 0.0
+        at, more = 3 * (line + s), 0
+        for l in range(LANES):
+            y, span = R[place, l], R[place + 1, l]
+            begin, end = V[flow + s, l], V[flow + after, l]
+            one = 1.0 / max(end - begin, 1e-12)
+            low = first * min(max((begin - y) / span, 0.0), 1.0)
+            high = max(min(max((end - y) / span, 0.0), 1.0), last)
+            c = min(max((y + low * span - begin) * one, 0.0), 1.0)
+            d = min(max((y + high * span - begin) * one, 0.0), 1.0) - c
+            w = high - low
+            a, m, b = H[at, l], H[at + 1, l], H[at + 2, l]
+            a, m, b = a + c * (m + c * b), d * (m + 2.0 * c * b), d * d * b
+            m0 = a + m / 2.0 + b / 3.0
+            m1 = a / 2.0 + m / 3.0 + b / 4.0
+            m2 = a / 3.0 + m / 4.0 + b / 5.0
+            m2 = w * (low * low * m0 + w * (2.0 * low * m1 + w * m2))
+            m1 = w * (low * m0 + w * m1)
+            m0 = w * m0
+            R[out, l] = first * R[out, l] + (9.0 * m0 - 36.0 * m1 + 30.0 * m2)
+            R[out + 1, l] = first * R[out + 1, l] + (192.0 * m1 - 36.0 * m0 - 180.0 * m2)
+            R[out + 2, l] = first * R[out + 2, l] + (30.0 * m0 - 180.0 * (m1 - m2))
+            more += int(high < 1.0)
+        first, s = 1.0, after
+    return cursor
 '''
 
 
-def memory_rows(system: System) -> int:
-    """Rows of what the delay lines of a system remember."""
-    return (SLOTS + 1) * len(system.flows) + 2 * SLOTS * len(system.delays)
+@dataclass(frozen=True)
+class Layout:
+    """Rows of what delay lines hand on: of each flow's volumes, followed by the steps since a slot was closed; of each
+    delay's water, one coefficient after the other."""
+
+    volumes: tuple[int, ...]
+    waters: tuple[int, ...]
+    rows: int
+
+    @property
+    def pushed(self) -> list[int]:
+        """Rows that are the same in all lanes where those share flow and volumes."""
+        return [row + e for row in self.volumes for e in range(SLOTS + 1)]
 
 
-class DelayLines:
-    """Source lines of a kernel's delay lines. Flow g keeps its volumes, delay p its water, in array H."""
+def layout(system: System) -> Layout:
+    flows, count = len(system.flows), len(system.delays)
+    waters = flows * (SLOTS + 1)
+    return Layout(
+        tuple(g * (SLOTS + 1) for g in range(flows)),
+        tuple(waters + p * PARTS * SLOTS for p in range(count)),
+        waters + count * PARTS * SLOTS,
+    )
+
+
+def delay_lines(system: System, kernel: _Kernel, alike: bool) -> Delays:
+    """`alike`: whether all lanes share flow and volumes, in the past too."""
+    return AlikeLines(system, kernel) if alike else LinesApart(system, kernel)
+
+
+class Delays(ABC):
+    """Source lines of a kernel's delay lines.
+
+    V holds the volume at which each slot begins, SLOTS rows for each flow; H the water, 3 SLOTS rows for each delay.
+    Rows of the work array that a substep reads: Ds, Da, Db, the outlet over the step; that it writes: wb, ws, wn, the
+    water that enters at its start, the slope of that over the step, the water at its end.
+    """
+
+    functions: ClassVar[str]
+    lanes: int
 
     def __init__(self, system: System, kernel: _Kernel) -> None:
-        self.system, self.kernel, self.lanes = system, kernel, kernel.lanes
+        self.system, self.kernel = system, kernel
         self.flows, self.delays = range(len(system.flows)), system.delays
-        for g in self.flows:
-            kernel.row(f"v{g}")
-            kernel.row(f"q{g}")
-        for p, delay in enumerate(self.delays):
-            for name in (f"far{p}", f"Ds{p}", f"Dm{p}", f"De{p}", f"wn{p}", f"ws{p}", delay.late):
-                kernel.row(name)
-
-    def _v(self, g: int) -> int:
-        """Offset in H of flow g: per slot the volume at which it begins, and one over its width."""
-        return 2 * g * SLOTS * self.lanes
-
-    def _w(self, p: int) -> int:
-        """Offset in H of delay p: per slot the coefficients of 1, r and r^2."""
-        return (2 * len(self.flows) + 3 * p) * SLOTS * self.lanes
-
-    def _volume(self, g: int, slot: str, part: int = 0) -> str:
-        return f"H[{slot} * {2 * self.lanes} + {self._v(g) + part * self.lanes} + l]"
-
-    def _water(self, p: int, slot: str, part: int = 0) -> str:
-        return f"H[{slot} * {3 * self.lanes} + {self._w(p) + part * self.lanes} + l]"
+        for p in range(len(self.delays)):
+            for name in ("Ds", "Da", "Db", "wb", "ws", "wn"):
+                kernel.row(f"{name}{p}")
+        self._layout = layout(system)
 
     def head(self) -> list[str]:
-        return [f"H = np.zeros({(2 * len(self.flows) + 3 * len(self.delays)) * SLOTS * self.lanes})"]
+        """Arrays, once a call."""
+        return [
+            f"R = W.reshape(-1, {self.kernel.lanes})",
+            f"V = np.zeros(({SLOTS * len(self.flows)}, {self.lanes}))",
+            f"H = np.zeros(({PARTS * SLOTS * len(self.delays)}, {self.kernel.lanes}))",
+        ]
 
     def enter(self) -> list[str]:
         """Fill the lines: with what `past` holds, or with the water at rest."""
-        k, rest, load = self.kernel, list[str](), list[str]()
-        row = 0
-        lines: list[str] = []
+        k, rest, load, scalars, volumes = self.kernel, list[str](), list[str](), list[str](), list[str]()
         for g in self.flows:
-            rest += [f"{self._volume(g, 'e')} = (e - SLOTS + 1) * {NEVER!r}"]
-            rest += [f"{self._volume(g, 'e', 1)} = {1.0 / NEVER!r}"]
-            load += [f"{self._volume(g, 'e')} = past[b, {row} + e, l]"]
-            width = f"past[b, {row} + after, l] - past[b, {row} + e, l]"
-            load += [f"{self._volume(g, 'e', 1)} = 1.0 / max({width}, 1e-12)"]
-            row += SLOTS
-            lines += [f"since{g} = 0", f"if past.shape[0] > 0: since{g} = int(past[b, {row}, 0])"]
-            lines += [f"tip{g} = SLOTS - 1", f"i{g} = SLOTS - 1 if since{g} == 0 else SLOTS - 2"]
-            lines += [f"j{g} = (i{g} + 1) & (SLOTS - 1)"]
-            row += 1
-            for p, delay in enumerate(self.delays):
-                if delay.line == g:
-                    a, m = f"past[b, {row} + e, l]", f"past[b, {row + SLOTS} + e, l]"
-                    values = (a, m, f"past[b, {row} + after, l] - {a} - {m}")
-                    rest += [f"{self._water(p, 'e', n)} = {v}" for n, v in enumerate((delay.start, "0.0", "0.0"))]
-                    load += [f"{self._water(p, 'e', n)} = {v}" for n, v in enumerate(values)]
-                    row += 2 * SLOTS
-                    lines.append(f"s{p} = SLOTS - 2")
-        load = ["after = min(e + 1, SLOTS - 1)", *load]
-        lines += ["if past.shape[0] > 0:", "    for e in range(SLOTS):", *_in(k.loop(load), 2)]
-        lines += ["else:", "    for e in range(SLOTS):", *_in(k.loop(rest), 2)]
-        return lines + k.loop([f"{k.at(f'v{g}')} = 0.0" for g in self.flows])
-
-    def refresh(self) -> list[str]:
-        """Reach of each delay for the flow and step of this interval, and whether lanes may share a slot."""
-        k, body, out = self.kernel, list[str](), list[str]()
-        for g in self.flows:
-            body += [f"q{g} = {self.system.flows[g]}", f"{k.at(f'q{g}')} = q{g}"]
-        for p, delay in enumerate(self.delays):
-            far = f"far{p}"
-            body += [
-                f"{far} = max({delay.volume}, q{delay.line} * h)",
-                f"{k.at(far)} = {far}",
-                f"{k.at(delay.late)} = ({delay.volume}) / max({far}, 1e-12)",
+            row = self._layout.volumes[g]
+            scalars += [
+                f"since{g} = int(past[b, {row + SLOTS}, 0]) if past.shape[0] > 0 else 0",
+                f"tip{g} = SLOTS - 1",
+                f"i{g} = SLOTS - 1 if since{g} == 0 else SLOTS - 2",
+                f"j{g} = (i{g} + 1) & (SLOTS - 1)",
             ]
-        out += k.loop(body)
-        for g in self.flows:
-            out += [f"closing{g} = 0.0", f"tight{g} = True"]
-            own = [p for p, d in enumerate(self.delays) if d.line == g]
-            # Slots are counted in the volume of lane 0; a lane with less flow needs more of that for its pipe.
-            slower = f"W[{k.row(f'q{g}') * self.lanes}] / max({k.at(f'q{g}')}, 1e-12)"
-            slower = f"max({slower}, 1.0) / (SLOTS - 4)"
-            widest = [f"closing{g} = max(closing{g}, {k.at(f'far{p}')} * {slower})" for p in own]
-            out += [f"for l in range({self.lanes}):", *_in(widest)]
-            first = {name: f"W[{k.row(name) * self.lanes}]" for name in (f"q{g}", *(f"far{p}" for p in own))}
-            apart = [f"abs({k.at(f'far{p}')} - {first[f'far{p}']}) > 0.05 * closing{g}" for p in own]
-            apart.append(f"abs({k.at(f'q{g}')} - {first[f'q{g}']}) > 1e-3 * {first[f'q{g}']}")
-            out += [f"for l in range({self.lanes}):", f"    if {' or '.join(apart)}: tight{g} = False"]
+            at_rest = f"(e - SLOTS + 1) * {NEVER!r}"
+            volumes.append(f"V[{g * SLOTS} + e, l] = past[b, {row} + e, l] if past.shape[0] > 0 else {at_rest}")
+        for p, delay in enumerate(self.delays):
+            row = self._layout.waters[p]
+            load += [f"{self._water(p, 'e', n)} = past[b, {row + n * SLOTS} + e, l]" for n in range(PARTS)]
+            rest += [f"{self._water(p, 'e', n)} = {v}" for n, v in enumerate((delay.start, "0.0", "0.0"))]
+            scalars.append(f"s{p} = SLOTS - 2")
+        fill = [f"for l in range({self.lanes}):", *_in(volumes)]
+        fill += ["if past.shape[0] > 0:", *_in(k.loop(load)), "else:", *_in(k.loop(rest))]
+        return [*scalars, "for e in range(SLOTS):", *_in(fill), *self.begin()]
+
+    def _water(self, p: int, slot: str, part: int) -> str:
+        return f"H[3 * ({p * SLOTS} + {slot}) + {part}, l]"
+
+    @abstractmethod
+    def begin(self) -> list[str]:
+        """No volume has been moved yet."""
+
+    @abstractmethod
+    def refresh(self) -> list[str]:
+        """Reach of each delay for the flow and step of this interval, and how much volume closes a slot."""
+
+    @abstractmethod
+    def look(self) -> list[str]:
+        """Outlets over the step."""
+
+    @abstractmethod
+    def move(self, g: int) -> list[str]:
+        """Volume at the end of the step, and boundary j of flow g."""
+
+    @abstractmethod
+    def moved(self, g: int) -> str:
+        """Volume that flow g has moved, in the loop over lanes that hands it on."""
+
+    def reaches(self, own: Iterable[int]) -> list[str]:
+        """Of delays, what the water in them must still know of, and the share of the water that is delayed."""
+        out = []
+        for p in own:
+            delay = self.delays[p]
+            out.append(f"far{p} = max({delay.volume}, q{delay.line} * h)")
+            out.append(f"{delay.late} = ({delay.volume}) / max(far{p}, 1e-12)")
         return out
 
-    def look(self) -> list[str]:
-        """Outlets at the start, the middle and the end of the step."""
-        out, fresh = list[str](), list[str]()
-        for p in range(len(self.delays)):
-            fresh += self._look(p, "start", (("Ds", "0.0"),))
-            out += self._look(p, "later", (("Dm", "h2"), ("De", "h")))
-        return ["if fresh:", *_in(fresh), "    fresh = False", *out]
-
-    def _look(self, p: int, name: str, targets: tuple[tuple[str, str], ...]) -> list[str]:
-        """Look-ups of one delay: slots from lane 0, then one loop over lanes, or each lane for itself."""
-        k, g = self.kernel, self.delays[p].line
-        row = {n: k.row(n) * self.lanes for n in (f"v{g}", f"q{g}", f"far{p}")}
-        lines, apart, body, slots = list[str](), list[str](), list[str](), list[str]()
-        for n, (target, ahead) in enumerate(targets):
-            y = f"W[{row[f'v{g}']}] + {ahead} * W[{row[f'q{g}']}] - W[{row[f'far{p}']}]"
-            lines.append(f"s{p} = seek(H, {self._v(g)}, s{p}, {y}, tip{g})")
-            slots.append(f"t{p}{n}")
-            lines.append(f"t{p}{n} = s{p}")
-            places = f"{self._v(g)}, {self._w(p)}, {row[f'v{g}']}, {row[f'q{g}']}, {row[f'far{p}']}"
-            to = k.row(f"{target}{p}") * self.lanes
-            apart.append(f"look_apart(H, W, {places}, {to}, s{p}, tip{g}, {ahead})")
-            s = f"t{n}"
-            parts = [self._water(p, s, part) for part in range(3)]
-            body += [
-                f"r = (v{g} + ahead{n} * q{g} - far{p} - {self._volume(g, s)}) * {self._volume(g, s, 1)}",
-                f"W[{to} + l] = {parts[0]} + r * ({parts[1]} + r * {parts[2]})",
-            ]
-        # Few places in H to a function, and rows of W at literal offsets: more, and the compiler gives up proving
-        # that they do not overlap.
-        names = [f"t{n}" for n in range(len(targets))], [f"ahead{n}" for n in range(len(targets))]
-        k.define(
-            f"{name}{p}", "f8[::1], f8[::1]" + ", i8" * len(targets) + ", f8" * len(targets),
-            ", ".join(["H", "W", *names[0], *names[1]]), [*map(_positive, names[0]), *k.loop(body)],
-        )  # fmt: skip
-        call = f"{name}{p}(H, W, {', '.join([*slots, *(ahead for _, ahead in targets)])})"
-        return [*lines, f"if tight{g}:", f"    {call}", "else:", *_in(apart)]
-
-    def polynomials(self) -> list[str]:
-        """Outlets over the step as Ds + Da r + Db r^2."""
+    def outlets(self) -> list[str]:
+        """Outlets in the middle and at the end of the step, for Runge-Kutta and for what hangs on the end."""
         out = []
         for p in range(len(self.delays)):
-            out += [f"Da{p} = 4.0 * Dm{p} - 3.0 * Ds{p} - De{p}", f"Db{p} = 2.0 * (Ds{p} + De{p} - 2.0 * Dm{p})"]
-        return out
-
-    def water(self, new: dict[str, str]) -> list[str]:
-        """Water that enters at the end of the step, and its slope at the start; `new` names the temperatures there."""
-        from twin.codegen import ordered, renamed
-
-        k, out = self.kernel, list[str]()
-        start = {f"x{j}": f"e{j}" for j in range(k.k)} | k.starts_of_delays("Da")
-        for p in range(len(self.delays)):
-            form = self.system.waters[p]
-            out += [
-                f"{k.at(f'wn{p}')} = {renamed(ordered(form), new)}",
-                f"{k.at(f'ws{p}')} = {renamed(ordered(Form(form.slopes)), start)}",
-                f"{k.at(f'Ds{p}')} = De{p}",
-            ]
+            out += [f"Dm{p} = Ds{p} + 0.5 * (Da{p} + 0.5 * Db{p})", f"De{p} = Ds{p} + Da{p} + Db{p}"]
         return out
 
     def advance(self) -> list[str]:
         """Remember what has entered, and close slots that are wide enough."""
-        k, out = self.kernel, list[str]()
+        out = list[str]()
         for g in self.flows:
-            body = [
-                f"v{g} = v{g} + q{g} * h",
-                f"{k.at(f'v{g}')} = v{g}",
-                f"{self._volume(g, 'j')} = v{g}",
-                f"{self._volume(g, 'i', 1)} = 1.0 / max(v{g} - {self._volume(g, 'i')}, 1e-12)",
-            ]
-            k.define(
-                f"move{g}", "f8[::1], f8[::1], i8, i8, f8", "H, W, i, j, h", [*map(_positive, "ij"), *k.loop(body)]
-            )
-            out.append(f"move{g}(H, W, i{g}, j{g}, h)")
+            out += self.move(g)
             for p, delay in enumerate(self.delays):
                 if delay.line == g:
-                    # A slot that one step fills keeps the slope at its start, any other is a straight line.
-                    body = [
-                        f"rise = wn{p} - {self._water(p, 'i')}",
-                        f"slope = whole * ws{p} + (1.0 - whole) * rise",
-                        f"{self._water(p, 'i', 1)} = slope",
-                        f"{self._water(p, 'i', 2)} = rise - slope",
-                        f"{self._water(p, 'j')} = wn{p}",
-                    ]
-                    k.define(
-                        f"note{p}",
-                        "f8[::1], f8[::1], i8, i8, f8",
-                        "H, W, i, j, whole",
-                        [*map(_positive, "ij"), *k.loop(body)],
-                    )
-                    out.append(f"note{p}(H, W, i{g}, j{g}, 1.0 if since{g} == 0 else 0.0)")
-            volume = [f"H[{s}{g} * {2 * self.lanes} + {self._v(g)}]" for s in "ji"]
+                    out.append(f"note(H, R, {p * SLOTS} + i{g}, {self.kernel.row(f'wb{p}')}, since{g})")
             out += [
                 f"since{g} += 1",
                 f"tip{g} = j{g}",
-                f"if {volume[0]} - {volume[1]} >= closing{g}:",
+                f"if V[{g * SLOTS} + j{g}, 0] - V[{g * SLOTS} + i{g}, 0] >= closing{g}:",
                 f"    i{g} = j{g}",
                 f"    since{g} = 0",
                 f"j{g} = (i{g} + 1) & (SLOTS - 1)",
@@ -245,31 +282,103 @@ class DelayLines:
 
     def leave(self) -> list[str]:
         """Hand the lines on, oldest slot first, volumes counted from now."""
-        k, body, extra = self.kernel, list[str](), list[str]()
-        row = 0
+        body, extra, many = list[str](), list[str](), self.lanes > 1
         for g in self.flows:
-            slot = f"((tip{g} + 1 + e) & (SLOTS - 1))"
-            body.append(f"future[b, {row} + e, l] = {self._volume(g, slot)} - v{g}")
+            row = self._layout.volumes[g]
+            at = f"V[{g * SLOTS} + ((tip{g} + 1 + e) & (SLOTS - 1)), {'l' if many else '0'}]"
+            body.append(f"future[b, {row} + e, l] = {at} - {self.moved(g)}")
             extra.append(f"future[b, {row + SLOTS}, l] = since{g}")
-            row += SLOTS + 1
-            for p, delay in enumerate(self.delays):
-                if delay.line == g:
-                    body += [
-                        f"future[b, {row} + e, l] = {self._water(p, slot)}",
-                        f"future[b, {row + SLOTS} + e, l] = {self._water(p, slot, 1)}",
-                    ]
-                    row += 2 * SLOTS
-        lines = ["if future.shape[0] > 0:", "    for e in range(SLOTS):", *_in(k.loop(body), 2)]
-        return lines + _in(k.loop(extra))
+        for p, delay in enumerate(self.delays):
+            slot, row = f"((tip{delay.line} + 1 + e) & (SLOTS - 1))", self._layout.waters[p]
+            body += [f"future[b, {row + n * SLOTS} + e, l] = {self._water(p, slot, n)}" for n in range(PARTS)]
+        lines = ["if future.shape[0] > 0:", "    for e in range(SLOTS):", *_in(self.kernel.loop(body), 2)]
+        return lines + _in(self.kernel.loop(extra))
 
 
-def delay_lines(system: System, kernel: _Kernel) -> DelayLines:
-    return DelayLines(system, kernel)
+class AlikeLines(Delays):
+    """All lanes share flow and volumes."""
+
+    functions = _NOTE + _ALIKE
+
+    def __init__(self, system: System, kernel: _Kernel) -> None:
+        super().__init__(system, kernel)
+        self.lanes = 1
+
+    def begin(self) -> list[str]:
+        return [f"v{g} = 0.0" for g in self.flows]
+
+    def refresh(self) -> list[str]:
+        body = [f"q{g} = {flow}" for g, flow in enumerate(self.system.flows)] + self.reaches(range(len(self.delays)))
+        # With one lane, what belongs to it is a row like any other.
+        out = self.kernel.loop(body) if self.kernel.lanes == 1 else body
+        for g in self.flows:
+            reaches = ", ".join([*(f"far{p}" for p, d in enumerate(self.delays) if d.line == g), "0.0"])
+            out = [*out, f"span{g} = max(q{g} * h, 1e-12)", f"closing{g} = max({reaches}) / (SLOTS - 4)"]
+        return out
+
+    def look(self) -> list[str]:
+        return [
+            f"s{p} = look(V, H, R, {d.line * SLOTS}, {p * SLOTS}, s{p}, v{d.line} - far{p}, span{d.line}, tip{d.line}, "
+            f"{self.kernel.row(f'Ds{p}')})"
+            for p, d in enumerate(self.delays)
+        ]
+
+    def move(self, g: int) -> list[str]:
+        return [f"v{g} += q{g} * h", f"V[{g * SLOTS} + j{g}, 0] = v{g}"]
+
+    def moved(self, g: int) -> str:
+        return f"v{g}"
 
 
-def _positive(slot: str) -> str:
-    """Tells the compiler that an index is not negative: no wrapping round, so the loop over lanes has one stride."""
-    return f"{slot} = {slot} & (SLOTS - 1)"
+class LinesApart(Delays):
+    """Every lane has a flow and volumes of its own. A slot is closed for all, by the volume of lane 0."""
+
+    functions = _NOTE + _APART
+
+    def __init__(self, system: System, kernel: _Kernel) -> None:
+        super().__init__(system, kernel)
+        self.lanes = kernel.lanes
+        for name in (f"{n}{g}" for n in "vq" for g in self.flows):
+            kernel.row(name)
+        for p, delay in enumerate(self.delays):
+            for name in (f"far{p}", f"place{p}", f"span{p}", delay.late):
+                kernel.row(name)
+
+    def begin(self) -> list[str]:
+        return self.kernel.loop([f"{self.kernel.at(f'v{g}')} = 0.0" for g in self.flows])
+
+    def refresh(self) -> list[str]:
+        k, body, out = self.kernel, list[str](), list[str]()
+        for g in self.flows:
+            body += [f"q{g} = {self.system.flows[g]}", f"{k.at(f'q{g}')} = q{g}"]
+        for p, delay in enumerate(self.delays):
+            span = f"{k.at(f'span{p}')} = max(q{delay.line} * h, 1e-12)"
+            body += [*self.reaches([p]), f"{k.at(f'far{p}')} = far{p}", f"{k.at(delay.late)} = {delay.late}", span]
+        out += k.loop(body)
+        for g in self.flows:
+            # A lane with less flow than lane 0 needs more of that lane's volume for its pipe.
+            slower = f"W[{k.row(f'q{g}') * k.lanes}] / max({k.at(f'q{g}')}, 1e-12)"
+            slower = f"max({slower}, 1.0) / (SLOTS - 4)"
+            own = [k.at(f"far{p}") for p, d in enumerate(self.delays) if d.line == g]
+            widest = [f"closing{g} = max(closing{g}, {far} * {slower})" for far in own]
+            out += [f"closing{g} = 0.0", f"for l in range({k.lanes}):", *_in(widest)]
+        return out
+
+    def look(self) -> list[str]:
+        k = self.kernel
+        out = k.loop([f"{k.at(f'place{p}')} = v{d.line} - far{p}" for p, d in enumerate(self.delays)])
+        for p, d in enumerate(self.delays):
+            rows = f"{k.row(f'place{p}')}, tip{d.line}, {k.row(f'Ds{p}')}"
+            out.append(f"s{p} = look(V, H, R, {d.line * SLOTS}, {p * SLOTS}, s{p}, {rows})")
+        return out
+
+    def move(self, g: int) -> list[str]:
+        k = self.kernel
+        body = [f"v{g} = v{g} + q{g} * h", f"{k.at(f'v{g}')} = v{g}", f"V[{g * SLOTS} + j{g}, l] = v{g}"]
+        return k.loop(body)
+
+    def moved(self, g: int) -> str:
+        return f"v{g}"
 
 
 def _in(lines: list[str], depth: int = 1) -> list[str]:
