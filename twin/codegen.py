@@ -26,15 +26,15 @@ from typing import Literal
 
 from twin.affine import names_in, shared_call
 from twin.assembly import System, python_source
-from twin.delays import SLOTS, delay_lines
-from twin.integrators import NAME, PAIRS, Integrator
+from twin.delays import NEVER, SLOTS, delay_lines
+from twin.integrators import NAME, PAIRS, Integrator, renamed
 from twin.network import Network
 
 LANES = 32
 MOST_STEPS = 1.0e6
 """Substeps in one sample interval, at most."""
 OUTLINE_LINES = 60
-_WORDS = {"for", "in", "range", "max", "min", "exp", "log", "abs", "if", "else"}
+_WORDS = {"for", "in", "range", "max", "min", "exp", "log", "abs", "if", "else", "or"}
 Mode = Literal["cost", "trace", "gram"]
 MODES: tuple[Mode, ...] = ("cost", "trace", "gram")
 
@@ -95,10 +95,13 @@ class _Kernel:
         self.k, self.m = len(s.states), len(s.readings)
         self.rows: dict[str, int] = {}
         self.functions: list[str] = []
+        self.loops = 0
         self.table: dict[str, int] = {}
         self.parameters = {f"p{i}": row for row, i in enumerate(network.index(lane_ids))}
         for name in (*self.states(), *self.memories(), *self.parameters):
             self.row(name)
+        for j in range(self.m if mode == "cost" else 0):
+            self.row(f"sse{j}")
         for c in s.driven:
             self.row(f"u{c}")
         alike = lanes == 1 or (alike and self._pushed_alike())
@@ -178,8 +181,12 @@ class _Kernel:
                     out.append(f"{self.at(name)} = {name}")
         return out
 
-    def loop(self, body: list[str]) -> list[str]:
-        """A loop over lanes, with the lane rows that the body reads loaded into scalars first."""
+    def loop(self, body: list[str], own: bool = True) -> list[str]:
+        """A loop over lanes, with the lane rows that the body reads loaded into scalars first.
+
+        With `own`, what the body assigns gets names that no other loop has: the compiler's time goes with the number
+        of names that are assigned in more than one place.
+        """
         if not body:
             return []
         known: set[str] = set()
@@ -190,18 +197,29 @@ class _Kernel:
                 if name in self.rows and name not in known:
                     known.add(name)
                     loads.append(f"{name} = {self.at(name)}")
-            known.add(target.strip())
-        return [f"for l in range({self.lanes}):", *indent([*loads, *body])]
+            if value:
+                known.add(target.strip())
+        lines = [*loads, *body]
+        if own:
+            self.loops += 1
+            names = {name: f"{name}_{self.loops}l" for name in known if name.isidentifier()}
+            lines = [renamed(line, names) for line in lines]
+        return [f"for l in range({self.lanes}):", *indent(lines)]
 
     def outlined(self, name: str, body: list[str], always: bool = False) -> list[str]:
         """A loop over lanes as a function of its own: compilers take more than twice as long for twice the text."""
-        lines = self.loop(body)
+        lines = self.loop(body, own=False)
         if len(lines) < OUTLINE_LINES and not always:
-            return lines
-        assigned = {"l", "W", *(line.strip().partition(" = ")[0] for line in lines)}
+            return self.loop(body)
+        return self.called(name, ["W"], ["f8[::1]"], lines)
+
+    def called(self, name: str, arrays: list[str], types: list[str], lines: list[str]) -> list[str]:
+        """A compiled function of arrays and of all the scalars that its lines need, and the call of it."""
+        assigned = {"l", "i", "n", "np", *arrays, *(line.strip().partition(" = ")[0] for line in lines)}
         scalars = sorted({n for line in lines for n in NAME.findall(line)} - assigned - _WORDS)
-        self.define(name, f"f8[::1]{', f8' * len(scalars)}", ", ".join(["W", *scalars]), lines)
-        return [f"{name}({', '.join(['W', *scalars])})"]
+        arguments = ", ".join([*arrays, *scalars])
+        self.define(name, ", ".join([*types, *("f8" for _ in scalars)]), arguments, lines)
+        return [f"{name}({arguments})"]
 
     def define(self, name: str, types: str, arguments: str, lines: list[str]) -> None:
         """A compiled function beside the kernel."""
@@ -248,8 +266,8 @@ class _Kernel:
         at = self.row("rate") * lanes
         # Most often one substep does for all lanes; counting those for which it does not is a vector operation,
         # finding the largest rate is not.
-        body = ["rate = 0.0", *self.coefficients("slow", late=False, lane=True)]
-        body += [*(f"rate = max(rate, {r})" for r in dict.fromkeys(s.rates)), f"W[{at} + l] = rate"]
+        body = self.coefficients("slow", late=False, lane=True)
+        body += [f"rate = max({', '.join(['0.0', *dict.fromkeys(s.rates)])})", f"W[{at} + l] = rate"]
         body.append("fast += int(rate > limit)")
         slow = [*self.shared("slow"), "limit = STEP_LIMIT / max(dt, 1e-30)", "fast = 0"]
         if self.integrator.paired:
@@ -301,24 +319,26 @@ class _Kernel:
         again = " or ".join(f"inputs[i, {c}] != inputs[i - 1, {c}]" for c in sorted(columns))
         level = [line for pick in ("slow", "fast") for line in self.coefficients(pick, late=False, lane=False)]
         body = [f"u{c} = inputs[i, {c}]" for c in sorted(columns)] + level
-        return [
-            f"S = np.empty((n, {len(self.table)}))",
+        lines = [
+            "n = inputs.shape[0]",
             "for i in range(n):",
             f"    if i == 0 or {again}:",
             *indent(indent(body)),
             *[f"    S[i, {column}] = {name}" for name, column in self.table.items()],
         ]
+        types = ["f8[:,::1]", "f8[:,::1]"]
+        return [f"S = np.empty((n, {len(self.table)}))", *self.called("tabulate", ["inputs", "S"], types, lines)]
 
     # --- samples --------------------------------------------------------------------------------------------
 
-    def observe(self, i: str) -> list[str]:
-        """Lines that compare the state at sample `i` with the measurement."""
+    def observe(self) -> list[str]:
+        """Lines that compare the state at sample i with the measurement."""
         readings = self.system.readings
-        lines = [f"now = time[{i}]"] if any("now" in names_in(r) for r in readings) else []
+        lines = ["now = time[i]"] if any("now" in names_in(r) for r in readings) else []
         if self.mode == "trace":
-            return lines + self.loop([f"Y[b, {i}, {j}, l] = {reading}" for j, reading in enumerate(readings)])
-        lines += [f"w{j} = weight[{i}, {j}]" for j in range(self.m)]
-        lines += [f"y{j} = y[{i}, {j}]" for j in range(self.m)]
+            return lines + self.loop([f"Y[b, i, {j}, l] = {reading}" for j, reading in enumerate(readings)])
+        lines += [f"w{j} = weight[i, {j}]" for j in range(self.m)]
+        lines += [f"y{j} = y[i, {j}]" for j in range(self.m)]
         if self.mode == "cost":
             body = []
             for j, reading in enumerate(readings):
@@ -341,26 +361,28 @@ class _Kernel:
             block += [f"if w{j} != 0.0:", *indent(inner)]
         return block
 
+    def copied(self, row: int, count: int, place: str, store: bool) -> list[str]:
+        """Rows of the work array from or to an array, as loops."""
+        here = f"W[({row} + r) * {self.lanes} + l]"
+        text = f"{place} = {here}" if store else f"{here} = {place}"
+        return [f"for r in range({count}):", f"    for l in range({self.lanes}):", f"        {text}"] if count else []
+
     def block(self) -> list[str]:
         """One block of lanes from the first sample to the last."""
         s, n = self.system, self.lanes
         cost = self.mode == "cost"
         remembered = [*self.states(), *self.memories()]
-        enter = [f"{self.at(p)} = lanes[b, {r}, l]" for p, r in self.parameters.items()]
-        body = [f"x{j} = start[b, {j}, l]" for j in range(len(self.network.nodes))]
-        rest = [
-            *s.starts,
-            *(f"inputs[first, {self.network.input_columns.index(d.column)}]" for _, d in s.drives if d.lag),
-        ]
-        for row, (name, at_rest) in enumerate(
-            zip(remembered[len(self.network.nodes) :], rest, strict=True), start=len(self.network.nodes)
-        ):
-            body += [f"{name} = start[b, {row}, l]", f"{name} = {name} if {name} == {name} else {at_rest}"]
-        for name in remembered:
-            body.append(f"W[{self.row(name) * n} + l] = {name}")
+        lines = self.copied(0, len(remembered), "start[b, r, l]", store=False)
+        lines += self.copied(len(remembered), len(self.parameters), "lanes[b, r, l]", store=False)
+        lagging = [self.network.input_columns.index(d.column) for _, d in s.drives if d.lag]
+        rest = [*s.starts, *(f"inputs[first, {c}]" for c in lagging)]
+        # Loops rather than lines, here and at the end: the compiler's time goes with the number of statements.
+        body = []
+        for name, at_rest in zip(remembered[len(self.network.nodes) :], rest, strict=True):
+            body += [f"{name} = {name} if {name} == {name} else {at_rest}", f"{self.at(name)} = {name}"]
+        lines += self.loop(body)
         if cost:
-            enter += [f"{self.at(f'sse{j}')} = 0.0" for j in range(self.m)]
-        lines = [f"for l in range({n}):", *indent(enter), *self.loop(body)] if enter else self.loop(body)
+            lines += self.copied(self.row("sse0"), self.m, "0.0", store=False)
         lines += self.outlined("begin", self.coefficients("fixed", late=False, lane=True))
         lines += self.delays.enter() if self.delays else []
         lines += ["G[:] = 0.0"] if self.mode == "gram" else []
@@ -370,19 +392,17 @@ class _Kernel:
         if self.delays:
             inner = [*self.delays.look(), *inner, *self.delays.advance()]
         interval = [f"u{c} = inputs[i, {c}]" for c in range(len(self.network.input_columns)) if c not in s.driven]
-        interval += [*self.observe("i"), *self.drive(), *refresh]
+        interval += [*self.observe(), "if i == n - 1:", "    break", *self.drive(), *refresh]
         interval += [*[f"h{i} = h / {i}.0" for i in range(2, 7)], "for step in range(steps):", *indent(inner)]
         lines += [
             "limit = 0.0",
             "known_dt, known_h = -1.0, -1.0",
-            "for i in range(first, n - 1):",
+            "for i in range(first, n):",
             *indent(interval),
         ]
-        lines += self.observe("n - 1")
-        leave = [f"end[b, {j}, l] = W[{self.row(name) * n} + l]" for j, name in enumerate(remembered)]
+        lines += self.copied(0, len(remembered), "end[b, r, l]", store=True)
         if cost:
-            leave += [f"sse[b, {j}, l] = {self.at(f'sse{j}')}" for j in range(self.m)]
-        lines += [f"for l in range({n}):", *indent(leave)]
+            lines += self.copied(self.row("sse0"), self.m, "sse[b, r, l]", store=True)
         if self.delays:
             lines += self.delays.leave()
         if self.mode == "gram":
@@ -400,8 +420,10 @@ class _Kernel:
             head += [f"E = np.empty({self.m * n})", f"G = np.empty({n * n})"]
         if self.delays:
             head += self.delays.head()
-        head += [f"p{i} = base[{i}]" for i in range(len(self.network.ids)) if f"p{i}" not in self.parameters]
-        head += [*self.coefficients("fixed", late=False, lane=False), *self.tabulate()]
+        fixed = [*self.coefficients("fixed", late=False, lane=False), *self.tabulate()]
+        used_names = {name for line in (*fixed, *block) for name in NAME.findall(line)}
+        wanted = [i for i in range(len(self.network.ids)) if f"p{i}" in used_names]
+        head += [*(f"p{i} = base[{i}]" for i in wanted if f"p{i}" not in self.parameters), *fixed]
         jit = f"{_SIGNATURE[self.mode]!r}, cache=True, fastmath=FAST, nogil=True, error_model='numpy'"
         functions = _FUNCTIONS + (_ARRIVED if any(d.dead_time for _, d in s.drives) else "")
         return "\n".join(
@@ -415,6 +437,7 @@ class _Kernel:
                 "",
                 f"LANES = {n}",
                 f"SLOTS = {SLOTS}",
+                f"NEVER = {NEVER!r}",
                 f"STEP_LIMIT = {self.integrator.limit!r}",
                 f"PER_STEP = {1.0 / self.integrator.limit!r}",
                 f"LONGEST = {MOST_STEPS * self.integrator.limit!r}",

@@ -2,8 +2,8 @@
 
 Each flow counts the volume v that it has moved, each delay remembers its water in slots of that volume: a + r (m + r b)
 at the share r of a slot. As long as one step fills a slot, a, m and b are the water at its start, its slope there and
-what is missing to the water at its end, and the error is of third order in the step; slower flows fill a slot in
-several steps and are taken as straight lines. Jumps lie between slots.
+what is missing to the water at its end, and the error is of third order in the step; where slower flows fill a slot in
+several steps, it has the water at both ends and the mean of what has gone in. Jumps lie between slots, or lose shape.
 
 The outlet at v is the water at v - volume. Where one step moves more than the volume, it is that at v minus what
 the step moves, and only the share `late` of the water is delayed (see `twin.elements.base.Delay`). So a look-up
@@ -34,10 +34,49 @@ NEVER = 1.0e6
 PARTS = 3
 """Coefficients of a slot's water."""
 
-_NOTE = '''
-@nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8)', cache=True, error_model='numpy')
-def note(H, R, i, water, steps):
-    """Fill slot i. R: rows of the water that enters at the start, of its slope there, of the water at the end."""
+_FILL = '''
+@nb.njit('void(f8[:,::1], f8[:,:,::1], i8, i8, i8)', cache=True)
+def fill_volumes(V, past, b, line, row):
+    """Volumes of a flow at which its slots begin, counted from now; at rest all but the last slots are far away."""
+    for e in range(SLOTS):
+        for l in range(V.shape[1]):
+            V[line + e, l] = past[b, row + e, l] if past.shape[0] > 0 else (e - SLOTS + 1) * NEVER
+
+
+@nb.njit('void(f8[:,::1], f8[:,::1], f8[:,:,::1], i8, i8, i8, i8)', cache=True)
+def fill_water(H, R, past, b, line, row, water):
+    """Water of a delay, slot by slot; at rest that in row `water`."""
+    for e in range(SLOTS):
+        for part in range(3):
+            for l in range(LANES):
+                rest = R[water, l] if part == 0 else 0.0
+                H[3 * (line + e) + part, l] = past[b, row + part * SLOTS + e, l] if past.shape[0] > 0 else rest
+
+
+@nb.njit('void(f8[:,::1], f8[:,:,::1], i8, i8, i8, i8, i8)', cache=True)
+def hand_volumes(V, future, b, line, row, tip, since):
+    """What `fill_volumes` takes up, oldest slot first, counted from the newest boundary; steps since a slot closed."""
+    many = V.shape[1] > 1
+    for l in range(LANES):
+        own = l if many else 0
+        for e in range(SLOTS):
+            future[b, row + e, l] = V[line + ((tip + 1 + e) & (SLOTS - 1)), own] - V[line + tip, own]
+        future[b, row + SLOTS, l] = since
+
+
+@nb.njit('void(f8[:,::1], f8[:,:,::1], i8, i8, i8, i8)', cache=True)
+def hand_water(H, future, b, line, row, tip):
+    """What `fill_water` takes up."""
+    for e in range(SLOTS):
+        for part in range(3):
+            for l in range(LANES):
+                future[b, row + part * SLOTS + e, l] = H[3 * (line + ((tip + 1 + e) & (SLOTS - 1))) + part, l]
+'''
+_ALIKE = '''
+@nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8, f8)', cache=True, fastmath=FAST, error_model='numpy')
+def note(H, R, i, water, steps, share):
+    """Fill slot i. R: rows of the water that enters at the start, of its slope there, of the water at the end; the
+    share of the slot's volume that this step is."""
     i = 3 * i
     if steps == 0:
         for l in range(LANES):  # one row to a loop: few rows to prove apart, and it stays vectorised
@@ -48,11 +87,16 @@ def note(H, R, i, water, steps):
             H[i + 2, l] = R[water + 2, l] - R[water, l] - R[water + 1, l]
     else:
         for l in range(LANES):
-            H[i + 1, l] = R[water + 2, l] - H[i, l]
-            H[i + 2, l] = 0.0
-'''
-_ALIKE = '''
-@nb.njit('i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, f8, f8, i8, i8)', cache=True, error_model='numpy')
+            new = 2.0 / 3.0 * R[water, l] + 1.0 / 6.0 * R[water + 1, l] + 1.0 / 3.0 * R[water + 2, l]
+            mean = H[i, l] + 0.5 * H[i + 1, l] + 1.0 / 3.0 * H[i + 2, l]
+            mean += share * (new - mean)
+            H[i + 1, l] = 6.0 * mean - 4.0 * H[i, l] - 2.0 * R[water + 2, l]
+            H[i + 2, l] = R[water + 2, l] - H[i, l] - H[i + 1, l]
+
+
+@nb.njit(
+    'i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, f8, f8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy'
+)
 def look(V, H, R, flow, line, s, y, span, tip, out):
     """Quadratic in time of the water from volume y to y + span, into rows from `out` on; the slot that holds y."""
     while s != ((tip + 1) & (SLOTS - 1)) and V[flow + s, 0] > y:
@@ -95,7 +139,28 @@ def look(V, H, R, flow, line, s, y, span, tip, out):
     return cursor
 '''
 _APART = '''
-@nb.njit('i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, i8, i8, i8)', cache=True, error_model='numpy')
+@nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy')
+def note(H, R, i, water, steps, share):
+    """Fill slot i. R: rows of the water that enters at the start, of its slope there, of the water at the end; the
+    share of the slot's volume that this step is."""
+    i = 3 * i
+    if steps == 0:
+        for l in range(LANES):  # one row to a loop: few rows to prove apart, and it stays vectorised
+            H[i, l] = R[water, l]
+        for l in range(LANES):
+            H[i + 1, l] = R[water + 1, l]
+        for l in range(LANES):
+            H[i + 2, l] = R[water + 2, l] - R[water, l] - R[water + 1, l]
+    else:
+        for l in range(LANES):
+            new = 2.0 / 3.0 * R[water, l] + 1.0 / 6.0 * R[water + 1, l] + 1.0 / 3.0 * R[water + 2, l]
+            mean = H[i, l] + 0.5 * H[i + 1, l] + 1.0 / 3.0 * H[i + 2, l]
+            mean += R[share, l] * (new - mean)
+            H[i + 1, l] = 6.0 * mean - 4.0 * H[i, l] - 2.0 * R[water + 2, l]
+            H[i + 2, l] = R[water + 2, l] - H[i, l] - H[i + 1, l]
+
+
+@nb.njit('i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, i8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy')
 def look(V, H, R, flow, line, s, place, tip, out):
     """Quadratic in time of the water from each lane's volume y = R[place] to y + R[place + 1], into rows from `out` on;
     a slot that no lane's y lies before."""
@@ -203,7 +268,7 @@ class Delays(ABC):
 
     def enter(self) -> list[str]:
         """Fill the lines: with what `past` holds, or with the water at rest."""
-        k, rest, load, scalars, volumes = self.kernel, list[str](), list[str](), list[str](), list[str]()
+        k, scalars = self.kernel, list[str]()
         for g in self.flows:
             row = self._layout.volumes[g]
             scalars += [
@@ -212,19 +277,13 @@ class Delays(ABC):
                 f"i{g} = SLOTS - 1 if since{g} == 0 else SLOTS - 2",
                 f"j{g} = (i{g} + 1) & (SLOTS - 1)",
             ]
-            at_rest = f"(e - SLOTS + 1) * {NEVER!r}"
-            volumes.append(f"V[{g * SLOTS} + e, l] = past[b, {row} + e, l] if past.shape[0] > 0 else {at_rest}")
-        for p, delay in enumerate(self.delays):
-            row = self._layout.waters[p]
-            load += [f"{self._water(p, 'e', n)} = past[b, {row + n * SLOTS} + e, l]" for n in range(PARTS)]
-            rest += [f"{self._water(p, 'e', n)} = {v}" for n, v in enumerate((delay.start, "0.0", "0.0"))]
-            scalars.append(f"s{p} = SLOTS - 2")
-        fill = [f"for l in range({self.lanes}):", *_in(volumes)]
-        fill += ["if past.shape[0] > 0:", *_in(k.loop(load)), "else:", *_in(k.loop(rest))]
-        return [*scalars, "for e in range(SLOTS):", *_in(fill), *self.begin()]
-
-    def _water(self, p: int, slot: str, part: int) -> str:
-        return f"H[3 * ({p * SLOTS} + {slot}) + {part}, l]"
+        scalars += [f"s{p} = SLOTS - 2" for p in range(len(self.delays))]
+        scalars += k.loop([f"{k.at(f'wb{p}')} = {delay.start}" for p, delay in enumerate(self.delays)])
+        for p in range(len(self.delays)):
+            scalars.append(f"fill_water(H, R, past, b, {p * SLOTS}, {self._layout.waters[p]}, {k.row(f'wb{p}')})")
+        for g in self.flows:
+            scalars.append(f"fill_volumes(V, past, b, {g * SLOTS}, {self._layout.volumes[g]})")
+        return [*scalars, *self.begin()]
 
     @abstractmethod
     def begin(self) -> list[str]:
@@ -243,8 +302,8 @@ class Delays(ABC):
         """Volume at the end of the step, and boundary j of flow g."""
 
     @abstractmethod
-    def moved(self, g: int) -> str:
-        """Volume that flow g has moved, in the loop over lanes that hands it on."""
+    def share(self, g: int) -> str:
+        """Share of the slot's volume that the step is: a number, or its row."""
 
     def reaches(self, own: Iterable[int]) -> list[str]:
         """Of delays, what the water in them must still know of, and the share of the water that is delayed."""
@@ -269,7 +328,8 @@ class Delays(ABC):
             out += self.move(g)
             for p, delay in enumerate(self.delays):
                 if delay.line == g:
-                    out.append(f"note(H, R, {p * SLOTS} + i{g}, {self.kernel.row(f'wb{p}')}, since{g})")
+                    rows = f"{self.kernel.row(f'wb{p}')}, since{g}, {self.share(g)}"
+                    out.append(f"note(H, R, {p * SLOTS} + i{g}, {rows})")
             out += [
                 f"since{g} += 1",
                 f"tip{g} = j{g}",
@@ -282,23 +342,18 @@ class Delays(ABC):
 
     def leave(self) -> list[str]:
         """Hand the lines on, oldest slot first, volumes counted from now."""
-        body, extra, many = list[str](), list[str](), self.lanes > 1
+        lines = list[str]()
         for g in self.flows:
-            row = self._layout.volumes[g]
-            at = f"V[{g * SLOTS} + ((tip{g} + 1 + e) & (SLOTS - 1)), {'l' if many else '0'}]"
-            body.append(f"future[b, {row} + e, l] = {at} - {self.moved(g)}")
-            extra.append(f"future[b, {row + SLOTS}, l] = since{g}")
+            lines.append(f"hand_volumes(V, future, b, {g * SLOTS}, {self._layout.volumes[g]}, tip{g}, since{g})")
         for p, delay in enumerate(self.delays):
-            slot, row = f"((tip{delay.line} + 1 + e) & (SLOTS - 1))", self._layout.waters[p]
-            body += [f"future[b, {row + n * SLOTS} + e, l] = {self._water(p, slot, n)}" for n in range(PARTS)]
-        lines = ["if future.shape[0] > 0:", "    for e in range(SLOTS):", *_in(self.kernel.loop(body), 2)]
-        return lines + _in(self.kernel.loop(extra))
+            lines.append(f"hand_water(H, future, b, {p * SLOTS}, {self._layout.waters[p]}, tip{delay.line})")
+        return ["if future.shape[0] > 0:", *_in(lines)]
 
 
 class AlikeLines(Delays):
     """All lanes share flow and volumes."""
 
-    functions = _NOTE + _ALIKE
+    functions = _FILL + _ALIKE
 
     def __init__(self, system: System, kernel: _Kernel) -> None:
         super().__init__(system, kernel)
@@ -310,7 +365,7 @@ class AlikeLines(Delays):
     def refresh(self) -> list[str]:
         body = [f"q{g} = {flow}" for g, flow in enumerate(self.system.flows)] + self.reaches(range(len(self.delays)))
         # With one lane, what belongs to it is a row like any other.
-        out = self.kernel.loop(body) if self.kernel.lanes == 1 else body
+        out = self.kernel.loop(body, own=False) if self.kernel.lanes == 1 else body
         for g in self.flows:
             reaches = ", ".join([*(f"far{p}" for p, d in enumerate(self.delays) if d.line == g), "0.0"])
             out = [*out, f"span{g} = max(q{g} * h, 1e-12)", f"closing{g} = max({reaches}) / (SLOTS - 4)"]
@@ -324,21 +379,22 @@ class AlikeLines(Delays):
         ]
 
     def move(self, g: int) -> list[str]:
-        return [f"v{g} += q{g} * h", f"V[{g * SLOTS} + j{g}, 0] = v{g}"]
+        width = f"max(v{g} - V[{g * SLOTS} + i{g}, 0], 1e-12)"
+        return [f"v{g} += q{g} * h", f"V[{g * SLOTS} + j{g}, 0] = v{g}", f"share{g} = q{g} * h / {width}"]
 
-    def moved(self, g: int) -> str:
-        return f"v{g}"
+    def share(self, g: int) -> str:
+        return f"share{g}"
 
 
 class LinesApart(Delays):
     """Every lane has a flow and volumes of its own. A slot is closed for all, by the volume of lane 0."""
 
-    functions = _NOTE + _APART
+    functions = _FILL + _APART
 
     def __init__(self, system: System, kernel: _Kernel) -> None:
         super().__init__(system, kernel)
         self.lanes = kernel.lanes
-        for name in (f"{n}{g}" for n in "vq" for g in self.flows):
+        for name in (f"{n}{g}" for n in ("v", "q", "share") for g in self.flows):
             kernel.row(name)
         for p, delay in enumerate(self.delays):
             for name in (f"far{p}", f"place{p}", f"span{p}", delay.late):
@@ -375,10 +431,11 @@ class LinesApart(Delays):
     def move(self, g: int) -> list[str]:
         k = self.kernel
         body = [f"v{g} = v{g} + q{g} * h", f"{k.at(f'v{g}')} = v{g}", f"V[{g * SLOTS} + j{g}, l] = v{g}"]
-        return k.loop(body)
+        width = f"max(v{g} - V[{g * SLOTS} + i{g}, l], 1e-12)"
+        return k.loop([*body, f"{k.at(f'share{g}')} = q{g} * h / {width}"])
 
-    def moved(self, g: int) -> str:
-        return f"v{g}"
+    def share(self, g: int) -> str:
+        return str(self.kernel.row(f"share{g}"))
 
 
 def _in(lines: list[str], depth: int = 1) -> list[str]:

@@ -95,8 +95,8 @@ class Kernel:
         for low in range(0, count, CHUNK):
             part = slice(low, low + CHUNK)
             rows = [a if len(a) == 1 else a[part] for a in (parameters, state)]
-            call = self._call(rows[0], rows[1], time, inputs, min(CHUNK, count - low), LANES)
-            out = np.empty((call.blocks, m, LANES))
+            call = self._call(rows[0], rows[1], time, inputs, min(CHUNK, count - low), 1 if count == 1 else LANES)
+            out = np.empty((call.blocks, m, call.lanes))
             call.run(self._variant("cost", call), *call.later(measured, weight), out, call.end, call.no_future)
             sse[part], end[part] = call.particles(out), call.particles(call.end)[:, :k]
         return sse, end
