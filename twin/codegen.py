@@ -28,6 +28,7 @@ from twin.affine import names_in, shared_call
 from twin.assembly import System, python_source
 from twin.delays import NEVER, SLOTS, delay_lines
 from twin.integrators import NAME, PAIRS, Integrator, renamed
+from twin.kernel_functions import ARRIVED, EXP
 from twin.network import Network
 
 LANES = 32
@@ -37,43 +38,6 @@ OUTLINE_LINES = 60
 _WORDS = {"for", "in", "range", "max", "min", "exp", "log", "abs", "if", "else", "or"}
 Mode = Literal["cost", "trace", "gram"]
 MODES: tuple[Mode, ...] = ("cost", "trace", "gram")
-
-_FUNCTIONS = '''
-@nb.njit(inline='always')
-def exp(x):
-    """exp(x) by halving, a Taylor polynomial and squaring: no call, so the lane loop stays vectorised."""
-    y = min(max(x, -60.0), 60.0) * 0.00390625
-    y = 1.0 + y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0 + y / 720.0)))))
-    y = y * y
-    y = y * y
-    y = y * y
-    y = y * y
-    y = y * y
-    y = y * y
-    y = y * y
-    return y * y
-'''
-_ARRIVED = '''
-@nb.njit('f8(f8[::1], f8[:,::1], i8, i8, f8)', cache=True, error_model='numpy')
-def arrived(time, inputs, column, i, dead):
-    """Mean of a held input over interval i, `dead` seconds ago; before the first sample it was as then."""
-    first, last = time[i] - dead, time[i + 1] - dead
-    low, high = 0, i
-    while low < high:
-        middle = (low + high + 1) // 2
-        if time[middle] <= first:
-            low = middle
-        else:
-            high = middle - 1
-    if last <= first:
-        return inputs[low, column]
-    total, at = 0.0, first
-    while low < i and time[low + 1] < last:
-        total += inputs[low, column] * max(time[low + 1] - at, 0.0)
-        at = max(time[low + 1], at)
-        low += 1
-    return (total + inputs[low, column] * (last - at)) / (last - first)
-'''
 
 
 def kernel_source(
@@ -425,7 +389,7 @@ class _Kernel:
         wanted = [i for i in range(len(self.network.ids)) if f"p{i}" in used_names]
         head += [*(f"p{i} = base[{i}]" for i in wanted if f"p{i}" not in self.parameters), *fixed]
         jit = f"{_SIGNATURE[self.mode]!r}, cache=True, fastmath=FAST, nogil=True, error_model='numpy'"
-        functions = _FUNCTIONS + (_ARRIVED if any(d.dead_time for _, d in s.drives) else "")
+        functions = EXP + (ARRIVED if any(d.dead_time for _, d in s.drives) else "")
         return "\n".join(
             [
                 f'"""Generated: {self.mode} kernel of a network of {self.k} states. Changes here are lost."""',
