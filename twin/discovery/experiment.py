@@ -53,8 +53,9 @@ def propose(
     bins = int(HOURS * 3600.0 / grid.step_s)
     best: Experiment | None = None
     for name, steps in _library(network.input_columns, grid, seed).items():
-        inputs = np.tile(np.asarray(np.median(grid.inputs, axis=0), dtype=np.float64), (bins, 1))
-        time = grid.step_s * np.arange(bins)
+        inputs: Array = np.empty((bins, len(network.input_columns)))
+        inputs[:] = np.median(grid.inputs, axis=0)
+        time: Array = np.arange(bins, dtype=np.float64) * grid.step_s
         for start, values in steps:
             for column, value in values.items():
                 inputs[time >= start, network.input_columns.index(column)] = value
