@@ -42,7 +42,7 @@ def command(
       hil diagnose runs/<a run> --healthy runs/<a healthy run>/record.parquet
       hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet
     """
-    from hil.diagnosing import clock_of, read_columns, revise, subject_of, with_clock, write
+    from hil.diagnosing import clock_of, provenance, read_columns, revise, subject_of, with_clock, write
     from hil.terminal import Steps, console
     from twin.discovery.engine import diagnose
     from twin.network import TwinFileError
@@ -75,7 +75,10 @@ def command(
         "healthy": str(healthy) if healthy else None, "seconds": round(time.monotonic() - began, 2),
     }  # fmt: skip
     if not dry:
-        write(diagnosis, subject.out, extra)
+        files = {"record": subject.record, "twin": subject.twin, "healthy record": healthy}
+        extra["provenance"] = provenance(files)
+        shown = write(diagnosis, told.sensor_names, subject.out, extra)
+        extra["page"] = str(shown)
     if as_json:
         click.echo(json.dumps({**diagnosis.document(), **extra}, indent=1))
     else:
@@ -84,7 +87,7 @@ def command(
         if revision:
             to.print(f"revision of the twin: {revision}", soft_wrap=True)
         if not dry:
-            to.print(f"results: {subject.out}", soft_wrap=True)
+            to.print(f"page with pictures: {shown}", soft_wrap=True)
         to.print(f"{time.monotonic() - began:.1f} s")
     if diagnosis.verdict != "adequate":
         sys.exit(FOUND)
