@@ -201,32 +201,34 @@ def _share(a: dict[str, Any]) -> str:
 
 
 def _error_table(d: dict[str, Any]) -> str:
+    kinds = {"stale": "as it was", "before": "re-tuned"}
+    if after_label(d) != "re-tuned":
+        kinds["after"] = after_label(d)
     rows = []
     for name, e in d["error"]["sensors"].items():
         means = e["ten_second_means"]
-        cells = (e["stale"], e["before"], e["after"], e["noise"], means["stale"], means["before"], means["after"])
+        cells = [e[k] for k in kinds] + [e["noise"]] + [means[k] for k in kinds]
         rows.append([name, *(_number(cell) for cell in cells)])
-    last = after_label(d)
-    head = ["sensor", "as it was", "re-tuned", last, "noise"]
-    head += ["as it was, 10 s means", "re-tuned, 10 s means", f"{last}, 10 s means"]
-    return f"<h3>RMSE in K, held out</h3>{_table(head, rows, 7)}" if rows else ""
+    head = ["sensor", *kinds.values(), "noise", *(f"{label}, 10 s means" for label in kinds.values())]
+    return f"<h3>RMSE in K, held out</h3>{_table(head, rows, len(head) - 1)}" if rows else ""
 
 
 def _tunable_table(d: dict[str, Any]) -> str:
-    moved = d["tunables_moved"]
+    beside = after_label(d) != "re-tuned"
     rows, far = [], []
-    for m in moved:
+    for m in d["tunables_moved"]:
         rows.append(
             [
-                m["parameter"], m["unit"], _number(m["commissioned"]), _number(m["before"]), _number(m["before_sd"], "+.1f"),
-                _number(m["after"]), _number(m["after_sd"], "+.1f"),
+                m["parameter"], m["unit"], _number(m["commissioned"]),
+                _number(m["before"]), _number(m["before_sd"], "+.1f"),
+                *((_number(m["after"]), _number(m["after_sd"], "+.1f")) if beside else ()),
             ]
         )  # fmt: skip
         far.append(max(abs(m["before_sd"] or 0.0), abs(m["after_sd"] or 0.0)) > _FAR_SD)
-    last = "beside the effect" if after_label(d) != "re-tuned" else "re-tuned"
-    head = ["parameter", "unit", "commissioned", "re-tuned alone", "in sd", last, "in sd"]
+    head = ["parameter", "unit", "commissioned", "re-tuned alone", "in sd"]
+    head += ["beside the effect", "in sd"] if beside else []
     note = "<p class=note>Bold: more than three standard deviations of commissioning.</p>"
-    return f"<h3>Tunables</h3>{_table(head, rows, 5, tuple(far))}{note}" if rows else ""
+    return f"<h3>Tunables</h3>{_table(head, rows, len(head) - 2, tuple(far))}{note}" if rows else ""
 
 
 def _lists(d: dict[str, Any]) -> str:

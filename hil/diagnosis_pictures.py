@@ -62,7 +62,8 @@ def pictures(findings: Findings) -> dict[str, str]:
     }  # fmt: skip
     drawn = {}
     for name, make in makers.items():
-        with matplotlib.rc_context({**_STYLE, "svg.hashsalt": name}):
+        style: dict[Any, Any] = {**_STYLE, "svg.hashsalt": name}
+        with matplotlib.rc_context(style):
             figure = make(findings)
             if figure is not None:
                 buffer = io.StringIO()
@@ -139,7 +140,7 @@ def _unknowns(findings: Findings) -> Figure | None:
     rows = max(len(c) for c in columns)
     figure = _figure(1.45 * rows + 0.9)
     grid = figure.subplots(rows, len(columns), sharex=True, squeeze=False)
-    likeliest = findings.curves.unknowns[0]
+    likeliest = findings.curves.unknowns[0] if findings.document["effects"] else None
     for k, column in enumerate(columns):
         for axes, unknown in zip(grid[:, k], column, strict=False):
             _unknown(axes, findings, unknown, hours, unknown is likeliest)
@@ -175,15 +176,16 @@ def _unknown(axes: Axes, findings: Findings, unknown: Unknown, hours: np.ndarray
     axes.plot(hours, unknown.mean, color=colour, linewidth=1.6 if best else 1.2)
     axes.axhline(0.0, color=DARK, linewidth=0.6)
     behind = findings.curves.unknowns[0].log_evidence - unknown.log_evidence
-    note = "explains the record best" if best else f"log evidence {behind:,.0f} lower"
+    note = "explains the record best" if behind == 0.0 else f"log evidence {behind:,.0f} lower"
     axes.set_ylabel(f"{short(unknown.site) if unknown.unit != 'W' else unknown.site}, {unknown.unit}")
     axes.annotate(
         note, (1.0, 1.0), xycoords="axes fraction", ha="right", va="top", fontsize=8, color=DARK,
         bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
     )  # fmt: skip
     spread = float(np.median(unknown.sd)) if unknown.sd.size else 0.0
-    reach = 1.2 * max(float(np.abs(unknown.mean).max()), 3.0 * spread)
-    axes.set_ylim(min(-0.25 * reach, 1.3 * float(unknown.mean.min())), max(reach, 0.25 * reach))
+    bottom, top = float(unknown.mean.min()) - 2.2 * spread, float(unknown.mean.max()) + 2.2 * spread
+    room = 0.25 * (max(top, 0.0) - min(bottom, 0.0))
+    axes.set_ylim(min(bottom, -0.2 * room), max(top, 0.0) + room)
 
 
 def _ladder(findings: Findings) -> Figure | None:
@@ -284,14 +286,27 @@ def _errors(findings: Findings) -> Figure | None:
             axes.scatter(values, places, s=big, color=colour, marker=marker, label=label, zorder=3, linewidths=1.6)
         reach = [[_number(c.get(k[0])) for k in kinds if k[0] != "noise"] for c in cells]
         axes.hlines(places, np.nanmin(reach, axis=1), np.nanmax(reach, axis=1), color=BAND, linewidth=2.0, zorder=1)
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")
         axes.set_title(title)
         axes.set_xlabel("RMSE, K (log)")
         axes.set_ylim(-0.6, len(sensors) - 0.4)
+    _log_axis(raw)
     raw.set_yticks(places, [short(name) for name in sensors])
     figure.legend(*raw.get_legend_handles_labels(), loc="outside upper center", ncols=4)
     return figure
+
+
+def _log_axis(axes: Axes) -> None:
+    """A log axis of at least a decade with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    widen = max(np.sqrt(10.0 / (high / low)), 1.1)
+    for each in axes.get_shared_x_axes().get_siblings(axes):
+        each.set_xlim(low / widen, high * widen)
+        each.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if high / low > 30.0 else (1.0, 2.0, 5.0)))
+        each.xaxis.set_major_formatter("{x:g}")
+        each.xaxis.set_minor_locator(NullLocator())
 
 
 def _number(value: float | None) -> float:

@@ -45,7 +45,7 @@ class Unknown:
 class Curves:
     """Block means at `time_s` (b,): residuals (b,) in K by sensor, and unknowns, the likeliest first.
 
-    residual: measured minus the twin as it was. after: minus the twin with what was found. band: sd of a healthy one, K.
+    residual: measured minus the twin as it was. after: with what was found. band: sd of a healthy one, K.
     """
 
     time_s: Floats
