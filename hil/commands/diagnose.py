@@ -28,9 +28,17 @@ STEPS = 4.0
 @click.option("--clock", help="Time of day at 0 s of the record, like 08:00, where the record does not tell.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")
 @click.option("--dry", is_flag=True, help="Propose only: no revision of the twin, no files.")
+@click.option("--review", is_flag=True, help="Also write diagnosis.rrd, and open it where there is a display.")
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
 def command(
-    target: Path, twin: Path | None, healthy: Path | None, clock: str | None, out: Path | None, dry: bool, as_json: bool
+    target: Path,
+    twin: Path | None,
+    healthy: Path | None,
+    clock: str | None,
+    out: Path | None,
+    dry: bool,
+    review: bool,
+    as_json: bool,
 ) -> None:
     """Find the residual of RUN or RECORD, trace it to an effect that the twin lacks, and add that effect.
 
@@ -89,8 +97,22 @@ def command(
         if not dry:
             to.print(f"page with pictures: {shown}", soft_wrap=True)
         to.print(f"{time.monotonic() - began:.1f} s")
+    if review and not dry:
+        _review(subject.out, quiet=as_json)
     if diagnosis.verdict != "adequate":
         sys.exit(FOUND)
+
+
+def _review(folder: Path, *, quiet: bool) -> None:
+    from hil.diagnosis_store import REVIEW
+    from hil.review import has_display, show_review, write_findings_review
+    from hil.terminal import console
+
+    write_findings_review(folder, folder / REVIEW)
+    if has_display():
+        show_review(folder / REVIEW)
+    else:
+        console(quiet=quiet).print(f"for Rerun: {folder / REVIEW}", soft_wrap=True)
 
 
 def _show(to: Console, d: Diagnosis) -> None:
