@@ -1,6 +1,6 @@
 """A diagnosis in the review: one more tab, made from the results folder. Plain data; nothing here knows Rerun.
 
-/diagnosis/verdict                    text
+/diagnosis/verdict, /diagnosis/errors  text
 /diagnosis/residual/<sensor>/stale    measured minus the twin as it was, K, (n, 1)
 /diagnosis/residual/<sensor>/after    minus the twin with what was found, K, (n, 1)
 /diagnosis/residual/<sensor>/band     zero and plus/minus two sigma of a healthy residual, K, (n, 3)
@@ -23,7 +23,7 @@ from hil.journal import Header
 from hil.review.collect import Batch, Estimates, Rows, States, Texts
 from hil.review.plan import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, Plan, Stack, path
 
-VERDICT = "/diagnosis/verdict"
+VERDICT, ERRORS = "/diagnosis/verdict", "/diagnosis/errors"
 _MOST_BESIDE = 4
 _HEALTHY = "as commissioned"
 _AFTER = TRACKED["blue"]
@@ -55,21 +55,23 @@ def with_findings(plan: Plan, findings: Findings) -> Plan:
     )
 
 
-def note(findings: Findings) -> str:
-    """The verdict in Markdown."""
+def notes(findings: Findings) -> dict[str, str]:
+    """Markdown by entity: the verdict with what the colours mean, and the errors."""
     d = findings.document
-    parts = [f"# {str(d['verdict']).capitalize()}", str(d["summary"])]
+    parts = [f"### {str(d['verdict']).capitalize()}", str(d["summary"])]
     parts += [f"*{text}*" for text in (*d["warnings"], *d["notes"])]
     if d["indistinguishable"]:
         parts.append("This record cannot tell it from: " + ", ".join(plain(a) for a in d["indistinguishable"]) + ".")
+    parts.append(
+        f"orange: as it was · blue: {after_label(d)} · thin lines: zero and ±2σ of a healthy residual · below, blue: "
+        "the place that explains the record best, band ±1σ"
+    )
     rows = [
         f"| {short(name)} | {_k(e['stale'])} | {_k(e['before'])} | {_k(e['after'])} | {_k(e['noise'])} |"
         for name, e in d["error"]["sensors"].items()
     ]
-    if rows:
-        head = f"| RMSE in K, held out | as it was | re-tuned | {after_label(d)} | noise |\n|---|---|---|---|---|"
-        parts.append("\n".join([head, *rows]))
-    return "\n\n".join(parts) + "\n"
+    head = f"| RMSE in K, held out | as it was | re-tuned | {after_label(d)} | noise |\n|---|---|---|---|---|"
+    return {VERDICT: "\n\n".join(parts) + "\n", ERRORS: "\n".join([head, *rows]) + "\n"}
 
 
 def batches(findings: Findings) -> Iterator[Batch]:
@@ -136,17 +138,21 @@ def _lines(findings: Findings) -> Iterator[Lines]:
 
 def _tab(findings: Findings) -> Stack:
     residuals = [
-        Panel("lines", f"{short(s)}: measured - twin [K]", (path("diagnosis", "residual", s) + "/**",), legend=i == 0)
-        for i, s in enumerate(findings.curves.residual)
+        Panel("lines", f"{short(s)}: measured - twin [K]", (path("diagnosis", "residual", s) + "/**",), legend=False)
+        for s in findings.curves.residual
     ]
     shown = _shown(findings)
     power = [_unknown(u) for u in shown if u.unit == "W"]
     offset = [_unknown(u) for u in shown if u.unit != "W"]
-    words = (Panel("note", "Verdict", (VERDICT,), 3.0), Panel("texts", "Onset", ("/diagnosis/onsets",), 2.0))
+    words = (
+        Panel("note", "Verdict", (VERDICT,), 3.0),
+        Panel("note", "Errors", (ERRORS,), 2.2),
+        Panel("texts", "Onset", ("/diagnosis/onsets",), 2.5),
+    )
     rows: list[Panel | Stack] = [Stack("columns", words, share=3.0)]
     for start in range(0, len(residuals), _MOST_BESIDE):
         rows.append(Stack("columns", tuple(residuals[start : start + _MOST_BESIDE]), share=3.0))
-    rows.append(Panel("lanes", "What is there", ("/diagnosis/state",), 1.1))
+    rows.append(Panel("lanes", "What is there", ("/diagnosis/state",), 1.4))
     rows += [Stack("columns", tuple(group), share=2.5) for group in (power, offset) if group]
     return Stack("rows", tuple(rows), title="Diagnosis")
 

@@ -13,7 +13,7 @@ from hil.atomic import replacing
 from hil.diagnosis_store import Findings, read_findings
 from hil.journal import JournalError, JournalReader
 from hil.review.collect import Batch, Collector, merged
-from hil.review.findings import VERDICT, batches, findings_beside, note, plan_alone, with_findings
+from hil.review.findings import batches, findings_beside, notes, plan_alone, with_findings
 from hil.review.plan import Plan
 from hil.review.rerun_io import Recording
 from hil.review.viewer import listens
@@ -123,7 +123,8 @@ def write_findings_review(folder: Path, rrd: Path) -> None:
 
 def _send_findings(recording: Recording, found: Findings, plan: Plan) -> None:
     recording.extend(plan)
-    recording.note(VERDICT, note(found))
+    for entity, markdown in notes(found).items():
+        recording.note(entity, markdown)
     for batch in batches(found):
         recording.send(batch)
 
