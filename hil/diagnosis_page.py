@@ -54,6 +54,7 @@ def page(findings: Findings) -> str:
         f"<h1>{title}</h1>",
         _verdict(d),
         _cards(d),
+        _experiment(d),
         _section("Residual", drawn, "residuals", _residual_note(d)),
         _section("Where the unknown acts", drawn, "unknowns", _UNKNOWN_NOTE),
         _section("Evidence", drawn, "ladder", _LADDER_NOTE),
@@ -233,8 +234,6 @@ def _tunable_table(d: dict[str, Any]) -> str:
 
 def _lists(d: dict[str, Any]) -> str:
     parts = []
-    if d["next_experiment"]:
-        parts.append(f"<h3>Next experiment</h3><p>{html.escape(_said(d['next_experiment']))}</p>")
     if d["description"]:
         rows = [[key.replace("_", " "), _said(value)] for key, value in d["description"].items()]
         parts.append(f"<h3>The unknown in numbers</h3>{_table(['', ''], rows)}")
@@ -242,6 +241,30 @@ def _lists(d: dict[str, Any]) -> str:
         items = "".join(f"<li>{html.escape(text)}</li>" for text in d["blind_spots"])
         parts.append(f"<h3>Blind spots of this record</h3><ul>{items}</ul>")
     return "".join(parts)
+
+
+def _experiment(d: dict[str, Any]) -> str:
+    """What to run next, where the record leaves a question open."""
+    plan = d["next_experiment"]
+    if not plan:
+        return ""
+    why = f"<p>{html.escape(str(plan['why']))}</p>" if plan.get("why") else ""
+    steps = [_step(step) for step in plan.get("steps") or ()]
+    columns = list(dict.fromkeys(column for _, values in steps for column in values))
+    rows = [[_hours(start), *(_said(values.get(column, "")) for column in columns)] for start, values in steps]
+    table = _table(["from", *columns], rows, len(columns)) if rows else ""
+    rest = [[key.replace("_", " "), _said(cell)] for key, cell in plan.items() if key not in ("why", "steps")]
+    return f"<h2>Next experiment</h2>{why}{table}{_table(['', ''], rest) if rest else ''}"
+
+
+def _step(step: Any) -> tuple[float, dict[str, Any]]:
+    """Start in s and set-points of a step, given as a pair or as one table with `start_s`."""
+    if isinstance(step, dict):
+        inner = step.get("values")
+        values = inner if isinstance(inner, dict) else {k: v for k, v in step.items() if k != "start_s"}
+        return float(step.get("start_s", 0.0)), values
+    start, values = step
+    return float(start), dict(values)
 
 
 def _said(value: Any) -> str:

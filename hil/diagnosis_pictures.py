@@ -284,8 +284,11 @@ def _errors(findings: Findings) -> Figure | None:
                 continue
             big = 150.0 if marker == "|" else 46.0
             axes.scatter(values, places, s=big, color=colour, marker=marker, label=label, zorder=3, linewidths=1.6)
-        reach = [[_number(c.get(k[0])) for k in kinds if k[0] != "noise"] for c in cells]
-        axes.hlines(places, np.nanmin(reach, axis=1), np.nanmax(reach, axis=1), color=BAND, linewidth=2.0, zorder=1)
+        for place, cell in zip(places, cells, strict=True):
+            reach = [cell[key] for key, *_ in kinds if cell.get(key) is not None and key != "noise"]
+            if reach:
+                low, high = _number(min(reach)), _number(max(reach))
+                axes.hlines(place, low, high, color=BAND, linewidth=2.0, zorder=1)
         axes.set_title(title)
         axes.set_xlabel("RMSE, K (log)")
         axes.set_ylim(-0.6, len(sensors) - 0.4)
