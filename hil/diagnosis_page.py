@@ -146,8 +146,10 @@ def _cards(d: dict[str, Any]) -> str:
     if sensors:
         worst = max(sensors, key=lambda name: (sensors[name]["before"] or 0.0) / (sensors[name]["noise"] or 1.0))
         e = sensors[worst]
-        value = f"{_number(e['before'])} → {_number(e['after'])} K" if d["effects"] else f"{_number(e['stale'])} K"
-        cards.append((f"{worst}, held out", value, f"as it was {_number(e['stale'])}, noise {_number(e['noise'])} K"))
+        value, beside = f"{_number(e['stale'])} K", f"re-tuned {_number(e['before'])}"
+        if after_label(d) == "with the effect":
+            value, beside = f"{_number(e['before'])} → {_number(e['after'])} K", f"as it was {_number(e['stale'])}"
+        cards.append((f"{worst}, held out", value, f"{beside}, noise {_number(e['noise'])} K"))
     cells = (
         f"<div><span>{html.escape(a)}</span><b>{html.escape(b)}</b><i>{html.escape(c)}</i></div>" for a, b, c in cards
     )
@@ -227,7 +229,7 @@ def _tunable_table(d: dict[str, Any]) -> str:
         )  # fmt: skip
         far.append(max(abs(m["before_sd"] or 0.0), abs(m["after_sd"] or 0.0)) > _FAR_SD)
     head = ["parameter", "unit", "commissioned", "re-tuned alone", "in sd"]
-    head += ["beside the effect", "in sd"] if beside else []
+    head += [after_label(d), "in sd"] if beside else []
     note = "<p class=note>Bold: more than three standard deviations of commissioning.</p>"
     return f"<h3>Tunables</h3>{_table(head, rows, len(head) - 2, tuple(far))}{note}" if rows else ""
 

@@ -49,7 +49,10 @@ def plain(effect: dict[str, Any]) -> str:
 
 def after_label(document: dict[str, Any]) -> str:
     """What the twin held whose errors are called `after`."""
-    return "with the effect" if document["verdict"] in ("effect found", "ambiguous") else "re-tuned"
+    if document["verdict"] in ("effect found", "ambiguous"):
+        return "with the effect"
+    tried = any(e["after"] != e["before"] for e in document["error"]["sensors"].values())
+    return "with the best effect tried" if tried else "re-tuned"
 
 
 def pictures(findings: Findings) -> dict[str, str]:
@@ -332,7 +335,7 @@ def _tunables(findings: Findings) -> Figure | None:
     axes.scatter(before, places, s=46, color=ORANGE, marker="s", label="re-tuned alone", zorder=3)
     if after_label(findings.document) != "re-tuned":
         axes.hlines(places, before, after, color=GREY, linewidth=1.2, zorder=1)
-        axes.scatter(after, places, s=46, color=BLUE, marker="o", label="beside the effect", zorder=3)
+        axes.scatter(after, places, s=46, color=BLUE, marker="o", label=after_label(findings.document), zorder=3)
     axes.set_yticks(places, [m["parameter"] for m in moved])
     reach = max(float(np.abs([before, after]).max()) * 1.3, 4.0)
     if reach > 12.0:

@@ -11,7 +11,7 @@ import pytest
 
 from hil.diagnosing import write
 from hil.diagnosis_page import page
-from hil.diagnosis_pictures import pictures
+from hil.diagnosis_pictures import after_label, pictures
 from hil.diagnosis_store import (
     CURVES,
     DiagnosisFolderError,
@@ -93,6 +93,14 @@ def test_every_verdict_has_its_page(verdict):
     findings = Findings(diagnosis.document() | {"record": "r.csv"}, curves_of(diagnosis, SENSORS))
     assert f"said of {verdict}" in page(findings)
     assert set(pictures(findings)) == PICTURES
+
+
+def test_what_did_not_explain_the_record_is_not_called_the_effect():
+    tried = made("unexplained")
+    same = {name: dataclasses.replace(e, after=e.before) for name, e in tried.errors.items()}
+    assert after_label(tried.document()) == "with the best effect tried"
+    assert after_label(dataclasses.replace(tried, errors=same).document()) == "re-tuned"
+    assert after_label(made().document()) == "with the effect"
 
 
 def test_the_next_experiment_is_told_step_by_step():
