@@ -251,22 +251,13 @@ def _experiment(d: dict[str, Any]) -> str:
     if not plan:
         return ""
     why = f"<p>{html.escape(str(plan['why']))}</p>" if plan.get("why") else ""
-    steps = [_step(step) for step in plan.get("steps") or ()]
-    columns = list(dict.fromkeys(column for _, values in steps for column in values))
-    rows = [[_hours(start), *(_said(values.get(column, "")) for column in columns)] for start, values in steps]
+    steps = plan.get("steps") or ()
+    columns = list(dict.fromkeys(column for step in steps for column in step if column != "time_s"))
+    rows = [[_hours(step["time_s"]), *(_said(step.get(column, "")) for column in columns)] for step in steps]
     table = _table(["from", *columns], rows, len(columns)) if rows else ""
-    rest = [[key.replace("_", " "), _said(cell)] for key, cell in plan.items() if key not in ("why", "steps")]
-    return f"<h2>Next experiment</h2>{why}{table}{_table(['', ''], rest) if rest else ''}"
-
-
-def _step(step: Any) -> tuple[float, dict[str, Any]]:
-    """Start in s and set-points of a step, given as a pair or as one table with `start_s`."""
-    if isinstance(step, dict):
-        inner = step.get("values")
-        values = inner if isinstance(inner, dict) else {k: v for k, v in step.items() if k != "start_s"}
-        return float(step.get("start_s", 0.0)), values
-    start, values = step
-    return float(start), dict(values)
+    beside = "<p class=note>As a load profile: experiment.csv beside this page.</p>" if rows else ""
+    rest = [[k.replace("_", " "), _said(v)] for k, v in plan.items() if k not in ("why", "steps", "possible")]
+    return f"<h2>Next experiment</h2>{why}{table}{beside}{_table(['', ''], rest) if rest else ''}"
 
 
 def _said(value: Any) -> str:

@@ -211,7 +211,7 @@ class _Worker:
         return (self._revision.name if self._revision else ""), ""
 
     def _write(self, diagnosis: Diagnosis, out: Path) -> Path:
-        from hil.diagnosing import provenance, write
+        from hil.diagnosing import provenance, write, write_experiment
 
         run = self._config.journal.parent
         extra: dict[str, object] = {
@@ -221,7 +221,9 @@ class _Worker:
             "healthy": str(self._config.healthy) if self._config.healthy else None,
             "provenance": provenance({"twin": self._config.twin, "healthy record": self._config.healthy}),
         }
-        return write(diagnosis, self._network.sensor_names, out, extra)
+        page = write(diagnosis, self._network.sensor_names, out, extra)
+        write_experiment(diagnosis, out)
+        return page
 
 
 def _serve(connection: Connection, config: LiveConfig) -> None:

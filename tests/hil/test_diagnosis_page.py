@@ -106,7 +106,8 @@ def test_what_did_not_explain_the_record_is_not_called_the_effect():
 def test_the_next_experiment_is_told_step_by_step():
     plan = {
         "why": "a long soak tells a loss from a source",
-        "steps": [[0.0, {"heater_power_W": 700.0}], [5400.0, {"heater_power_W": 0.0}]],
+        "possible": True,
+        "steps": [{"time_s": 0.0, "heater_power_W": 700.0}, {"time_s": 5400.0, "heater_power_W": 0.0}],
         "hottest_C": 41.0,
     }
     diagnosis = dataclasses.replace(made("ambiguous"), next_experiment=plan)
