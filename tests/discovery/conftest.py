@@ -47,9 +47,9 @@ class Bench:
         changed: Network | None = None,
         onset_h: float = 0.0,
         until_h: float = 1e9,
-        noise: float = 0.05,
+        noise: float = 1.0,
     ) -> Columns:
-        """Readings of the loop, or of `changed` between two times."""
+        """Readings of the loop, or of `changed` between two times; `noise` in that of its thermometers."""
         t, u = self.inputs(hours, seed)
         rng = np.random.default_rng(seed + 100)
         state: Array = np.array([37.0, 36.8, 34.5, 34.0])
@@ -64,7 +64,7 @@ class Bench:
             parts.append(read[0][: last - begun])
             state, begun = ends[0][: len(net.nodes)], last
         y = np.vstack(parts)
-        return Columns(t, u, y + rng.normal(0.0, noise, y.shape))
+        return Columns(t, u, y + noise * self.network.sigma * rng.normal(0.0, 1.0, y.shape))
 
     def with_element(self, name: str, table: dict[str, object]) -> Network:
         return with_elements(self.network, {name: table})

@@ -18,13 +18,15 @@ import numpy as np
 
 from twin.discovery.grid import Grid, filled
 from twin.discovery.laws import Law
-from twin.discovery.noise import Noise
+from twin.discovery.noise import CAUTION, Noise, bands
 from twin.discovery.probe import Probe, Run
 from twin.gauss_newton import Prior
 from twin.network import Array
 
 MOST_BLOCKS = 240
 LEAST_BLOCK_BINS = 6
+ANCHOR = 6
+"""Blocks on either side of a gap that the line across it rests on."""
 
 
 def block_edges(bins: int, most: int = MOST_BLOCKS) -> np.ndarray:
@@ -57,6 +59,7 @@ class Contest:
         edges, hours: block borders, bins, and their beginnings, h from the record's. b, sites: numbers of blocks and of
             places, which are the k nodes and then the m sensors.
         total: weighted squares of the run last looked at, and of how far its tunables have moved.
+        expected: misfit per block and sensor where there is nothing but noise.
         gram: (sites * b, sites * b). score: (sites * b,). misfit: those squares less what
             tunables and initial state can still take up, to first order.
     """
@@ -74,12 +77,13 @@ class Contest:
         onto = np.eye(self.b * self.m).reshape(self.b, self.m, self.b, self.m)
         # Columns go place by place, blocks within a place.
         columns = np.concatenate([heat, onto], axis=3).transpose(0, 1, 3, 2).reshape(self.b, self.m, -1)
-        self._columns = self._white(filled(columns, self.known)).reshape(self.b * self.m, -1)
+        self._columns = self._white(filled(columns, self.known, ANCHOR)).reshape(self.b * self.m, -1)
         self._normal = self._j.T @ self._j + prior.precision
         cross = self._j.T @ self._columns
         self._taken = np.linalg.solve(self._normal, cross)
         self.gram = self._columns.T @ self._columns - cross.T @ self._taken
         self.count = int(self.known.sum())
+        self.expected = float(np.mean(1.0 / np.array(CAUTION)[bands(self.b, self.step_s)]))
         self.look_at(run)
 
     def _means(self, values: Array) -> Array:
@@ -93,7 +97,7 @@ class Contest:
         mask = self.present.reshape(*self.present.shape, *([1] * (values.ndim - 2)))
         count = np.add.reduceat(mask, self.edges[:-1], axis=0)
         total = np.add.reduceat(np.where(mask, values, 0.0), self.edges[:-1], axis=0)
-        return filled(total / np.maximum(count, 1), self.known)
+        return filled(total / np.maximum(count, 1), self.known, ANCHOR)
 
     def _white(self, values: Array) -> Array:
         return self.noise.whiten(values, self.step_s)

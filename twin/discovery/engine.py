@@ -20,8 +20,9 @@ from twin.discovery.laws import Book, Law
 from twin.discovery.members import Members, members
 from twin.discovery.model import Model
 from twin.discovery.probe import Probe, Run, posterior
-from twin.discovery.search import Entry, best_pair, refine, scan
-from twin.discovery.verdict import Finding, Ranked, conclude, enough, rank, width
+from twin.discovery.readings import Stuck, stuck
+from twin.discovery.search import Entry, possible, refine, scan, together
+from twin.discovery.verdict import Finding, Ranked, conclude, enough, piled_up, rank, width
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
 
@@ -36,6 +37,8 @@ SECOND_SHARE = 0.06
 UNHEALTHY = 6.0
 """Times the noise of a bin that a healthy record's residual may reach."""
 MOST_EFFECTS = 3
+PAIRED = 8
+"""Single effects that are tried as one of a pair."""
 
 
 @dataclass(frozen=True)
@@ -159,6 +162,7 @@ def diagnose(
         TwinFileError: a record too short or without readings, a healthy record that is not healthy.
     """
     say("reading")
+    record, still = _without_stuck(network, record)
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
     known = basis(network, healthy, grid)
     say("scanning")
@@ -193,7 +197,29 @@ def diagnose(
         errors=_errors(finding, network, record, grid, split),
         notes=tuple(notes),
         single=single,
+        still=still,
     )
+
+
+def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[Stuck, ...]]:
+    """The record without the readings of thermometers that stand still, and what was taken out."""
+    found: list[Stuck] = []
+    measured = record.measured.copy()
+    members = {name: each.copy() for name, each in record.members.items()}
+    for j, sensor in enumerate(network.sensors):
+        sigma = network.parameters[f"{sensor.name}.sigma"].value
+        each = members.get(sensor.name)
+        columns = measured[:, j : j + 1] if each is None else each
+        names = sensor.measured if each is not None else sensor.measured[:1]
+        spans = [s for i, name in enumerate(names) for s in stuck(name, record.time_s, columns[:, i], sigma)]
+        for span in spans:
+            columns[span.rows, names.index(span.column)] = np.nan
+        if spans and each is not None:
+            good = np.isfinite(each)
+            total = np.where(good, each, 0.0).sum(axis=1)
+            measured[:, j] = np.where(good.any(axis=1), total / np.maximum(good.sum(axis=1), 1), np.nan)
+        found += spans
+    return replace(record, measured=measured, members=members), tuple(found)
 
 
 def _members(
@@ -257,18 +283,14 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
     entries, first_gain = part.entries, 0.0
     while entries and entries[0].z >= THRESHOLD and len(chosen) < MOST_EFFECTS:
         small = SECOND_SHARE * first_gain
-        if best is not None and entries[0].gain < small and enough(best.chi, start_chi):
+        if best is not None and entries[0].gain < small and enough(best.chi, start_chi, contest):
             break
         finalists = _finalists(entries, chosen)
         if not finalists:
             break
         groups: list[tuple[Entry, ...]] = [(*chosen, e) for e in finalists]
-        if chosen:
-            pool = list(dict.fromkeys((*part.entries[:FINALISTS], *entries[:FINALISTS])))
-            part.reset()
-            pair, _ = best_pair(contest, pool)
-            if pair and len(chosen) == 1:
-                groups.append(pair)
+        if len(chosen) == 1:
+            groups += _pairs(part)
         say(f"fitting {len(groups)} hypotheses")
         trials = []
         for group in groups:
@@ -277,7 +299,7 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
         order = rank(trials, contest, ladder[0].chi * contest.count)
         winner = order[0].fit
         if best is not None:
-            need = THRESHOLD**2 if not enough(best.chi, start_chi) else max(THRESHOLD**2, small)
+            need = THRESHOLD**2 if not enough(best.chi, start_chi, contest) else max(THRESHOLD**2, small)
             if best.total - winner.total < need:
                 break
         best, ranked, chosen = winner, order, winner.entries
@@ -337,6 +359,24 @@ def _weighed(finding: Finding, parts: list[_Part]) -> Finding:
     order = rank(trials, finding.contest, start)
     best = order[0]
     return replace(finding, ranked=order, fit=best.fit, entries=best.entries)
+
+
+def _pairs(part: _Part) -> list[tuple[Entry, ...]]:
+    """The best pairs that do not build on the best single effect, which may stand for the two of them."""
+    firsts: dict[tuple[str, str], Entry] = {}
+    for entry in part.entries:
+        firsts.setdefault((entry.candidate.kind, entry.candidate.where), entry)
+    part.reset()
+    found: list[tuple[float, tuple[Entry, ...]]] = []
+    for first in list(firsts.values())[:PAIRED]:
+        seconds = scan(part.contest, part.laws, first.vector[None])[:3]
+        for second in seconds:
+            again = scan(part.contest, [first.law], second.vector[None])[:1]
+            pair, fitted = together(part.contest, (again[0] if again else first, second))
+            if possible(pair) and not piled_up(pair):
+                found.append((fitted.gain, pair))
+    found.sort(key=lambda f: -f[0])
+    return [pair for _, pair in found[:3]]
 
 
 def _finalists(entries: list[Entry], chosen: tuple[Entry, ...]) -> list[Entry]:

@@ -88,7 +88,10 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
         values = np.tile(probe.network.values, (len(v), 1))
         values[:, scaling.index] = scaling.to_values(z0 + v[:, :q])
         shapes = tuple(shapes_at(row) for row in v)
-        return model.run(grid.time, grid.inputs, state[:k] + v[:, q : q + k], values, v[:, q + k : first_time], shapes)
+        start, sizes = state[:k] + v[:, q : q + k], v[:, q + k : first_time]
+        readings = model.run(grid.time, grid.inputs, start, values, sizes, shapes)
+        readings[:, :-1] += 0.5 * np.diff(readings, axis=1)
+        return readings
 
     def features(v: Array, with_slopes: bool) -> tuple[Array, Array]:
         """Whitened residual (rows,) and its slopes (rows, q + k + e)."""

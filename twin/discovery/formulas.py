@@ -78,11 +78,14 @@ class Formulas:
 
 
 def follow(values: Array, constant_s: float, step_s: float) -> Array:
-    """First-order lag of `constant_s`, at rest in the first sample."""
+    """First-order lag of `constant_s`, at rest in the first sample; values lie on straight lines between samples."""
     if constant_s <= 0.0:
         return values
-    share = 1.0 - np.exp(-step_s / constant_s)
-    out, _ = lfilter([share], [1.0, share - 1.0], values, zi=[(1.0 - share) * values[0]])
+    kept = np.exp(-step_s / constant_s)
+    # Exact for a straight line: how much of the step's end is in the answer, and how much of its beginning.
+    new = 1.0 - (1.0 - kept) * constant_s / step_s
+    old = 1.0 - kept - new
+    out, _ = lfilter([new, old], [1.0, -kept], values, zi=[(1.0 - new) * values[0]])
     result: Array = out
     return result
 

@@ -81,6 +81,13 @@ def on_grid(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: Ar
     return Grid(grid_time, _held_means(t, u, where, grid_time), mean, network.sigma / np.sqrt(per_bin), step)
 
 
+def centred(readings: Array) -> Array:
+    """Simulated values (n, ...) at the beginnings of bins as means over the bins."""
+    out = np.array(readings)
+    out[:-1] += 0.5 * (readings[1:] - readings[:-1])
+    return out
+
+
 def bridged(network: Network, time_s: ArrayLike, inputs: ArrayLike) -> Array:
     """Inputs (N, c) without NaN: temperatures on straight lines over gaps, everything else held."""
     t, given = np.asarray(time_s, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
@@ -103,8 +110,13 @@ def _held_means(t: Array, u: Array, where: np.ndarray, grid_time: Array) -> Arra
     return out
 
 
-def filled(values: Array, present: np.ndarray) -> Array:
-    """`values` (n, m, ...) where `present` (n, m), straight lines between; 0 for a column that is never present."""
+def filled(values: Array, present: np.ndarray, anchor: int = 1) -> Array:
+    """`values` (n, m, ...) where `present` (n, m), straight lines between; 0 for a column that is never present.
+
+    Args:
+        anchor: rows on either side of a gap whose mean the line begins and ends at. One noisy row at the end of a
+            long gap would otherwise count as often as the gap has rows.
+    """
     out = np.array(values, dtype=np.float64)
     rows = np.arange(len(values))
     for j in range(values.shape[1]):
@@ -120,6 +132,15 @@ def filled(values: Array, present: np.ndarray) -> Array:
         left = np.clip(right - 1, 0, len(known) - 1)
         a, b = known[left], known[right]
         share = np.where(b > a, np.clip((rows - a) / np.maximum(b - a, 1), 0.0, 1.0), 1.0)[:, None]
-        line = flat[a] * (1.0 - share) + flat[b] * share
+        if anchor > 1:
+            sums = np.vstack([np.zeros((1, flat.shape[1])), np.cumsum(flat[known], axis=0)])
+            first, last = np.maximum(left + 1 - anchor, 0), np.minimum(right + anchor, len(known))
+            before = (sums[left + 1] - sums[first]) / (left + 1 - first)[:, None]
+            after = (sums[last] - sums[right]) / (last - right)[:, None]
+        else:
+            before, after = flat[a], flat[b]
+        line = before * (1.0 - share) + after * share
+        line[rows < known[0]] = flat[known[:anchor]].mean(axis=0)
+        line[rows > known[-1]] = flat[known[-anchor:]].mean(axis=0)
         out[:, j] = np.where(good[:, None], flat, line).reshape(out[:, j].shape)
     return out

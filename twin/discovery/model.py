@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from twin.assembly import System
 from twin.discovery.catalogue import extended
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
@@ -45,6 +46,18 @@ class Model:
     def _here(self) -> np.ndarray:
         """Positions of the original network's parameters."""
         return self.network.index(self.original.ids)
+
+    @cached_property
+    def _masses(self) -> list[tuple[int, int, int]]:
+        """Effects that bring a temperature of their own: effect, its place in a full state, the node beside it."""
+        names = System(self.network, ()).states
+        found = []
+        for i, entry in enumerate(self.entries):
+            for element in self.network.elements:
+                own = [k for k, name in enumerate(names) if name.startswith(f"{element.name}.")]
+                if element.name in entry.candidate.adds and own:
+                    found.append((i, own[0], self.network.nodes.index(element.nodes()[0])))
+        return found
 
     @cached_property
     def _shared(self) -> list[tuple[int, int]]:
@@ -91,11 +104,17 @@ class Model:
         cuts = np.unique(np.searchsorted(since, sorted(borders)))
         cuts = np.concatenate([cuts[cuts < len(time)], [len(time)]])
         readings = np.empty((len(values), len(time), len(self.network.sensors)))
+        before = np.zeros((len(values), len(self.entries)))
         for first, last in zip(cuts[:-1], cuts[1:], strict=True):
             until = min(last + 1, len(time))
             span = np.append(since[first:last], since[min(last, len(since) - 1)])
             known = {s: s.mean(float(span[0]), float(span[-1])) for row in each for s in row}
-            at = np.array([[known[s] for s in row] for row in each])
+            at = np.array([[known[s] for s in row] for row in each]).reshape(len(values), len(self.entries))
+            for effect, mass, node in self._masses if first else ():
+                # A mass that comes in now has had the time to be as warm as what it stands beside.
+                begins = (before[:, effect] == 0.0) & (at[:, effect] > 0.0)
+                state[begins, mass] = state[begins, node]
+            before = at
             full = self.parameters(values, sizes * at)
             part, state = self.kernel.trace(full, state, time[first:until], inputs[first:until])
             readings[:, first:last] = part[:, : last - first]

@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from twin.discovery.grid import Grid
+from twin.discovery.grid import Grid, centred
 from twin.elements import Parameter
 from twin.elements.base import Status
 from twin.elements.heat_source import HeatSource
@@ -86,7 +86,8 @@ class Probe:
     def run(self, grid: Grid, state: Array, values: Array | None = None, injected: Array | None = None) -> Run:
         """Free run from `state`, with heat `injected` (n, k) W on top of the network's own."""
         readings, _ = self._kernel.trace(self.values(values), state, grid.time, self._inputs(grid, injected))
-        return Run(readings[0][:, : self.m], readings[0][:, self._reads])
+        means = centred(readings[0])
+        return Run(means[:, : self.m], means[:, self._reads])
 
     def responses(self, grid: Grid, state: Array, injected: Array, values: Array | None = None) -> Array:
         """What heat does to the readings (n, m, j), K, for j courses `injected` (n, k, j) W."""
@@ -110,7 +111,7 @@ class Probe:
         readings, _ = self._kernel.trace(rows, states, grid.time, self._inputs(grid, None))
         scale = np.concatenate([steps, np.full(self.k, _STATE_STEP)])
         change: Array = (readings[1:, :, : self.m] - readings[0, :, : self.m]) / scale[:, None, None]
-        return np.ascontiguousarray(np.moveaxis(change, 0, 2))
+        return centred(np.ascontiguousarray(np.moveaxis(change, 0, 2)))
 
     def blocks(self, grid: Grid, state: Array, edges: np.ndarray, values: Array | None = None) -> Array:
         """Mean readings in each of b blocks when 1 W enters one node during one block: (b, m, b, k) K/W.

@@ -13,7 +13,6 @@ from twin.discovery.shapes import Shape, family
 from twin.elements.base import Candidate
 from twin.network import Array
 
-MOST_EFFECTS = 3
 LAST_SHARE = 0.95
 """Onsets are looked for up to this share of the record; an effect needs some time to show."""
 WORTH_GROWING = 4.0
@@ -209,21 +208,3 @@ def together(contest: Contest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry,
 def possible(entries: tuple[Entry, ...]) -> bool:
     """Whether all sizes are of a possible sign and magnitude."""
     return all(allowed(e.candidate, e.size) for e in entries)
-
-
-def best_pair(contest: Contest, entries: list[Entry]) -> tuple[tuple[Entry, ...], float]:
-    """The best two of the entries together, by gain; greedy steps miss pairs that imitate a third effect."""
-    chosen, most = (), 0.0  # type: tuple[Entry, ...], float
-    if len(entries) < 2:
-        return chosen, most
-    gram, score = contest.joint(np.stack([e.vector for e in entries]))
-    for i, j in itertools.combinations(range(len(entries)), 2):
-        a, b, c = gram[i, i], gram[j, j], gram[i, j]
-        det = a * b - c * c
-        if det <= 1e-4 * a * b:
-            continue
-        x, y = (b * score[i] - c * score[j]) / det, (a * score[j] - c * score[i]) / det
-        gain = x * score[i] + y * score[j]
-        if gain > most and allowed(entries[i].candidate, x) and allowed(entries[j].candidate, y):
-            chosen, most = (entries[i], entries[j]), float(gain)
-    return chosen, most

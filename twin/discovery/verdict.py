@@ -12,11 +12,12 @@ from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Alternative, Course, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
 from twin.discovery.experiment import propose
 from twin.discovery.fitting import Fit
-from twin.discovery.grid import Grid
+from twin.discovery.grid import Grid, centred
 from twin.discovery.localise import courses, describe
 from twin.discovery.members import Members, odd_one
 from twin.discovery.model import Model
 from twin.discovery.probe import Run
+from twin.discovery.readings import Stuck
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
 from twin.network import Array, Network
@@ -26,8 +27,8 @@ if TYPE_CHECKING:
 
 SURE = 0.8
 """Share of the weight that one kind at one place must have to be named alone."""
-LEFT = 0.4
-"""Misfit per block and sensor that a twin with the right effects may have; a healthy one has 0.1 to 0.2."""
+LEFT = 1.3
+"""Misfit that a twin with the right effects may leave, over what noise alone leaves."""
 LEFT_SHARE = 0.03
 """Or this share of the misfit that it began with: no effect is of quite the form assumed."""
 SE90 = 1.6449
@@ -39,9 +40,9 @@ _PRIOR = {
 _RARE = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
 
 
-def enough(chi: float, start: float) -> bool:
+def enough(chi: float, start: float, contest: Contest) -> bool:
     """Whether a misfit per block and sensor is as small as can be asked, for a twin that began with `start`."""
-    return chi <= max(LEFT, LEFT_SHARE * start)
+    return chi <= max(LEFT * contest.expected, LEFT_SHARE * start)
 
 
 def piled_up(entries: tuple[Entry, ...]) -> bool:
@@ -129,13 +130,14 @@ def conclude(
     errors: dict[str, SensorError],
     notes: tuple[str, ...],
     single: tuple[Members, ...] = (),
+    still: tuple[Stuck, ...] = (),
 ) -> Diagnosis:
     """The verdict with everything that supports it."""
     start = float(grid.time[0])
     scale = finding.count
     adequate_now = finding.fit is None
     left = finding.retuned.chi if finding.fit is None else finding.fit.chi
-    good = enough(left, finding.start / scale) and not piled_up(finding.entries)
+    good = enough(left, finding.start / scale, finding.contest) and not piled_up(finding.entries)
     verdict: Verdict
     effects: tuple[Effect, ...] = ()
     others: tuple[Alternative, ...] = ()
@@ -146,7 +148,7 @@ def conclude(
     found: tuple[Course, ...] = courses(whole, sites) if sites else ()
     if adequate_now and (entries and entries[0].z >= 6.0):
         adequate_now = False
-    if finding.fit is None and enough(finding.start / scale, 0.0):
+    if finding.fit is None and enough(finding.start / scale, 0.0, finding.contest):
         verdict = "adequate"
     elif finding.fit is None or not good:
         verdict = "unexplained"
@@ -166,6 +168,9 @@ def conclude(
         bigger = _bigger(finding, network)
     for one in single:
         verdict, effects = _single(one, network, verdict, effects, finding, start)
+    for span in still:
+        effects = (_standing(span), *effects)
+        verdict = "effect found" if verdict == "adequate" else verdict
     after = finding.fit or finding.retuned
     readings = _run(finding, after, network, grid)
     return Diagnosis(
@@ -220,6 +225,16 @@ def _single(
     return ("effect found" if verdict == "adequate" else verdict), (*effects, fault)
 
 
+def _standing(span: Stuck) -> Effect:
+    """A thermometer that shows one value and nothing else."""
+    says = f"{span.column} stands still at {span.value:.2f} degC from {clock(span.first_s)} to {clock(span.last_s)}"
+    return Effect(
+        kind="sensor", where=span.column, driver="constant", change="new", value=span.value, unit="degC",
+        interval90=(span.value, span.value), onset_s=span.first_s, onset_interval90_s=(span.first_s, span.first_s),
+        shape="step", confidence=1.0, z=100.0, evidence="a noisy reading does not repeat itself for so long", says=says,
+    )  # fmt: skip
+
+
 def _experiment(finding: Finding, known: Basis, grid: Grid) -> dict[str, Any]:
     """The experiment that would tell the remaining causes apart, or why there is none."""
     limit = width(max(finding.start - finding.ranked[0].fit.total, 0.0))
@@ -251,7 +266,7 @@ def _stale(known: Basis, grid: Grid) -> Run:
 def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
     model = Model.of(network, fitted.entries, finding.contest.probe.scaling.ids)
     sizes = np.array([[e.size for e in fitted.entries]])
-    return model.run(grid.time, grid.inputs, fitted.state[None, :], fitted.values[None, :], sizes)[0]
+    return centred(model.run(grid.time, grid.inputs, fitted.state[None, :], fitted.values[None, :], sizes)[0])
 
 
 def _groups(ranked: tuple[Ranked, ...]) -> dict[tuple[str, str], float]:

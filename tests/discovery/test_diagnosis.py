@@ -1,0 +1,133 @@
+"""Records with something in them, or nothing: what the diagnosis says of each."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.discovery.conftest import Bench
+from twin.discovery.engine import Columns, diagnose
+from twin.network import TwinFileError
+
+
+def test_a_healthy_record_is_adequate(bench: Bench, healthy: Columns) -> None:
+    found = diagnose(bench.network, bench.record(), healthy)
+    assert found.verdict == "adequate" and not found.effects and found.network is None
+    assert all(e.after < 1.1 * e.noise for e in found.errors.values())
+
+
+def test_heat_in_the_modules_is_named_sized_and_dated(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(changed=bench.with_values(modules_power__power=120.0), onset_h=5.0)
+    found = diagnose(bench.network, record, healthy)
+    (effect,) = found.effects
+    assert found.verdict == "effect found"
+    assert (effect.kind, effect.where, effect.driver, effect.change) == ("heat_source", "modules", "constant", "new")
+    assert effect.value == pytest.approx(120.0, rel=0.05) and effect.interval90[0] < 120.0 < effect.interval90[1]
+    assert abs(effect.onset_s - 5.0 * 3600.0) < 300.0
+    assert "give off" in found.summary and "5 h 00 min" in found.summary
+    # On the part that no fit saw, re-tuning alone does not do what the term does.
+    worst = found.errors["T_modules_C"]
+    assert worst.after < 1.15 * worst.noise < worst.before < worst.stale
+    assert found.network is not None and found.network.parameters["modules_power.power"].value == effect.value
+
+
+def test_a_moved_parameter_is_not_called_a_new_effect(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(changed=bench.with_values(tank_loss__hA=8.5), onset_h=4.0)
+    (effect,) = diagnose(bench.network, record, healthy).effects
+    assert (effect.kind, effect.where, effect.change) == ("heat_loss", "tank", "existing")
+    assert effect.value == pytest.approx(6.0, rel=0.1)
+
+
+def test_a_late_thermometer_is_never_early(bench: Bench, healthy: Columns) -> None:
+    """Re-tuning may ask for a negative lag; there is none."""
+    record = bench.record(changed=bench.with_values(T_radiator_C__lag_s=60.0))
+    found = diagnose(bench.network, record, healthy)
+    (effect,) = found.effects
+    assert (effect.kind, effect.where, effect.driver) == ("sensor", "T_radiator_C", "rate_of_change")
+    assert effect.value == pytest.approx(60.0, rel=0.15)
+
+
+def test_two_effects_are_both_found(bench: Bench, healthy: Columns) -> None:
+    both = bench.with_values(tank_loss__hA=8.5, T_heater_C__bias_K=0.5)
+    found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy)
+    assert {(e.kind, e.where) for e in found.effects} == {("heat_loss", "tank"), ("sensor", "T_heater_C")}
+
+
+def test_what_no_candidate_can_be_is_left_unexplained_at_its_place(bench: Bench, healthy: Columns) -> None:
+    """Heat that comes and goes: no candidate ends."""
+    heated = bench.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 150.0})
+    record = bench.record(24.0, changed=heated, onset_h=4.0, until_h=9.0)
+    again = bench.record(24.0, changed=heated, onset_h=13.0, until_h=16.0)
+    plain = bench.record(24.0)
+    record = replace(record, measured=record.measured + again.measured - plain.measured)
+    found = diagnose(bench.network, record, healthy)
+    assert found.verdict == "unexplained" and found.network is None
+    assert found.effects[0].kind == "unknown" and found.effects[0].where == "tank"
+    assert found.courses[0].site == "tank" and found.courses[0].unit == "W"
+    during = (found.courses[0].hours > 5.0) & (found.courses[0].hours < 8.0)
+    assert found.courses[0].mean[during].mean() == pytest.approx(150.0, rel=0.25)
+
+
+def test_gaps_irregular_stamps_and_a_dead_thermometer_do_not_matter(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(changed=bench.with_values(modules_power__power=120.0), onset_h=5.0)
+    rng = np.random.default_rng(3)
+    keep = rng.random(len(record.time_s)) < 0.6
+    keep[4000:4400] = False
+    measured = record.measured.copy()
+    measured[:, 2] = np.nan
+    torn = Columns(record.time_s[keep], record.inputs[keep], measured[keep])
+    found = diagnose(bench.network, torn, healthy)
+    assert [(e.kind, e.where) for e in found.effects] == [("heat_source", "modules")]
+    assert "T_radiator_C" not in found.errors
+
+
+def test_a_change_inside_the_held_out_part_is_noticed_and_said(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(changed=bench.with_values(modules_power__power=150.0), onset_h=13.0)
+    found = diagnose(bench.network, record, healthy)
+    assert found.effects and found.effects[0].where == "modules"
+    assert any("inside the part" in note for note in found.notes)
+
+
+def test_a_thermometer_that_stands_still_is_named_and_left_out(bench: Bench, healthy: Columns) -> None:
+    record = bench.record()
+    measured = record.measured.copy()
+    measured[5000:9000, 3] = measured[5000, 3]
+    found = diagnose(bench.network, replace(record, measured=measured), healthy)
+    assert [(e.kind, e.where) for e in found.effects] == [("sensor", "T_tank_C")]
+    assert "stands still" in found.summary
+
+
+def test_a_healthy_record_that_is_not_healthy_is_refused(bench: Bench) -> None:
+    sick = bench.record(10.0, changed=bench.with_values(modules_power__power=300.0), onset_h=2.0)
+    with pytest.raises(TwinFileError, match="does not fit the twin"):
+        diagnose(bench.network, bench.record(), sick)
+
+
+def test_without_a_healthy_record_a_large_effect_is_still_found_and_the_warning_given(bench: Bench) -> None:
+    record = bench.record(changed=bench.with_values(modules_power__power=150.0), onset_h=5.0)
+    found = diagnose(bench.network, record)
+    assert found.warnings
+    assert any(e.where == "modules" for e in found.effects)
+
+
+def test_causes_that_no_input_can_separate_are_given_together(bench: Bench, healthy: Columns) -> None:
+    """A fan that turns slower and fins that conduct less are one and the same to every thermometer."""
+    record = bench.record(changed=bench.with_values(fins__UA_100=50.0), onset_h=4.0)
+    found = diagnose(bench.network, record, healthy)
+    kinds = {(e.kind, e.where) for e in found.effects} | {(a.kind, a.where) for a in found.indistinguishable}
+    assert ("heat_rejection", "radiator") in kinds
+    spots = " ".join(found.blind_spots)
+    assert ("actuator", "fan_speed") in kinds or "fan_speed" in spots
+
+
+def test_the_document_keeps_the_contract(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(changed=bench.with_values(modules_power__power=120.0), onset_h=5.0)
+    document = diagnose(bench.network, record, healthy).document()
+    assert {"verdict", "effects", "indistinguishable", "alternatives", "error", "tunables_moved", "blind_spots"} <= set(
+        document
+    )
+    assert set(document["error"]["sensors"]["T_tank_C"]) >= {"stale", "before", "after", "noise"}
+    effect = document["effects"][0]
+    assert {"kind", "where", "driver", "change", "value", "unit", "interval90", "onset_s", "confidence", "z"} <= set(
+        effect
+    )
