@@ -1,0 +1,111 @@
+"""`hil diagnose` as a user types it, on a rig of separate processes over real Modbus and CAN."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.record import read_record, write_record
+from twin.kernel import simulate
+from twin.twinfile import load
+
+PROJECT = Path(__file__).resolve().parents[2]
+HEAT = '[[effect]]\nkind = "heat_source"\nwhere = "modules"\ndriver = "constant"\npower_W = 150\nonset_s = 10800\n'
+
+
+def hil(*arguments: object) -> subprocess.CompletedProcess[str]:
+    typed = [sys.executable, "-m", "hil", *map(str, arguments)]
+    return subprocess.run(typed, capture_output=True, text=True, cwd=PROJECT, timeout=280)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Ten healthy hours, and ten with heat that no twin was told of."""
+    place = tmp_path_factory.mktemp("runs")
+    (place / "heat.toml").write_text(HEAT, encoding="utf-8")
+    found = {}
+    for name, profile, extra in (
+        ("healthy", "commissioning_10h", ()),
+        ("heated", "battle_10h", ("--with", place / "heat.toml")),
+    ):
+        done = hil(
+            "run", f"profiles/loads/{profile}.csv", "--virtual", "--lockstep", "--no-twin", "--seed", 5,
+            "--runs", place / name, "--json", *extra,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        found[name] = Path(json.loads(done.stdout)["folder"])
+    done = hil(
+        "commission", found["healthy"] / "record.parquet", "--twin", "profiles/twins/loop.toml", "--out",
+        place / "rig.toml",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return {**found, "twin": place / "rig.toml", "place": place}
+
+
+def test_undeclared_heat_is_found_added_and_the_twin_is_right_again(runs: dict[str, Path]) -> None:
+    record, twin = runs["heated"] / "record.parquet", runs["twin"]
+    out = runs["place"] / "found"
+    done = hil(
+        "diagnose", record, "--twin", twin, "--healthy", runs["healthy"] / "record.parquet", "--out", out, "--json"
+    )
+    assert done.returncode == 1, done.stderr  # something was found
+    printed = json.loads(done.stdout)
+    assert printed["verdict"] == "effect found"
+    (effect,) = printed["effects"]
+    assert (effect["kind"], effect["where"], effect["driver"]) == ("heat_source", "modules", "constant")
+    assert effect["value"] == pytest.approx(150.0, rel=0.08)
+    assert abs(effect["onset_s"] - 10800.0) < 600.0
+    for error in printed["error"]["sensors"].values():
+        assert error["after"] < 1.5 * error["noise"] < error["stale"]
+        assert error["after"] < error["before"]
+    document = json.loads((out / "diagnosis.json").read_text())
+    assert document["revision"] == str(twin.with_name("rig.r2.toml"))
+    # The revision stands by itself: it runs the held-out part from a settled state to the same error.
+    revised, data = load(twin.with_name("rig.r2.toml")), read_record(record)
+    begin = int(np.searchsorted(data.time_s, printed["error"]["held_out_s"][0]))
+    inputs, measured = revised.select(data.columns)
+    state = revised.initial_state(measured[begin : begin + 30])
+    run = simulate(revised, data.time_s[begin:], inputs[begin:], state)
+    off = np.sqrt(np.nanmean((run - measured[begin:])[1800:] ** 2, axis=0))
+    assert (off < 2.0 * revised.sigma).all()
+    # And it can be undone.
+    assert hil("twin", "revert", twin.with_name("rig.r2.toml")).returncode == 0
+    assert load(twin.with_name("rig.r3.toml")).parameters["modules_power.power"].value == 0.0
+
+
+def test_dry_writes_nothing(runs: dict[str, Path], tmp_path: Path) -> None:
+    twin = tmp_path / "rig.toml"
+    twin.write_bytes(runs["twin"].read_bytes())
+    done = hil(
+        "diagnose", runs["heated"], "--twin", twin, "--healthy", runs["healthy"] / "record.parquet", "--dry",
+        "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert done.returncode == 1 and "give off" in done.stdout
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["rig.toml"]
+
+
+def test_the_healthy_rig_is_adequate(runs: dict[str, Path], tmp_path: Path) -> None:
+    record = runs["healthy"] / "record.parquet"
+    done = hil("diagnose", record, "--twin", runs["twin"], "--healthy", record, "--dry")
+    assert done.returncode == 0 and "adequate" in done.stdout
+
+
+def test_what_cannot_be_diagnosed_is_said_in_a_sentence(runs: dict[str, Path], tmp_path: Path) -> None:
+    data = read_record(runs["heated"] / "record.parquet")
+    from hil.record import Record
+
+    short = tmp_path / "short.parquet"
+    write_record(Record(data.time_s[:600], {k: v[:600] for k, v in data.columns.items()}), short)
+    done = hil("diagnose", short, "--twin", runs["twin"], "--dry")
+    assert done.returncode == 2 and "two windows" in done.stderr and "short.parquet" in done.stderr
+    poor = tmp_path / "poor.parquet"
+    write_record(Record(data.time_s, {k: v for k, v in data.columns.items() if k != "T_tank_C"}), poor)
+    done = hil("diagnose", poor, "--twin", runs["twin"], "--dry")
+    assert done.returncode == 2 and "T_tank_C" in done.stderr
+    done = hil("diagnose", runs["heated"] / "record.parquet")
+    assert done.returncode == 2 and "--twin" in done.stderr
