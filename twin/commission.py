@@ -20,6 +20,13 @@ from twin.kernel import Kernel, clean_time, held, masked
 from twin.network import Array, Network, Revision, TwinFileError
 
 FIRST_SAMPLES = 30
+"""Readings whose mean is the first guess of the initial state, unless an input moves before."""
+MOVED = 0.01
+"""An input has moved when it has changed by more than this share of its declared range."""
+FEWEST, FEWEST_IN_TIME = 10, 50
+"""Residuals from which their size says something, and from which their autocorrelation does."""
+INITIAL_SD_K = 5.0
+"""How little the first readings are taken to say about the initial state: most records begin in motion."""
 SE90 = 1.6449
 
 
@@ -34,6 +41,7 @@ class Commission:
         at_bound: parameters that ended on a bound.
         rmse_before, rmse_after, rmse_fitted: K per sensor; the first two free-running over `held_out_s`,
             the last over the part that was fitted. NaN for a sensor without a measurement there.
+        covariance: (q, q) of the fitted values in the optimiser's variables, as `gauss_newton.Scaling` maps them.
         condition: condition number of the data's correlation matrix of the tunables.
         state: (k,) initial state. evaluations: linearisations over all starts.
     """
@@ -49,10 +57,21 @@ class Commission:
     rmse_after: Mapping[str, float]
     rmse_fitted: Mapping[str, float]
     held_out_s: tuple[float, float]
+    covariance: Array
     condition: float
     state: Array
     evaluations: int
     notes: tuple[str, ...] = field(default=())
+
+    def drawn(self, count: int, seed: int = 0) -> Array:
+        """Full parameter vectors (count, p) from the fit's own uncertainty, inside the bounds."""
+        scaling = Scaling.of(self.network, tuple(self.values))
+        rng = np.random.default_rng(seed)
+        z = scaling.to_z(self.network.values[scaling.index])
+        draws = rng.multivariate_normal(z, self.covariance, count, method="cholesky")
+        full = np.tile(self.network.values, (count, 1))
+        full[:, scaling.index] = scaling.to_values(draws)
+        return full
 
 
 def commission(
@@ -65,6 +84,7 @@ def commission(
     held_out: float = 0.2,
     starts: int = 4,
     seed: int = 0,
+    initial_sd: float = INITIAL_SD_K,
     made_by: str = "commission",
 ) -> Commission:
     """Fit the tunables and the initial state to a healthy record.
@@ -78,6 +98,8 @@ def commission(
             without a set "commission" uses the latter.
         held_out: share of the record's time, at its end, kept out of the fit.
         starts: descents from different points: the twin's own values, then random ones by `seed`.
+        initial_sd: K, how firmly the initial state is held to the first readings; small for a record that
+            begins at rest.
 
     Raises:
         TwinFileError: time goes back, too few samples, no finite measurement, unknown tunables.
@@ -98,6 +120,8 @@ def commission(
             f"the record has {len(t)} samples over {t[-1] - t[0] if len(t) else 0:.0f} s; commissioning needs at "
             f"least 100 samples over {network.rules.window_s:.0f} s"
         )
+    if not initial_sd > 0.0:
+        raise TwinFileError(f"initial_sd must be above 0 K, got {initial_sd:g}")
     split_s = t[0] + (1.0 - held_out) * (t[-1] - t[0])
     split = int(np.searchsorted(t, split_s))
     if not (weight[:split] > 0.0).any() or not (weight[split:] > 0.0).any():
@@ -105,10 +129,10 @@ def commission(
 
     kernel, scaling = Kernel(network, ids), Scaling.of(network, ids)
     raw = np.where(weight > 0.0, y, np.nan)
-    state0 = network.initial_state(raw[:FIRST_SAMPLES])
+    state0 = network.initial_state(raw[: _before_any_input_moves(network, u)])
     start = network.values[scaling.index]
     data = Data(t[:split], u[:split], y[:split], weight[:split])
-    prior = weak_prior(scaling, start, state0)
+    prior = weak_prior(scaling, start, state0, initial_sd)
     rng = np.random.default_rng(seed)
     fits: list[Fit] = []
     for k in range(max(starts, 1)):
@@ -130,7 +154,7 @@ def commission(
     tempered = Prior(prior.mean, prior.precision * inflation)
     best = descend(kernel, scaling, network.values, data, best.values, best.state, tempered)
     residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
-    covariance = np.linalg.inv(best.normal / inflation + prior.precision)
+    covariance = np.asarray(np.linalg.inv(best.normal / inflation + prior.precision), dtype=np.float64)
     spread = np.sqrt(np.diag(covariance)[: len(ids)])
     told = spread / scaling.prior_sd() < CANNOT_TELL
     low, high = (scaling.to_values(scaling.to_z(best.values) + s * SE90 * spread) for s in (-1.0, 1.0))
@@ -159,6 +183,7 @@ def commission(
         rmse_after=errors[1],
         rmse_fitted=errors[2],
         held_out_s=(float(t[split]), float(t[-1])),
+        covariance=covariance[: len(ids), : len(ids)],
         condition=condition(best.normal[: len(ids), : len(ids)]),
         state=best.state,
         evaluations=sum(f.evaluations for f in fits) + best.evaluations,
@@ -166,10 +191,18 @@ def commission(
     )
 
 
-def weak_prior(scaling: Scaling, values: Array, state: Array, state_sd: float = 5.0) -> Prior:
+def weak_prior(scaling: Scaling, values: Array, state: Array, state_sd: float) -> Prior:
     """Prior centred on `values` (q,) and `state` (k,), as wide as `Scaling.prior_sd` and `state_sd` K."""
     sd = np.concatenate([scaling.prior_sd(), np.full(state.size, state_sd)])
     return Prior(np.concatenate([scaling.to_z(values), state]), np.diag(sd**-2.0))
+
+
+def _before_any_input_moves(network: Network, inputs: Array) -> int:
+    """Rows at the beginning of inputs (n, c) that show the initial state: at most `FIRST_SAMPLES`, at least one."""
+    first = inputs[:FIRST_SAMPLES]
+    width = np.array([spec.upper - spec.lower for spec in network.inputs.values()])
+    moved = (np.abs(first - first[0]) > MOVED * np.where(np.isfinite(width), width, 0.0)).any(axis=1)
+    return int(np.argmax(moved)) if moved.any() else len(first)
 
 
 def _inflation(residual: Array, sigma: Array) -> float:
@@ -181,17 +214,21 @@ def _inflation(residual: Array, sigma: Array) -> float:
     worst = 1.0
     for j in range(residual.shape[1]):
         r = residual[np.isfinite(residual[:, j]), j]
-        if r.size < 50:
+        if r.size < FEWEST:
             continue
         chi = float(np.mean(r**2) / sigma[j] ** 2)
-        r = r - r.mean()
-        spectrum = np.abs(np.fft.rfft(r, 2 * r.size)) ** 2
-        correlation = np.fft.irfft(spectrum)[: r.size // 2]
-        correlation = correlation / max(correlation[0], 1e-300)
-        negative = np.flatnonzero(correlation < 0.05)
-        until = int(negative[0]) if negative.size else correlation.size
-        worst = max(worst, chi * (1.0 + 2.0 * float(correlation[1:until].sum())))
+        worst = max(worst, chi * (_correlation_time(r - r.mean()) if r.size >= FEWEST_IN_TIME else 1.0))
     return worst
+
+
+def _correlation_time(r: Array) -> float:
+    """Autocorrelation time of r (n,) in samples, 1 for white noise."""
+    spectrum = np.abs(np.fft.rfft(r, 2 * r.size)) ** 2
+    correlation = np.fft.irfft(spectrum)[: r.size // 2]
+    correlation = correlation / max(correlation[0], 1e-300)
+    negative = np.flatnonzero(correlation < 0.05)
+    until = int(negative[0]) if negative.size else correlation.size
+    return 1.0 + 2.0 * float(correlation[1:until].sum())
 
 
 def _notes(

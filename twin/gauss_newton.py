@@ -155,7 +155,9 @@ def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, dat
         weight = data.weight[new]
         centre = lanes[:, :, 0]
         readings[new] = centre
-        jacobian = ((lanes[:, :, 1:] - centre[:, :, None]) * weight[:, :, None]).reshape(-1, q)
+        difference = lanes[:, :, 1:] - centre[:, :, None]
+        difference *= weight[:, :, None]
+        jacobian = difference.reshape(-1, q)
         residual = (centre - data.measured[new]) * weight
         jtj += jacobian.T @ jacobian
         jtr += residual.ravel() @ jacobian
@@ -228,8 +230,14 @@ class Problem:
             box = np.maximum(low - v, -self._reach), np.minimum(high - v, self._reach)
             step = _bounded_step(hessian, gradient, free, damping, *box)
             predicted = -float(2.0 * gradient @ step + step @ hessian @ step)
-            if predicted <= tolerance * max(cost, 1e-300) * 1e-2 or not np.isfinite(predicted):
+            if not np.isfinite(predicted):
                 break
+            if predicted <= tolerance * max(cost, 1e-300) * 1e-2:
+                if (np.abs(step) < self._reach).all() or damping > 1e12:
+                    break
+                # Variables held at their reach one after the other need not add up to a descent; a shorter step does.
+                damping, growth = damping * growth, growth * 2.0
+                continue
             trial = v + step
             new_out = self.linearise(trial)
             new_cost = total(trial, new_out)
@@ -275,15 +283,21 @@ def descend(
 
 def _bounded_step(hessian: Array, gradient: Array, free: np.ndarray, damping: float, low: Array, high: Array) -> Array:
     """Damped step inside [low, high]; variables that would leave are put on the bound and solved around."""
+    diagonal = np.diag(hessian)
+    scale = damping * np.maximum(diagonal, 1e-12 * max(diagonal.max(), 1e-300))
+    damped = hessian + np.diag(scale)
+    if free.all():
+        step = np.asarray(-np.linalg.solve(damped, gradient), dtype=np.float64)
+        if not ((step < low) | (step > high)).any():
+            return step
     step = np.zeros_like(gradient)
     free = free.copy()
     for _ in range(gradient.size):
         if not free.any():
             break
-        h = hessian[np.ix_(free, free)]
-        pull = gradient[free] + hessian[np.ix_(free, ~free)] @ step[~free]
-        scale = damping * np.maximum(np.diag(h), 1e-12 * max(np.diag(h).max(), 1e-300))
-        step[free] = -np.linalg.solve(h + np.diag(scale), pull)
+        rows = damped[free]
+        pull = gradient[free] + rows[:, ~free] @ step[~free]
+        step[free] = -np.linalg.solve(rows[:, free], pull)
         out = free & ((step < low) | (step > high))
         if not out.any():
             break

@@ -6,9 +6,11 @@ from collections.abc import Callable
 
 from twin.elements import Element
 from twin.elements.actuator import Actuator
+from twin.elements.bypass import Bypass
 from twin.elements.flow import Flow
 from twin.elements.node import Node
 from twin.elements.pipe import Pipe
+from twin.elements.radiator import Radiator
 from twin.elements.sensor import Sensor
 from twin.network import did_you_mean
 
@@ -32,6 +34,7 @@ def check_topology(elements: tuple[Element, ...], most_nodes: int, fail: Callabl
                 fail(flow.name, f"node {node!r} is already fed by {fed[node]!r}; two flows need a mixer")
             fed[node] = flow.name
     _pipes_and_drives(elements, fed, fail)
+    _on_a_flow_path(elements, flows, fail)
     _all_reachable(elements, nodes, fail)
     sensors = [e for e in elements if isinstance(e, Sensor)]
     if not sensors:
@@ -58,6 +61,23 @@ def _pipes_and_drives(elements: tuple[Element, ...], fed: dict[str, str], fail: 
             if e.column in driven:
                 fail(e.name, f"input {e.column!r} already has the actuator {driven[e.column]!r}; join them into one")
             driven[e.column] = e.name
+
+
+def _on_a_flow_path(elements: tuple[Element, ...], flows: list[Flow], fail: Callable[[str, str], object]) -> None:
+    """What corrects the water of a flow path must stand on one."""
+    for e in elements:
+        if isinstance(e, Bypass):
+            row = list(zip(e.around, e.around[1:], strict=False))
+            if not any(
+                set(e.around) <= set(flow.path) and all(flow.feeds()[after] == before for before, after in row)
+                for flow in flows
+            ):
+                fail(e.name, f"{', '.join(e.around)} do not follow one another on one flow path")
+        if isinstance(e, Radiator) and e.form != "outlet":
+            if not any(e.node in flow.path for flow in flows):
+                fail(e.name, f"the form {e.form!r} needs water, but no flow path names {e.node!r}")
+            if any(e.node in flow.film for flow in flows):
+                fail(e.name, f"the form {e.form!r} has a film of its own; take {e.node!r} out of the film of its flow")
 
 
 def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callable[[str, str], object]) -> None:

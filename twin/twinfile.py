@@ -409,7 +409,7 @@ def dump(network: Network) -> str:
         lines += ["", f"[elements.{element.name}]", f"kind = {_toml(element.kind)}"]
         for key, field in element.places().items():
             value = getattr(element, field.name)
-            if value != "":
+            if value:
                 lines.append(f"{key} = {_toml(value)}")
         for spec in element.parameter_specs():
             p = network.parameters[f"{element.name}.{spec.name}"]

@@ -42,7 +42,7 @@ def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: 
     names = [next(p.name for p in points if p.name.startswith(what)) for what in ("heater", "pump", "fan")]
     order = [[p.name for p in points].index(name) for name in names]
     ticks = int(profile.duration_s / period) + 1
-    targets = profile.sample(np.arange(ticks) * period).tolist()
+    targets = profile.sample(np.arange(ticks, dtype=np.float64) * period).tolist()
     rows: list[list[float]] = []
     frames: list[bytes] = []
     plant.step(*_START)
@@ -59,4 +59,4 @@ def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: 
     read = np.array(rows)
     for k, (name, step) in enumerate(zip(READ, RESOLUTION, strict=True)):
         columns[name] = np.round(read[:, k] / step) * step if step else read[:, k].astype(np.float32).astype(np.float64)
-    return Record(np.arange(len(rows)) * period, columns)
+    return Record(np.arange(len(rows), dtype=np.float64) * period, columns)

@@ -87,7 +87,7 @@ def _scores(outcomes: Sequence[Outcome], how: str) -> Table:
 
 def _verdicts(outcomes: Sequence[Outcome]) -> Table:
     names = ("adequate", "effect found", "ambiguous", "unexplained", "crashed")
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for group, name in GROUP_NAMES.items():
         found = [o.verdict for o in outcomes if o.group == group]
         if found:
@@ -227,7 +227,6 @@ def _failures(outcomes: Sequence[Outcome], size: Size) -> Table:
         if (what := failure(o)) is not None:
             rows.append((o.case, what, o.what, o.load, o.verdict, o.said, o.z, o.z_truth, o.confidence))
     columns = ("case", "failure", "truth", "load", "verdict", "answer", "z", "z of the truth", "confidence")
-    again = (
-        f"one again: --{'direct' if size.direct else 'wire'} --hours {size.hours:g} --twin {size.twin} --case NUMBER"
-    )
+    how = "direct" if size.direct else "wire"
+    again = f"one again: --{how} --hours {size.hours:g} --twin {size.twin} --case NUMBER, or --healthy-case NUMBER"
     return Table("failures", "Failures", columns, tuple(rows), (again,))

@@ -40,12 +40,8 @@ class Worker:
         """The answer to one request; raises WorkerError."""
         if self._process is None or self._process.poll() is not None:
             self.close()
-            environment = {
-                **os.environ,
-                "PYTHONPATH": str(PROJECT),
-                "OPENBLAS_NUM_THREADS": "1",
-                "OMP_NUM_THREADS": "1",
-            }
+            one_thread = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+            environment = {**os.environ, "PYTHONPATH": str(PROJECT), **one_thread}
             self._process = subprocess.Popen(
                 self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
             )

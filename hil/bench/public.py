@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
-import importlib.util
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.bench.peers import Absent
 from hil.bench.report import Cell, Table
 from hil.terminal import Steps
 
 
 def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
     """Tables of the public records under `data`, and a line where there is nothing to run."""
-    if importlib.util.find_spec("hil.bench.records") is None:
-        return (), ("records: this version has no hil.bench.records",)
     if not (data / "real").is_dir():
         return (), (f"records: no {data / 'real'}; set HIL_DATA to the folder that holds 'real'",)
-    with Steps("public records", 1.0) as bar:
-        bar.say("fitting and simulating the public records, under a minute")
-        try:
-            found = importlib.import_module("hil.bench.records").run(data, seed=seed)
-        except Absent as why:
-            return (), (str(why),)
+    from hil.bench.records import PARTS, run
+
+    with Steps("public records", len(PARTS)) as bar:
+        found = run(data, seed=seed, progress=bar.update)
     tables = list(tables_of("records", "Public records", found))
     said = tuple(getattr(found, "messages", ()))
     if tables and said:

@@ -47,7 +47,7 @@ def command(context: click.Context) -> None:
     _one_thread()
     if context.invoked_subcommand is None:
         for name, about in BENCHMARKS.items():
-            click.echo(f"{invocation()} bench {name:<9} {about}")
+            click.echo(f"{invocation()} bench {name:<10} {about}")
 
 
 def _finish(
@@ -250,3 +250,20 @@ def discovery_command(
     with Steps("diagnosing", 1.0, quiet=as_json) as steps:
         done = discovery.measure(size, seed, work, steps.update)
     _finish("discovery", seed, tables(done, size), discovery.left_out(), out, as_json)
+
+
+@command.command("structure")
+@SEED
+@OUT
+@JSON
+def structure_command(seed: int, out: Path | None, as_json: bool) -> None:
+    """How true commissioned twins of four and of ten volumes stay over forty healthy hours of other rigs ($HIL_DATA).
+
+    \b
+    Example:
+      hil bench structure
+    """
+    from hil.bench.structure import measure
+
+    tables, skipped = measure(_data_folder(), seed)
+    _finish("structure", seed, tables, skipped, out, as_json)

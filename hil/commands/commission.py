@@ -17,11 +17,17 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("record", type=INPUT_FILE)
 @click.option("--twin", type=INPUT_FILE, help="Twin file to start from; it is not changed.")
-@click.option("--datasheet", type=INPUT_FILE, help="Start from a rig's datasheet.json instead of a twin file.")
+@click.option("--datasheet", type=INPUT_FILE, help="A rig's datasheet.json: fills in --twin, or loop.toml.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="New twin file to write.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the fit's further starting points.")
+@click.option(
+    "--initial-sd", type=click.FloatRange(min=0.0, min_open=True), default=5.0, show_default=True, metavar="K",
+    help="How firmly the state at the beginning is held to the first readings; 0.1 for a record that begins at rest.",
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-def command(record: Path, twin: Path | None, datasheet: Path | None, out: Path, seed: int, as_json: bool) -> None:
+def command(
+    record: Path, twin: Path | None, datasheet: Path | None, out: Path, seed: int, initial_sd: float, as_json: bool
+) -> None:
     """Fit the tunables of a twin to RECORD, a healthy one, and write them as a new revision.
 
     The last fifth of the record is kept out of the fit; errors before and after are of a free run over it.
@@ -30,21 +36,25 @@ def command(record: Path, twin: Path | None, datasheet: Path | None, out: Path, 
     Example:
       hil commission runs/<a healthy run>/record.parquet --twin profiles/twins/loop.toml --out my_twin.toml
       hil commission commissioning.parquet --datasheet datasheet.json --out my_twin.toml
+      hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
     from hil.record import read_record
     from twin.commission import commission
     from twin.datasheet import from_datasheet
     from twin.twinfile import load, save
 
-    if (twin is None) == (datasheet is None):
-        raise click.UsageError("give either --twin or --datasheet: what the fit starts from")
+    if twin is None and datasheet is None:
+        raise click.UsageError("give --twin, --datasheet or both: what the fit starts from")
     if out.exists():
         raise click.UsageError(f"{out} exists already; a twin is never overwritten, give --out another name")
-    network = load(twin) if twin is not None else from_datasheet(datasheet or "")
+    network = from_datasheet(datasheet, twin) if datasheet is not None else load(twin or "")
     data = read_record(record)
     data.require(*network.input_columns)
     inputs, measured = network.select(data.columns)
-    result = commission(network, data.time_s, inputs, measured, seed=seed, made_by=f"hil commission {record.name}")
+    result = commission(
+        network, data.time_s, inputs, measured,
+        seed=seed, initial_sd=initial_sd, made_by=f"hil commission {record.name}",
+    )  # fmt: skip
     save(result.network, out)
     if as_json:
         click.echo(json.dumps(_document(result, out), indent=1))

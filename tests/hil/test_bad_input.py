@@ -120,7 +120,7 @@ def test_a_port_in_use_is_named(option):
         (["check", "{load}.x"], ["there is no such file"]),
         (["review", "{here}"], ["is not a run folder"]),
         (["cheque"], ["did you mean check?"]),
-        (["commission", "{load}", "--out", "x.toml"], ["give either --twin or --datasheet"]),
+        (["commission", "{load}", "--out", "x.toml"], ["give --twin, --datasheet or both"]),
     ],
 )
 def test_wrong_use_is_explained(tmp_path, arguments, words):

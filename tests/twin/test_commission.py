@@ -141,3 +141,35 @@ def test_records_that_cannot_be_fitted(loop: Network, change, words: str) -> Non
     t, u, y = record(loop, n=1200)
     with pytest.raises(TwinFileError, match=words):
         commission(loop, *change(t, u, y))
+
+
+def test_a_firm_initial_state_is_kept(loop: Network) -> None:
+    t, u, y = record(loop.with_values(TRUTH), n=3600)
+    y[:30] += 1.0
+    loose, firm = (commission(loop, t, u, y, starts=1, initial_sd=sd) for sd in (5.0, 0.001))
+    first = y[:30].mean(axis=0)
+    assert np.abs(firm.state[:4] - first).max() < 0.01
+    assert np.abs(loose.state[:4] - first).max() > 0.5
+    with pytest.raises(TwinFileError, match="initial_sd must be above 0"):
+        commission(loop, t, u, y, initial_sd=0.0)
+
+
+def test_the_first_guess_looks_no_further_than_the_first_move(loop: Network) -> None:
+    t, u, y = record(loop, n=3600)
+    u[:, 3] = 22.0
+    u[:12, 0], u[12:, 0] = 600.0, 900.0
+    y[12:] += 5.0
+    firm = commission(loop, t, u, y, starts=1, initial_sd=0.001)
+    assert np.abs(firm.state[:4] - y[:12].mean(axis=0)).max() < 0.01
+
+
+def test_draws_spread_as_the_intervals_say(loop: Network) -> None:
+    done = commission(loop, *record(loop.with_values(TRUTH)), starts=1)
+    drawn = done.drawn(4000)
+    for name, sd in done.standard_error.items():
+        column = drawn[:, loop.index([name])[0]]
+        if name not in done.cannot_tell and name not in done.at_bound:
+            assert column.std() == pytest.approx(sd, rel=0.15), name
+            assert column.mean() == pytest.approx(done.values[name], abs=0.2 * sd)
+    others = [i for i, name in enumerate(loop.ids) if name not in done.values]
+    assert (drawn[:, others] == done.network.values[others]).all()

@@ -50,5 +50,11 @@ def test_kernel_is_exact_and_neutral_at_zero(loop: Network, loop_text: str) -> N
 def test_places_that_make_no_sense(loop_text: str) -> None:
     with pytest.raises(TwinFileError, match="named twice"):
         past(loop_text, '["heater", "heater"]', 0.1)
-    with pytest.raises(ValueError, match="do not follow one another"):
-        rates(past(loop_text, '["heater", "tank"]', 0.1))
+    for around in ('["heater", "tank"]', '["modules", "heater"]'):
+        with pytest.raises(TwinFileError, match=r"short: .*do not follow one another"):
+            past(loop_text, around, 0.0)
+    past(loop_text, '["tank", "heater"]', 0.1)  # round the corner where the loop closes
+    aside = loop_text + '[elements.shelf]\nkind = "node"\ncapacitance = 900.0\n'
+    aside += '[elements.bracket]\nkind = "conduction"\nfrom = "shelf"\nto = "tank"\nresistance = 1.0\n'
+    with pytest.raises(TwinFileError, match="do not follow one another"):
+        past(aside, '["shelf"]', 0.1)

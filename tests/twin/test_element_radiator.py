@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from tests.twin.two_nodes import U, heat, worst_error
+from tests.twin.two_nodes import U, heat, network, worst_error
+from twin.network import TwinFileError
 
 COMMON = (
     '[elements.x]\nkind = "radiator"\nnode = "b"\nfan = "fan_speed_pct"\nUA_100 = 60.0\nfan_exponent = 0.6\n'
@@ -67,9 +68,32 @@ def test_kernel_agrees_with_solve_ivp() -> None:
     assert worst_error(CORE) < 1e-5
 
 
-def test_effectiveness_needs_water() -> None:
-    with pytest.raises(ValueError, match="needs water"):
-        heat(COMMON + 'form = "effectiveness"\nair_100 = 0.2\n')
+@pytest.mark.parametrize("form", ["effectiveness", "one_row"])
+def test_a_core_needs_water(form: str) -> None:
+    with pytest.raises(TwinFileError, match="needs water, but no flow path names 'b'"):
+        network(COMMON + f'form = "{form}"\nair_100 = 0.2\n')
+    film = CORE.replace("nominal = 4.0", 'nominal = 4.0\nfilm = ["b"]\neffectiveness_b = 0.3')
+    with pytest.raises(TwinFileError, match="film of its own"):
+        network(film.replace('effectiveness"', f'{form}"'))
+
+
+@pytest.mark.parametrize("nominal", [1.0, 4.0])
+def test_one_row_is_cross_flow_with_mixed_water(nominal: float) -> None:
+    """Incropera eqs. 11.33a (the unmixed stream, air, is the lesser) and 11.34a (the mixed one, water, is)."""
+    core = CORE.replace("nominal = 4.0", f"nominal = {nominal}").replace('"effectiveness"', '"one_row"')
+    water = WATER * nominal / 4.0
+    ua = 60.0 * (AIR / (0.2 * 1007.0)) ** 0.6
+    least, ratio = min(AIR, water), min(AIR, water) / max(AIR, water)
+    ntu = ua / least
+    if water > AIR:
+        share = (1.0 - math.exp(-ratio * (1.0 - math.exp(-ntu)))) / ratio
+    else:
+        share = 1.0 - math.exp(-(1.0 - math.exp(-ratio * ntu)) / ratio)
+    assert rejected(core) == pytest.approx(share * least * 20.0, rel=1e-6)
+
+
+def test_one_row_in_the_kernel() -> None:
+    assert worst_error(CORE.replace('"effectiveness"', '"one_row"')) < 1e-5
 
 
 def test_default_form_is_the_conductance_at_the_outlet() -> None:

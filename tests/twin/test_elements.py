@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from tests.twin.conftest import LOOP
 from twin.elements import KINDS
-from twin.exact import right_side
-from twin.network import Network
+from twin.exact import right_side, simulate_exact
+from twin.kernel import simulate
+from twin.network import Network, TwinFileError
 from twin.twinfile import load, parse
 
 TWO = """
@@ -78,6 +79,39 @@ def test_well_mixed_flow_is_the_advective_term_of_eq_1(outlet: str) -> None:
     text = f'[elements.x]\nkind="flow"\npath=["a","b"]\npump="pump_speed_pct"\nnominal=3.0\noutlet="{outlet}"'
     mcp = 3.0 * 0.997 / 60.0 * 4180.0 * 0.8
     assert rates(text) == pytest.approx([mcp * (30.0 - 40.0), mcp * (40.0 - 30.0)])
+
+
+FILM = (
+    '[elements.x]\nkind="flow"\npath=["a","b"]\npump="pump_speed_pct"\nnominal=3.0\nfilm=["b"]\n'
+    "effectiveness_b=0.2\nfilm_exponent=0.3\n"
+)
+
+
+def test_a_film_changes_its_share_with_the_flow() -> None:
+    at = {}
+    for pump in (100.0, 50.0):
+        net = parse(TWO + FILM)
+        u = np.array([0.0, pump, 0.0, 20.0])
+        with_flow = np.array(right_side(net)(np.array([40.0, 30.0]), u, net.values))[1] * 4000.0 - 20.0
+        at[pump] = with_flow / (3.0 / 60.0 * 0.997 * 4180.0 * pump / 100.0 * 10.0)
+    assert at[100.0] == pytest.approx(0.2, rel=1e-9)
+    # hA follows flow^0.3, so NTU = hA / m cp follows flow^-0.7
+    assert at[50.0] == pytest.approx(1.0 - math.exp(math.log(0.8) * 0.5**-0.7), rel=1e-6)
+
+
+def test_a_film_is_simulated_as_its_formula_says() -> None:
+    net = parse(TWO + FILM)
+    time = np.arange(0.0, 300.0)
+    inputs = np.tile(U, (300, 1))
+    inputs[:, 1] = np.repeat([100.0, 30.0, 0.0, 60.0, 5.0, 80.0], 50)
+    start = np.array([60.0, 20.0])
+    expected = simulate_exact(net, time, inputs, start)[:, :1]
+    assert np.abs(simulate(net, time, inputs, start) - expected).max() < 1e-6
+
+
+def test_a_film_off_the_path_is_refused() -> None:
+    with pytest.raises(TwinFileError, match="'c' has a film but is not on the path"):
+        parse(TWO + FILM.replace('film=["b"]', 'film=["c"]').replace("effectiveness_b=0.2\n", ""))
 
 
 def test_flow_with_effectiveness_hands_on_what_is_left() -> None:

@@ -134,3 +134,20 @@ def test_resistance_at_its_lower_bound(loop: Network, name: str) -> None:
     assert np.isfinite(list(done.values.values())).all()
     assert np.isfinite(done.fitted).all()
     assert done.error_K < 0.1
+
+
+def test_descent_goes_on_where_several_tunables_reach_their_longest_step(loop: Network) -> None:
+    """Held at their reach one after the other they need not add up to a descent; the fit must not end there."""
+    ids = loop.tunables("nine")
+    kernel, scaling = Kernel(loop, ids), Scaling.of(loop, ids)
+    here = scaling.to_z(loop.values[scaling.index])
+    far = here + np.random.default_rng(30).normal(0.0, 2.0, len(ids)) * scaling.prior_sd()
+    t, u = drive(600)
+    there = loop.values.copy()
+    there[scaling.index] = scaling.to_values(far)
+    y = simulate(loop, t, u, START, there)
+    problem = Problem(kernel, scaling, loop.values, Data(t, u, *masked(y, loop.sigma)), START)
+    v = np.concatenate([here, START])
+    flat = Prior(v, np.diag(np.concatenate([1e-8 * np.ones(len(ids)), np.ones(START.size)])))
+    fit = problem.minimise(v, flat, held=np.arange(v.size) >= len(ids), most=100)
+    assert fit.sse.sum() < 1e-3

@@ -68,26 +68,32 @@ class Contest:
         self.sites = self.k + self.m
         self.step_s = grid.span_s / self.b
         self.present = np.isfinite(grid.measured)
+        self.known = np.add.reduceat(self.present, self.edges[:-1], axis=0) >= 0.3 * np.diff(self.edges)[:, None]
         heat = probe.blocks(grid, state, self.edges)
         self._j = self.features(probe.sensitivities(grid, state))
-        seen = self.present.any(axis=0)
-        heat[:, ~seen] = 0.0
         onto = np.eye(self.b * self.m).reshape(self.b, self.m, self.b, self.m)
         # Columns go place by place, blocks within a place.
         columns = np.concatenate([heat, onto], axis=3).transpose(0, 1, 3, 2).reshape(self.b, self.m, -1)
-        self._columns = self._white(columns).reshape(self.b * self.m, -1)
+        self._columns = self._white(filled(columns, self.known)).reshape(self.b * self.m, -1)
         self._normal = self._j.T @ self._j + prior.precision
         cross = self._j.T @ self._columns
         self._taken = np.linalg.solve(self._normal, cross)
         self.gram = self._columns.T @ self._columns - cross.T @ self._taken
-        self.count = int(seen.sum()) * self.b
+        self.count = int(self.known.sum())
         self.look_at(run)
 
     def _means(self, values: Array) -> Array:
-        """(n, m, ...) to block means (b, m, ...)."""
+        """(n, ...) to block means (b, ...)."""
         lengths = np.diff(self.edges).reshape(-1, *([1] * (values.ndim - 1)))
         means: Array = np.add.reduceat(values, self.edges[:-1], axis=0) / lengths
         return means
+
+    def _seen_means(self, values: Array) -> Array:
+        """(n, m, ...) to means (b, m, ...) over bins with a reading; blocks without are bridged by straight lines."""
+        mask = self.present.reshape(*self.present.shape, *([1] * (values.ndim - 2)))
+        count = np.add.reduceat(mask, self.edges[:-1], axis=0)
+        total = np.add.reduceat(np.where(mask, values, 0.0), self.edges[:-1], axis=0)
+        return filled(total / np.maximum(count, 1), self.known)
 
     def _white(self, values: Array) -> Array:
         return self.noise.whiten(values, self.step_s)
@@ -109,7 +115,7 @@ class Contest:
 
     def features(self, values: Array) -> Array:
         """Whitened block means (b * m, ...) of a residual or of signatures (n, m, ...)."""
-        means = self._white(self._means(filled(values, self.present)))
+        means = self._white(self._seen_means(values))
         return means.reshape(self.b * self.m, *values.shape[2:])
 
     def look_at(self, run: Run, moved: Array | None = None) -> None:

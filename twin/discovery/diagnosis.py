@@ -13,7 +13,10 @@ Verdict = Literal["adequate", "effect found", "ambiguous", "unexplained"]
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect in the vocabulary of the diagnosis; `interval90` of `value` in `unit`; times in the record's own."""
+    """One effect in the vocabulary of the diagnosis; `interval90` of `value` in `unit`; times in the record's own.
+
+    `says` is the effect in plain words, `evidence` what speaks for it.
+    """
 
     kind: str
     where: str
@@ -29,6 +32,7 @@ class Effect:
     z: float
     evidence: str
     growth_s: float = 0.0
+    says: str = ""
 
 
 @dataclass(frozen=True)
@@ -163,7 +167,7 @@ def _effect(e: Effect) -> dict[str, Any]:
         "kind": e.kind, "where": e.where, "driver": e.driver, "change": e.change, "value": _round(e.value),
         "unit": e.unit, "interval90": [_round(x) for x in e.interval90], "onset_s": _round(e.onset_s),
         "onset_interval90_s": [_round(x) for x in e.onset_interval90_s], "shape": e.shape,
-        "confidence": _round(e.confidence), "z": _round(e.z), "evidence": e.evidence,
+        "confidence": _round(e.confidence), "z": _round(e.z), "evidence": e.evidence, "says": e.says,
     }  # fmt: skip
 
 

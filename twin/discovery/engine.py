@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,14 +15,14 @@ from twin.discovery.catalogue import catalogue
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Diagnosis, Rung, SensorError
 from twin.discovery.fitting import Fit, fit
-from twin.discovery.grid import Grid, filled, on_grid
+from twin.discovery.grid import Grid, bridged, filled, on_grid
 from twin.discovery.laws import Law, laws
+from twin.discovery.members import Members, members
 from twin.discovery.model import Model
 from twin.discovery.probe import Probe, Run, posterior
 from twin.discovery.search import Entry, best_pair, refine, scan
 from twin.discovery.verdict import Finding, Ranked, conclude, rank, width
 from twin.gauss_newton import Prior
-from twin.kernel import held
 from twin.network import Array, Network, TwinFileError
 
 THRESHOLD = 6.0
@@ -40,17 +40,26 @@ MOST_EFFECTS = 3
 
 @dataclass(frozen=True)
 class Columns:
-    """A record as a network sees it: time (N,) s, inputs (N, c), measured (N, m) degC."""
+    """A record as a network sees it: time (N,) s, inputs (N, c), measured (N, m) degC.
+
+    `members` holds the single thermometers (N, c) of every sensor that is the mean of several.
+    """
 
     time_s: Array
     inputs: Array
     measured: Array
+    members: Mapping[str, Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, network: Network, time_s: ArrayLike, columns: Mapping[str, ArrayLike]) -> Columns:
         """Select a network's columns; raises TwinFileError where some are missing."""
         inputs, measured = network.select(columns)
-        return cls(np.asarray(time_s, dtype=np.float64), inputs, measured)
+        single = {
+            s.name: np.column_stack([np.asarray(columns[c], dtype=np.float64) for c in s.measured])
+            for s in network.sensors
+            if len(s.measured) > 1 and all(c in columns for c in s.measured)
+        }
+        return cls(np.asarray(time_s, dtype=np.float64), inputs, measured, single)
 
 
 @dataclass(frozen=True)
@@ -164,6 +173,7 @@ def diagnose(
         train = _Part.of(known, grid.part(0, split))
     finding = _search(train, say)
     say("judging")
+    single = _members(network, record, grid, healthy, whole.contest.edges)
     return conclude(
         finding,
         network=network,
@@ -174,7 +184,24 @@ def diagnose(
         split=split,
         errors=_errors(finding, network, record, grid, split),
         notes=tuple(notes),
+        single=single,
     )
+
+
+def _members(
+    network: Network, record: Columns, grid: Grid, healthy: Columns | None, edges: np.ndarray
+) -> tuple[Members, ...]:
+    if healthy is None or not record.members:
+        return ()
+    known = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
+
+    def means(columns: Columns, on: Grid) -> dict[str, Array]:
+        return {
+            name: np.column_stack([_binned(one, columns.time_s, on) for one in each.T])
+            for name, each in columns.members.items()
+        }
+
+    return members(network, means(record, grid), grid, means(healthy, known), known, edges)
 
 
 @dataclass
@@ -298,7 +325,7 @@ def _finalists(entries: list[Entry], chosen: tuple[Entry, ...]) -> list[Entry]:
 
 def _errors(finding: Finding, network: Network, record: Columns, grid: Grid, split: int) -> dict[str, SensorError]:
     """RMSE per sensor over the held-out part, of free runs from the record's beginning."""
-    time, inputs = record.time_s, held(network, record.inputs)
+    time, inputs = record.time_s, bridged(network, record.time_s, record.inputs)
     late = time >= grid.time[split]
     runs = []
     for values, state, entries in (
@@ -308,8 +335,7 @@ def _errors(finding: Finding, network: Network, record: Columns, grid: Grid, spl
     ):
         model = Model.of(network, entries, finding.contest.probe.scaling.ids)
         sizes = np.array([[e.size for e in entries]])
-        end = finding.contest.grid.span_s
-        runs.append(model.run(time, inputs, state[None, : len(network.nodes)], values[None, :], sizes, end_s=end)[0])
+        runs.append(model.run(time, inputs, state[None, : len(network.nodes)], values[None, :], sizes)[0])
     if finding.fit is None:
         runs.append(runs[1])
     out = {}

@@ -52,7 +52,7 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
     probe, grid, entries = contest.probe, contest.grid, model.entries
     scaling, q, k, e = probe.scaling, probe.q, probe.k, len(entries)
     timed = [i for i, x in enumerate(entries) if x.shape.onset_s > 0.0]
-    grown = [i for i, x in enumerate(entries) if x.shape.name == "saturating"]
+    grown = [i for i, x in enumerate(entries) if x.shape.free(grid.span_s)]
     first_time, first_growth = q + k + e, q + k + e + len(timed)
     count = first_growth + len(grown)
     z0 = scaling.to_z(probe.network.values[scaling.index])

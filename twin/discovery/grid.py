@@ -51,12 +51,13 @@ def on_grid(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: Ar
     """Means over bins of 10 s, or of the record's own step where that is longer.
 
     Args:
-        time_s: (N,) s. inputs: (N, c); NaN holds the last good value. measured: (N, m) degC; NaN is left out.
+        time_s: (N,) s. inputs: (N, c); in a gap temperatures follow a straight line, all else holds. measured: (N, m)
+            degC; NaN is left out.
 
     Raises:
         TwinFileError: too short, or not a single reading.
     """
-    t, u = clean_time(time_s), held(network, inputs)
+    t, u = clean_time(time_s), bridged(network, time_s, inputs)
     y = np.asarray(measured, dtype=np.float64)
     if len(t) < 2:
         raise TwinFileError("the record has fewer than two samples; diagnosis needs at least two windows of data")
@@ -78,6 +79,17 @@ def on_grid(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: Ar
     per_bin = max(1.0, step / period)
     grid_time = t[0] + step * np.arange(bins)
     return Grid(grid_time, _held_means(t, u, where, grid_time), mean, network.sigma / np.sqrt(per_bin), step)
+
+
+def bridged(network: Network, time_s: ArrayLike, inputs: ArrayLike) -> Array:
+    """Inputs (N, c) without NaN: temperatures on straight lines over gaps, everything else held."""
+    t, given = np.asarray(time_s, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
+    u = held(network, given)
+    for j, column in enumerate(network.input_columns):
+        good = np.isfinite(given[:, j])
+        if column.endswith("_C") and good.any() and not good.all():
+            u[:, j] = np.interp(t, t[good], given[good, j])
+    return u
 
 
 def _held_means(t: Array, u: Array, where: np.ndarray, grid_time: Array) -> Array:

@@ -74,17 +74,14 @@ class Model:
         values: Array,
         sizes: Array,
         shapes: tuple[tuple[Shape, ...], ...] | None = None,
-        end_s: float | None = None,
     ) -> Array:
         """Readings (P, n, m) in degC of free runs.
 
         Args:
             state: (P, k) at the first sample. values: (P, p) of the original network. sizes: (P, e).
             shapes: (P, e) how the effects come in, as the entries say by default.
-            end_s: from the first sample on, when a ramp has its full size; the last sample by default.
         """
         since = time - time[0]
-        end = float(since[-1]) if end_s is None else end_s
         each = shapes or tuple(tuple(e.shape for e in self.entries) for _ in range(len(values)))
         borders = {0.0}
         for shape in {s for row in each for s in row}:
@@ -97,7 +94,7 @@ class Model:
         for first, last in zip(cuts[:-1], cuts[1:], strict=True):
             until = min(last + 1, len(time))
             span = np.append(since[first:last], since[min(last, len(since) - 1)])
-            known = {s: s.mean(float(span[0]), float(span[-1]), end) for row in each for s in row}
+            known = {s: s.mean(float(span[0]), float(span[-1])) for row in each for s in row}
             at = np.array([[known[s] for s in row] for row in each])
             full = self.parameters(values, sizes * at)
             part, state = self.kernel.trace(full, state, time[first:until], inputs[first:until])

@@ -77,13 +77,13 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
     courses = {
         (name, growth): np.stack([Shape(name, float(t), growth).block_means(edges_s) for t in onsets], axis=1)
         for name in ("step", "ramp", "saturating")
-        for growth in family(name)
+        for growth in family(name, float(edges_s[-1]))
     }
     for law in laws:
         p = contest.vector(law)
         gram, score = _less_given(contest, p, given)
         for name in law.candidate.shapes:
-            for growth in family(name):
+            for growth in family(name, float(edges_s[-1])):
                 course = courses[name, growth]
                 top = score @ course
                 bottom = np.einsum("ij,ij->j", course, gram @ course)
@@ -124,7 +124,7 @@ def refine(contest: Contest, entry: Entry, others: tuple[Entry, ...] = ()) -> En
     while reach >= 30.0:
         for shift, stretch in itertools.product((-reach, 0.0, reach), (0.7, 1.0, 1.4)):
             growth = best.shape.growth_s * stretch
-            if stretch != 1.0 and not best.shape.growth_s:
+            if stretch != 1.0 and not best.shape.free(float(edges_s[-1])):
                 continue
             onset = best.shape.onset_s + shift
             if onset < 0.0 or onset > edges_s[-1] * LAST_SHARE:

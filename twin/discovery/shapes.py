@@ -1,7 +1,7 @@
-"""How an effect comes in: at once, growing with time, or growing towards a final size.
+"""How an effect comes in: at once, growing in proportion to time for a while, or growing towards a final size.
 
-Amplitudes are relative to the effect's size: 1 after a step, 1 at the end of the record for a ramp, 1 in the limit for
-a saturating growth.
+Amplitudes are relative to the effect's size: 1 after a step, 1 where a ramp has ended, 1 in the limit for a saturating
+growth.
 """
 
 from __future__ import annotations
@@ -12,40 +12,45 @@ import numpy as np
 
 from twin.network import Array
 
-GROWTH_H = (1.0, 4.0, 12.0)
-"""Time constants of saturating growth that are tried, h."""
+GROWTH_H = {"step": (0.0,), "ramp": (2.0, 6.0, 16.0, np.inf), "saturating": (1.0, 4.0, 12.0)}
+"""Durations of ramps and time constants of saturating growth that are tried, h; an endless ramp is as long as the
+record."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """`name` step, ramp or saturating; `onset_s` from the record's beginning; `growth_s` of the last of them."""
+    """`name` step, ramp or saturating; `onset_s` from the record's beginning; `growth_s` of a growing one."""
 
     name: str
     onset_s: float = 0.0
     growth_s: float = 0.0
 
-    def block_means(self, edges_s: Array, end_s: float | None = None) -> Array:
-        """Mean amplitude (b,) between `edges_s` (b + 1,), s from the record's beginning; a ramp is full at `end_s`."""
-        end = float(edges_s[-1]) if end_s is None else end_s
+    def block_means(self, edges_s: Array) -> Array:
+        """Mean amplitude (b,) between `edges_s` (b + 1,), s from the record's beginning."""
         low, high = edges_s[:-1], edges_s[1:]
         a = np.maximum(low - self.onset_s, 0.0)
         b = np.maximum(high - self.onset_s, 0.0)
         width = np.maximum(high - low, 1e-9)
         if self.name == "step":
             return (b - a) / width
+        growth = max(self.growth_s, 1.0)
         if self.name == "ramp":
-            return 0.5 * (b**2 - a**2) / width / max(end - self.onset_s, 1.0)
-        tau = max(self.growth_s, 1.0)
-        mean: Array = (b - a + tau * (np.exp(-b / tau) - np.exp(-a / tau))) / width
+            up = 0.5 * (np.minimum(b, growth) ** 2 - np.minimum(a, growth) ** 2) / growth
+            held = np.maximum(b - growth, 0.0) - np.maximum(a - growth, 0.0)
+            rising: Array = (up + held) / width
+            return rising
+        mean: Array = (b - a + growth * (np.exp(-b / growth) - np.exp(-a / growth))) / width
         return mean
 
-    def mean(self, low_s: float, high_s: float, end_s: float) -> float:
+    def mean(self, low_s: float, high_s: float) -> float:
         """Mean amplitude over one span."""
-        if high_s <= low_s:
-            high_s = low_s + 1e-3
-        return float(self.block_means(np.array([low_s, high_s]), end_s)[0])
+        return float(self.block_means(np.array([low_s, max(high_s, low_s + 1e-3)]))[0])
+
+    def free(self, span_s: float) -> bool:
+        """Whether a record of `span_s` tells the growth apart from the size: a ramp that goes on does not."""
+        return self.name == "saturating" or (self.name == "ramp" and self.onset_s + self.growth_s < 0.98 * span_s)
 
 
-def family(name: str) -> tuple[float, ...]:
-    """Growth times, s, of a named shape that are tried."""
-    return tuple(3600.0 * h for h in GROWTH_H) if name == "saturating" else (0.0,)
+def family(name: str, span_s: float) -> tuple[float, ...]:
+    """Growth times, s, of a named shape that are tried on a record of `span_s`."""
+    return tuple(min(3600.0 * h, 2.0 * span_s) for h in GROWTH_H[name])

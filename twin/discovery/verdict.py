@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,9 +13,11 @@ from twin.discovery.diagnosis import Alternative, Course, Diagnosis, Effect, Mov
 from twin.discovery.fitting import Fit
 from twin.discovery.grid import Grid
 from twin.discovery.localise import courses, describe
+from twin.discovery.members import Members, odd_one
 from twin.discovery.model import Model
 from twin.discovery.probe import Run
 from twin.discovery.search import Entry
+from twin.discovery.shapes import Shape
 from twin.network import Array, Network
 
 if TYPE_CHECKING:
@@ -78,7 +80,7 @@ def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest, start: f
     for fitted, _ in trials:
         cost = fitted.total
         for e in fitted.entries:
-            free = 1.0 + (e.shape.onset_s > 0.0) + (e.shape.name == "saturating")
+            free = 1.0 + (e.shape.onset_s > 0.0) + (e.shape.name != "step")
             cost += free * math.log(contest.count) - 2.0 * math.log(plausibility(e))
             cost += min((e.size / (_TYPICALS * e.candidate.typical)) ** 2, 20.0)
         costs.append(cost)
@@ -113,6 +115,7 @@ def conclude(
     split: int,
     errors: dict[str, SensorError],
     notes: tuple[str, ...],
+    single: tuple[Members, ...] = (),
 ) -> Diagnosis:
     """The verdict with everything that supports it."""
     start = float(grid.time[0])
@@ -148,11 +151,13 @@ def conclude(
         )
         others, alternatives = _others(finding)
         bigger = _bigger(finding, network)
+    for one in single:
+        verdict, effects = _single(one, network, verdict, effects, finding, start)
     after = finding.fit or finding.retuned
     readings = _run(finding, after, network, grid)
     return Diagnosis(
         verdict=verdict,
-        summary=summarise(verdict, effects, errors, others, description, finding, entries),
+        summary=summarise(verdict, effects, errors, others, description, entries),
         effects=effects,
         indistinguishable=others,
         alternatives=alternatives,
@@ -173,6 +178,34 @@ def conclude(
     )
 
 
+def _single(
+    one: Members, network: Network, verdict: Verdict, effects: tuple[Effect, ...], finding: Finding, start: float
+) -> tuple[Verdict, tuple[Effect, ...]]:
+    """Say which thermometer or place of several it is, where one differs from the others."""
+    node = next(s.node for s in network.sensors if s.name == one.sensor)
+    here = [i for i, e in enumerate(effects) if e.where in (node, one.sensor)]
+    shapes = tuple(e.shape for e in finding.entries) if here and finding.entries else ()
+    odd = odd_one(one, shapes) or (odd_one(one) if not here else None)
+    if odd is None:
+        return verdict, effects
+    if here and effects[here[0]].kind not in ("unknown", "sensor"):
+        old = effects[here[0]]
+        changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
+        return verdict, tuple(changed if i == here[0] else e for i, e in enumerate(effects))
+    spread = SE90 * odd.sd
+    fault = Effect(
+        kind="sensor", where=odd.column, driver="constant" if odd.shape.name == "step" else "elapsed_time",
+        change="new", value=odd.size, unit="K", interval90=(odd.size - spread, odd.size + spread),
+        onset_s=start + odd.shape.onset_s, onset_interval90_s=(start + odd.shape.onset_s,) * 2, shape=odd.shape.name,
+        confidence=odd.share, z=odd.z,
+        evidence=f"it carries {100.0 * odd.share:.0f} % of what differs among the thermometers of {one.sensor}",
+        says=f"{odd.column} reads {amount(odd.size, 'K')} off {_when(odd.shape, start)}",
+    )  # fmt: skip
+    if here:
+        return "effect found", tuple(fault if i == here[0] else e for i, e in enumerate(effects))
+    return ("effect found" if verdict == "adequate" else verdict), (*effects, fault)
+
+
 def _stale(known: Basis, grid: Grid) -> Run:
     return known.probe.run(grid, known.probe.first_state(grid))
 
@@ -180,8 +213,7 @@ def _stale(known: Basis, grid: Grid) -> Run:
 def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
     model = Model.of(network, fitted.entries, finding.contest.probe.scaling.ids)
     sizes = np.array([[e.size for e in fitted.entries]])
-    end = finding.contest.grid.span_s
-    return model.run(grid.time, grid.inputs, fitted.state[None, :], fitted.values[None, :], sizes, end_s=end)[0]
+    return model.run(grid.time, grid.inputs, fitted.state[None, :], fitted.values[None, :], sizes)[0]
 
 
 def _groups(ranked: tuple[Ranked, ...]) -> dict[tuple[str, str], float]:
@@ -217,13 +249,14 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
         shape=entry.shape.name,
         confidence=sure.get((c.kind, c.where), 1.0),
         z=math.sqrt(gain),
-        evidence=f"{sentence(entry, start)}; with it {100.0 * share:.1f} % of the mismatch is gone",
+        evidence=f"{sentence(entry, start, grown)}; with it {100.0 * share:.1f} % of the mismatch is gone",
         growth_s=entry.shape.growth_s,
+        says=sentence(entry, start, grown),
     )
 
 
-def sentence(entry: Entry, start: float = 0.0) -> str:
-    """The effect in plain words."""
+def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0) -> str:
+    """The effect in plain words; `grown` is the share of its size that it has reached."""
     c = entry.candidate
     who = {"loop": "The loop", "modules": "The modules"}.get(c.where)
     if who is None:
@@ -231,14 +264,18 @@ def sentence(entry: Entry, start: float = 0.0) -> str:
     says = c.says
     if who == "The modules":
         says = _plural(says)
-    text = f"{who} {says.format(value=amount(entry.size, c.unit))}"
-    since = start + entry.shape.onset_s
-    when = f"since {clock(since)}" if entry.shape.onset_s > 0.0 else "from the beginning of the record"
+    text = f"{who} {says.format(value=amount(entry.size * grown, c.unit))}"
+    when = _when(entry.shape, start)
     if entry.shape.name == "ramp":
-        return f"{text} by the end, growing steadily {when}"
+        until = f" for {clock(entry.shape.growth_s)}" if grown >= 1.0 else ""
+        return f"{text} by the end, having grown steadily {when}{until}"
     if entry.shape.name == "saturating":
-        return f"{text} in the end, growing {when} with a time constant of {clock(entry.shape.growth_s)}"
+        return f"{text} by the end, growing {when} with a time constant of {clock(entry.shape.growth_s)}"
     return f"{text}, {when}"
+
+
+def _when(shape: Shape, start: float) -> str:
+    return f"since {clock(start + shape.onset_s)}" if shape.onset_s > 0.0 else "from the beginning of the record"
 
 
 def _plural(says: str) -> str:
@@ -365,7 +402,7 @@ def _bigger(finding: Finding, network: Network) -> Network:
 
 def _final(entry: Entry, finding: Finding) -> float:
     end = finding.contest.grid.span_s
-    return 1.0 if entry.shape.name == "step" else entry.shape.mean(end - 1.0, end, end)
+    return 1.0 if entry.shape.name == "step" else entry.shape.mean(end - 1.0, end)
 
 
 def _moved(finding: Finding, known: Basis) -> tuple[Moved, ...]:
@@ -413,7 +450,6 @@ def summarise(
     errors: dict[str, SensorError],
     others: tuple[Alternative, ...],
     description: dict[str, Any],
-    finding: Finding,
     scanned: list[Entry],
 ) -> str:
     """The verdict in plain words."""
@@ -437,9 +473,7 @@ def summarise(
             f"({u.interval90[0]:.3g} to {u.interval90[1]:.3g}) since {clock(u.onset_s)}, following "
             f"{u.driver.replace('_', ' ')}. No known effect explains it, so nothing is adopted."
         )
-    assert finding.fit is not None
-    start = effects[0].onset_s - finding.fit.entries[0].shape.onset_s
-    said = ". ".join(sentence(e, start) for e in finding.fit.entries)
+    said = ". ".join(e.says for e in effects)
     if verdict == "ambiguous":
         names = ", ".join(f"{a.kind.replace('_', ' ')} at {a.where}" for a in others)
         return f"{said}; but this record cannot tell that from {names}." + fit_text

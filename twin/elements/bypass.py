@@ -49,12 +49,7 @@ class Bypass(Element):
     def emit(self, n: Names) -> Fragment:
         if n.constant("fraction") == 0.0:
             return Fragment()
-        flows = {n.streams[node].flow for node in self.around if node in n.streams}
-        row = [node for node in self.around[1:] if node in n.streams]
-        in_a_row = [n.streams[node].before for node in row] == list(self.around[:-1])
-        if len(flows) != 1 or self.around[0] not in n.streams or not in_a_row:
-            raise ValueError(f"{self.name}: {', '.join(self.around)} do not follow one another on one flow path")
-        flow = flows.pop()
+        flow = n.streams[self.around[0]].flow
         skipped = {node: n.local(f"skipped_{node}") for node in self.around}
         stage = tuple(
             (name, f"{n.par('fraction')} * {n.local('mcp', flow)} * {n.local(f'd_{node}', flow)}")

@@ -6,7 +6,13 @@
     water leaving j:  w_j = w_in - a_j * (w_in - T_j)        (outlet = "exchanged")
                       w_j = T_j                              (outlet = "volume")
 
-``a_j`` is the share of the way to equilibrium that the water makes in node j. At a_j = 1 (well mixed) both
+``a_j`` is the share of the way to equilibrium that the water makes in node j, the same at every flow, but for the
+nodes in `film`: there it is the share at full speed, and a film between water and solid makes it follow the flow,
+
+    a_j = 1 - exp(-NTU_j),   NTU_j = -log(1 - effectiveness_j) (pump/100)^(film_exponent - 1)
+
+as a wall of one temperature has it (Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., eqs. 8.41b, 11.35a). At
+a_j = 1 (well mixed) both
 outlets are the advective term of eq. 1 of Energies 2026, 19, 2452. Its Table 1 multiplies that term by a flow
 factor at the modules and keeps T_j as the inlet of the next volume ("volume"): for a_j other than 1 that
 creates heat from nothing, m cp (a_j - 1)(w_in - T_j). "exchanged" hands on what is left, so that the heat is
@@ -33,6 +39,11 @@ from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpe
 
 WATER_DENSITY = 0.997
 """kg/L at 25 degC (IAPWS-95)."""
+LEAST_PERCENT = 0.1
+"""A film at a lower pump speed counts as at this one, so that the power of a pump at rest is finite."""
+FILM_EXPONENT = ParameterSpec(
+    "film_exponent", "1", 0.4, 0.0, 1.0, "fixed", "of hA in the flow: 0 laminar, 0.8 turbulent (Incropera 8.4, 8.5)"
+)
 
 
 @dataclass(frozen=True)
@@ -48,8 +59,12 @@ class Flow(Element):
 
     path: tuple[str, ...] = place("nodes", "nodes in the order in which the water meets them; it closes by itself")
     pump: str = place("input", "input column with the pump speed in %")
+    film: tuple[str, ...] = place("nodes", "nodes of the path whose share follows the flow", default=())
     outlet: str = place("choice", "what leaves a node", choices=("exchanged", "volume"), default="exchanged")
     inlet: str = place("input", "input column with the temperature of the water that comes in", default="")
+
+    def nodes(self) -> tuple[str, ...]:
+        return self.path
 
     def inputs(self) -> tuple[str, ...]:
         return (self.pump, self.inlet) if self.inlet else (self.pump,)
@@ -57,9 +72,14 @@ class Flow(Element):
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:
         source = "coolant flow factor of Table 1, as the share of the way to equilibrium"
         stations = tuple(
-            ParameterSpec(f"effectiveness_{node}", "1", 1.0, 0.05, 1.95, "fixed", source) for node in self.path
+            ParameterSpec(f"effectiveness_{node}", "1", 1.0, 0.05, 1.95, "fixed", source)
+            if node not in self.film
+            else ParameterSpec(
+                f"effectiveness_{node}", "1", None, 0.01, 0.99, "fixed", "1 - exp(-hA / m cp), full speed"
+            )
+            for node in self.path
         )
-        return self.parameters + stations
+        return self.parameters + stations + ((FILM_EXPONENT,) if self.film else ())
 
     def feeds(self) -> Mapping[str, str]:
         before = ("" if self.inlet else self.path[-1], *self.path[:-1])
@@ -71,6 +91,9 @@ class Flow(Element):
                 "the flow path must name at least two different nodes, each once; the loop closes by itself, and a "
                 "path of one node needs an inlet"
             )
+        strangers = [node for node in self.film if node not in self.path]
+        if strangers:
+            return f"node {strangers[0]!r} has a film but is not on the path"
         return None
 
     def moved(self, sites: Sites) -> tuple[Candidate, ...]:
@@ -90,6 +113,14 @@ class Flow(Element):
         ]
         mixed = {node: n.constant(f"effectiveness_{node}") == 1.0 for node in self.path}
         share = {node: "1.0" if mixed[node] else n.par(f"effectiveness_{node}") for node in self.path}
+        uniform: tuple[tuple[str, str], ...] = ()
+        if self.film:
+            log_pump, slower = n.local("log_pump"), n.local("slower")
+            uniform = ((log_pump, f"log(max({n.input(self.pump)}, {LEAST_PERCENT}) * 0.01)"),)
+            sample.append((slower, f"exp(({n.par('film_exponent')} - 1.0) * {log_pump})"))
+            for node in self.film:
+                full, share[node] = share[node], n.local(f"share_{node}")
+                sample.append((share[node], f"1.0 - exp(log(1.0 - {full}) * {slower})"))
         handed_on = {node: self.outlet == "volume" or mixed[node] for node in self.path}
         path, stage = self.path, []
         closed_by = [k for k, node in enumerate(path) if handed_on[node]]
@@ -117,6 +148,7 @@ class Flow(Element):
                 stage.append((left, f"({water}) - {gain}"))
                 water = left
         return Fragment(
+            uniform=uniform,
             sample=tuple(sample),
             stage=tuple(stage),
             heat=heat,

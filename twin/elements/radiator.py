@@ -6,19 +6,23 @@
     form "effectiveness"   Q = eps C_min (T_in - T_amb) + UA_still (T - T_amb)
                            NTU = UA / C_min,  C_r = C_min / C_max
                            eps = 1 - exp(NTU^0.22 / C_r * (exp(-C_r NTU^0.78) - 1))
+    form "one_row"         Q = C_w (1 - exp(-K / C_w)) (T_in - T_amb) + UA_still (T - T_amb)
+                           K = C_a (1 - exp(-UA / C_a))
 
 A radiator that draws in its own warm air sees the room warmer by `recirculation` times the heat that it rejects:
 UA and eps C_min are then divided by 1 + recirculation * themselves.
 
 T is the temperature of the node, which the water leaves with. "outlet" is the (hA)_r of Energies 2026, 19, 2452 when
 UA_still = flow_exponent = 0 and the fan is constant; `flow_exponent` then also holds what the lumped outlet
-temperature hides of the drop along the core. "effectiveness" takes the water as it arrives, T_in, and m cp
-from the flow path that the node stands on, and an air flow of air_0 + (air_100 - air_0) * fan; the share of the full
-air flow then stands for the fan in UA.
+temperature hides of the drop along the core. The other two take the water as it arrives, T_in, and C_w = m cp
+from the flow path that the node stands on, and an air flow of air_0 + (air_100 - air_0) * fan, C_a its m cp; the share
+of the full air flow then stands for the fan in UA. "effectiveness" is for a core of several rows; its slope
+has a kink where C_w = C_a, which a fit may hang on. "one_row" is smooth.
 
 Sources: fan affinity laws with a power law of the air-side film (Incropera, Fundamentals of Heat and Mass Transfer,
 7th ed., sec. 7.6: exponents 0.5 to 0.8); effectiveness of a single-pass cross-flow core, both sides unmixed (ibid.,
-eq. 11.32); `UA_still` is natural convection with the fan at rest.
+eq. 11.32); of a single row of finned tubes, water mixed and air unmixed (ibid., eqs. 11.33a and 11.34a, which are
+one formula in C_w and C_a); `UA_still` is natural convection with the fan at rest.
 """
 
 from __future__ import annotations
@@ -58,7 +62,7 @@ class Radiator(Element):
     fan: str = place("input", "input column with the fan speed in %")
     pump: str = place("input", "input column with the pump speed in %")
     ambient: str = place("input", "input column with the room temperature in degC", default="T_ambient_C")
-    form: str = place("choice", "law of the heat", choices=("outlet", "effectiveness"), default="outlet")
+    form: str = place("choice", "law of the heat", choices=("outlet", "effectiveness", "one_row"), default="outlet")
 
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:
         if self.form == "outlet":
@@ -117,12 +121,11 @@ class Radiator(Element):
                 heat={self.node: f"{ua} * ({room} - {here})"},
                 conductance={self.node: ua},
             )
-        if self.node not in n.streams:
-            raise ValueError(f"{self.name}: the form 'effectiveness' needs water, but no flow path names {self.node!r}")
         flow = Names(n.streams[self.node].flow)
         air, air_100 = n.local("air"), n.par("air_100")
         blown = f"{n.par('air_0')} + ({air_100} - {n.par('air_0')}) * max({n.input(self.fan)}, 0.0) * 0.01"
         rate, arriving = n.local("rate"), n.local("arriving")
+        rates = _one_row_rate if self.form == "one_row" else _effective_rate
         # The flow's own term is effectiveness * (w_in - T).
         share = flow.par(f"effectiveness_{self.node}")
         inlet = f"{here} + {flow.local(f'd_{self.node}')} * (1.0 / {share})"
@@ -132,7 +135,7 @@ class Radiator(Element):
                 (air, f"max({blown}, {LEAST_AIR} * {air_100})"),
                 (fan, f"log({air} / {air_100})"),
                 (ua, law),
-                *_effective_rate(n, ua, f"{air} * {CP_AIR}", flow.local("mcp"), bare),
+                *rates(n, ua, f"{air} * {CP_AIR}", flow.local("mcp"), bare),
                 (rate, behind_itself(bare)),
             ),
             stage=((arriving, inlet),),
@@ -151,4 +154,14 @@ def _effective_rate(n: Names, ua: str, air: str, water: str, rate: str) -> list[
         (ratio, f"max({least} / {most}, 1.0e-6)"),
         (size, f"log(max({ua} / {least}, 1.0e-9))"),
         (rate, f"{least} * (1.0 - exp({both}))"),
+    ]
+
+
+def _one_row_rate(n: Names, ua: str, air: str, water: str, rate: str) -> list[tuple[str, str]]:
+    """Expressions of C_w (1 - exp(-K / C_w)), W/K, into the local name `rate`, for two heat capacity rates in W/K."""
+    least, taken = n.local("least"), n.local("taken")
+    return [
+        (least, f"max({water}, {LEAST_RATE})"),
+        (taken, f"{air} * (1.0 - exp(-{ua} / ({air})))"),
+        (rate, f"{least} * (1.0 - exp(-{taken} / {least}))"),
     ]

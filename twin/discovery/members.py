@@ -1,0 +1,154 @@
+"""Which one of several: a sensor that is the mean of thermometers also tells how they differ.
+
+In a healthy rig the differences between thermometers in a row follow from the heat that the water gives off on its
+way. That is learned from a healthy record; what differs later belongs to one thermometer, to one of the places that
+they read, or to all alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.discovery.grid import Grid
+from twin.discovery.shapes import Shape
+from twin.network import Array, Network
+
+LEAST_MEMBERS = 3
+MARGIN_K = 0.015
+"""Differences below this are not looked at: contact and placement shift by as much."""
+STANDS_OUT = 6.0
+"""Times the healthy scatter of a block that one thermometer must differ by."""
+SHARE = 0.7
+"""Share of the differences that one member must carry to be named alone."""
+
+
+@dataclass(frozen=True)
+class Members:
+    """Differences between the thermometers of one sensor.
+
+    Attributes:
+        columns: in the order of the flow. residual: (b, c) K, of block means, less what is healthy. sd: (c,) K.
+        edges_s: (b + 1,) s from the record's beginning.
+    """
+
+    sensor: str
+    columns: tuple[str, ...]
+    residual: Array
+    sd: Array
+    edges_s: Array
+
+
+@dataclass(frozen=True)
+class Odd:
+    """One member that differs: `column`, by `size` K since `shape`, carrying `share` of all differences."""
+
+    column: str
+    size: float
+    sd: float
+    shape: Shape
+    share: float
+    z: float
+
+    @property
+    def place(self) -> str:
+        """The place that the thermometer reads, by the name of its column."""
+        return self.column.removeprefix("T_").removesuffix("_C")
+
+
+def members(
+    network: Network,
+    record: dict[str, Array],
+    grid: Grid,
+    healthy: dict[str, Array],
+    healthy_grid: Grid,
+    edges: np.ndarray,
+) -> tuple[Members, ...]:
+    """Differences of every sensor with at least three thermometers.
+
+    Args:
+        record, healthy: sensor -> means on the grid's bins (n, c), degC, NaN where missing.
+        edges: (b + 1,) bins of the record's blocks.
+    """
+    found = []
+    for sensor in network.sensors:
+        if sensor.name not in record or sensor.name not in healthy or record[sensor.name].shape[1] < LEAST_MEMBERS:
+            continue
+        width = int(np.diff(edges).mean().round())
+        known = _blocks(healthy[sensor.name], np.arange(0, len(healthy_grid.time) + 1, width))
+        basis = _basis(network, healthy_grid, known[0], np.arange(0, len(healthy_grid.time) + 1, width))
+        good = np.isfinite(basis).all(axis=1) & np.isfinite(known[1]).all(axis=1)
+        if good.sum() < 3 * basis.shape[1]:
+            continue
+        law, *_ = np.linalg.lstsq(basis[good], known[1][good], rcond=None)
+        scatter = (known[1][good] - basis[good] @ law).std(axis=0)
+        mean, difference = _blocks(record[sensor.name], edges)
+        residual = difference - _basis(network, grid, mean, edges) @ law
+        sd = np.maximum(scatter, MARGIN_K / STANDS_OUT)
+        found.append(Members(sensor.name, sensor.measured, residual, sd, edges * grid.step_s))
+    return tuple(found)
+
+
+def _blocks(values: Array, edges: np.ndarray) -> tuple[Array, Array]:
+    """Block means of the mean thermometer (b,) and of each one's difference from it (b, c)."""
+    good = np.isfinite(values)
+    count = np.add.reduceat(good, edges[:-1], axis=0)[: len(edges) - 1]
+    total = np.add.reduceat(np.where(good, values, 0.0), edges[:-1], axis=0)[: len(edges) - 1]
+    each = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    present = np.isfinite(each)
+    number = np.maximum(present.sum(axis=1), 1)
+    mean = np.where(present.any(axis=1), np.where(present, each, 0.0).sum(axis=1) / number, np.nan)
+    return mean, each - mean[:, None]
+
+
+def _basis(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> Array:
+    """What healthy differences follow: an offset, and the excess over the room, alone and over the flow."""
+    rows = np.add.reduceat(grid.inputs, edges[:-1], axis=0)[: len(edges) - 1] / np.diff(edges)[:, None]
+    columns = list(network.input_columns)
+    room = next((rows[:, j] for j, c in enumerate(columns) if c.startswith("T_amb")), np.zeros(len(rows)))
+    pump = next((rows[:, j] for j, c in enumerate(columns) if c.startswith("pump")), np.full(len(rows), 100.0))
+    excess = mean - room
+    return np.column_stack([np.ones(len(rows)), excess, excess * 100.0 / np.maximum(pump, 5.0)])
+
+
+def odd_one(found: Members, shapes: tuple[Shape, ...] = ()) -> Odd | None:
+    """The member that stands out, if one does.
+
+    Args:
+        shapes: how it may have come in; steps at every block and a drift from the beginning by default.
+    """
+    r = found.residual / found.sd
+    good = np.isfinite(r).all(axis=1)
+    if good.sum() < 6:
+        return None
+    last = max(int(len(r) * 0.95), 1)
+    tried = shapes or (
+        *(Shape("step", float(t)) for t in found.edges_s[:last:2]),
+        Shape("ramp", 0.0, float(2.0 * found.edges_s[-1])),
+    )
+    number = r.shape[1]
+    best: Odd | None = None
+    for shape in tried:
+        course = shape.block_means(found.edges_s)[good]
+        power = float(course @ course)
+        if power < 3.0:
+            continue
+        amplitude = course @ found.residual[good] / power
+        total = float(((amplitude / found.sd) ** 2).sum())
+        for i in range(number):
+            # One thermometer that is off by s moves its own difference by s (1 - 1/c) and the others' by -s/c.
+            pattern = np.where(np.arange(number) == i, 1.0 - 1.0 / number, -1.0 / number)
+            weight = pattern / found.sd
+            size = float((amplitude / found.sd) @ weight / (weight @ weight))
+            carried = size**2 * float(weight @ weight)
+            share = carried / max(total, 1e-12)
+            z = abs(size) * (1.0 - 1.0 / number) / float(found.sd[i])
+            gain = carried * power
+            if best is None or gain > best.z**2:
+                sd = float(found.sd[i]) / np.sqrt(max(power / 6.0, 1.0))
+                best = Odd(found.columns[i], size, sd, shape, share, float(np.sqrt(gain)))
+                out = z
+    if best is None or best.share < SHARE or out < STANDS_OUT:
+        return None
+    return best
