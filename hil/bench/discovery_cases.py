@@ -25,6 +25,7 @@ PLACES = ("heater", "modules", "radiator", "tank")
 CHANNELS = (
     "T_heater_C", "T_radiator_C", "T_tank_C", "T_ambient_C",
 )  # fmt: skip
+_ONE_MODULE_SHARE = 0.15
 _BARELY, _LARGE = 0.15, 3.0
 """Sizes are log-uniform between these multiples of a form's usual size."""
 _NONE_SHARE, _OUTSIDE_SHARE, _DOUBLE_SHARE = 0.25, 0.25, 0.3
@@ -111,6 +112,11 @@ def _pick(rng: np.random.Generator, names: tuple[str, ...]) -> str:
     return str(names[int(rng.integers(len(names)))])
 
 
+def _place(rng: np.random.Generator) -> str:
+    """A volume; now and then one module alone."""
+    return f"pm{rng.integers(1, 7)}" if rng.uniform() < _ONE_MODULE_SHARE else _pick(rng, PLACES)
+
+
 def _inside(rng: np.random.Generator, end: float) -> Drawn:
     """One effect that the catalogue can express: what it is, its table, its label."""
     onset = _onset(rng, end)
@@ -135,7 +141,7 @@ _MAGNITUDES = (
 
 
 def _source(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
-    where = _pick(rng, PLACES)
+    where = _place(rng)
     table = {"kind": "heat_source", "where": where, "driver": "constant", "power_W": _size(rng, 40.0), "grows": True}
     return table, ("heat_source", where, "constant")
 
@@ -214,7 +220,7 @@ def _mass(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[s
 
 
 def _bias(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
-    where = _pick(rng, CHANNELS)
+    where = f"T_pm{rng.integers(1, 7)}_C" if rng.uniform() < _ONE_MODULE_SHARE else _pick(rng, CHANNELS)
     sign = float(rng.choice((-1.0, 1.0)))
     if rng.uniform() < 0.35:
         table = {"kind": "sensor", "where": where, "driver": "elapsed_time", "drift_per_h": sign * _size(rng, 0.6)}
