@@ -29,6 +29,7 @@ STIFF = 1e12
 """Precision of a prior that lets nothing move."""
 NEAR = 4
 MODULES = 6
+_UNITS = {"bias": "K", "drift_per_h": "K", "lag_s": "s"}
 
 
 def answer(request: Request) -> Request:
@@ -75,7 +76,9 @@ def forecast(
     laws_of: list[Law] = []
     for where in dict.fromkeys((label[1], family(label[1]))):
         laws_of = laws_of or [w for w in found if (w.candidate.kind, w.candidate.where) == (label[0], where)]
-    drivers = [w for w in laws_of if same_driver(w.candidate.driver, str(table.get("driver", "")))]
+    # What grows with time is the steady law in a growing shape.
+    driver = "constant" if table.get("driver") == "elapsed_time" else str(table.get("driver"))
+    drivers = [w for w in laws_of if same_driver(w.candidate.driver, driver)]
     chosen = drivers or laws_of
     if not chosen:
         return None, None
@@ -112,6 +115,8 @@ def catalogue_size(table: Mapping[str, Any], law: Law, network: Network) -> floa
     """Size of an effect in the unit of its candidate; None where the two measure different things."""
     c = law.candidate
     kind, driver = table["kind"], table.get("driver")
+    if kind == "thermal_mass":
+        return float(table["conductance_W_per_K"])
     if kind == "heat_source" and driver in ("constant", "elapsed_time", "pump_speed", "fan_speed"):
         return float(table["power_W"])
     if kind == "heat_source" and driver == "heater_power":
@@ -125,7 +130,7 @@ def catalogue_size(table: Mapping[str, Any], law: Law, network: Network) -> floa
     if kind == "flow" and "lost_fraction" in table and "circuit.factor" in c.changes:
         return -float(table["lost_fraction"]) * network.parameters["circuit.factor"].value
     for key in ("bypass_fraction", "bias", "drift_per_h", "lag_s"):
-        if key in table and (key != "bias" or c.unit == "K"):
+        if key in table and c.unit == _UNITS.get(key, c.unit):
             # The mean of the modules' thermometers takes a share of what one of them is off.
             alone = key == "lag_s" or c.where == table["where"]
             return float(table[key]) * (1.0 if alone else 1.0 / MODULES)

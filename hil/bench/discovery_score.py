@@ -36,6 +36,8 @@ class Outcome:
         exact: the kinds and places named are those of the truth, and no others. top1: the first one is.
         class1: it is, or is indistinguishable from it by the answer's own words or by physics. in_set: the truth is
             among those that the answer does not exclude. set_size: how many these are.
+        in_words: something outside the catalogue was described by several effects of the right kind at the right place,
+            as a loss that ends is by two opposite steps.
         onset_min: error of the onset, minutes. size: relative error. errors_K: RMSE on the held-out part, re-tuned,
             with the effects, and the thermometers' noise, over all sensors.
         excess: share of the squared error above the floor that the effects took away.
@@ -58,6 +60,7 @@ class Outcome:
     set_size: int | None
     place: bool | None
     driver: bool | None
+    in_words: bool
     onset_min: float | None
     size: float | None
     errors_K: tuple[float, float, float] | None
@@ -73,7 +76,7 @@ class Outcome:
         if self.group == "none":
             return self.verdict == "adequate"
         if self.group == "outside":
-            return self.verdict == "unexplained"
+            return self.verdict == "unexplained" or self.in_words
         return self.named and bool(self.class1)
 
 
@@ -104,6 +107,7 @@ def judge(
         right_place = volume(said[0][1]) in {volume(w) for _, w in labels}
     if group == "outside" and first is not None and labels[0][1] != "loop":
         right_place = volume(first["where"]) == volume(labels[0][1])
+    in_words = group == "outside" and named and _in_words(effects, hidden["labels"][0])
     if first is not None and named and group == "one" and said[0] == labels[0]:
         right_driver = same_driver(first["driver"], hidden["labels"][0][2])
         onset = abs(first["onset_s"] - hidden["effects"][0].get("onset_s", 0.0)) / SECONDS_PER_MINUTE
@@ -114,7 +118,17 @@ def judge(
         said="; ".join(spoken(e) for e in effects) or "-",
         z=first["z"] if first else None, confidence=first["confidence"] if first else None,
         seconds=seconds, z_truth=z_truth, exact=exact, top1=top1, class1=class1, in_set=in_set, set_size=set_size,
-        place=right_place, driver=right_driver, onset_min=onset, size=size, errors_K=pooled(answer),
+        place=right_place, driver=right_driver, in_words=in_words, onset_min=onset, size=size, errors_K=pooled(answer),
+    )  # fmt: skip
+
+
+def _in_words(effects: Sequence[Mapping[str, Any]], label: tuple[str, str, str]) -> bool:
+    """Whether something that came and went is told by steps of one kind, place and driver."""
+    told = {(e["kind"], e["where"], e["driver"], e["shape"]) for e in effects}
+    kind, where, _, shape = next(iter(told))
+    return (
+        label[2] == "history" and len(told) == 1 and len(effects) > 1 and shape == "step"
+        and alike((kind, where), (label[0], label[1]), ())
     )  # fmt: skip
 
 

@@ -76,7 +76,8 @@ def _scores(outcomes: Sequence[Outcome], how: str) -> Table:
         _count("catalogue, something found: left unexplained", seen, lambda o: o.verdict == "unexplained"),
         _count("not in the catalogue: left unexplained (recall)", outside, lambda o: o.verdict == "unexplained"),
         _count("left unexplained: rightly (precision)", abstained, lambda o: o.group == "outside"),
-        _count("not in the catalogue: a cause named", outside, lambda o: o.named),
+        _count("not in the catalogue: told by effects of the right kind and place", outside, lambda o: o.in_words),
+        _count("not in the catalogue: a wrong cause named", outside, lambda o: o.named and not o.in_words),
         _count("not in the catalogue, left unexplained: place right",
                [o for o in outside if o.verdict == "unexplained"], lambda o: o.place),
         _count("no answer (an error)", outcomes, lambda o: o.verdict == "crashed"),
@@ -154,7 +155,7 @@ def _ablations(done: Sequence[Finished]) -> Table:
     rows: list[tuple[Cell, ...]] = [(
         "as it is", len(one), sum(bool(f.outcome.top1) for f in one), sum(bool(f.outcome.class1) for f in one),
         len(none), sum(f.outcome.verdict != "adequate" for f in none), len(outside),
-        sum(f.outcome.named for f in outside),
+        sum(f.outcome.named and not f.outcome.in_words for f in outside),
     )]  # fmt: skip
     for key, name in (("linear", "no joint fit, no verdict"), ("raw", "nor tunables projected out")):
         right = [_first(f, key) for f in one]
@@ -211,7 +212,9 @@ def failure(o: Outcome) -> str | None:
     if o.verdict == "adequate":
         return "missed" if (o.z_truth or 0.0) >= Z_EDGES[2] or o.group == "outside" else None
     if o.group == "outside":
-        return "named what it cannot know" if o.named else "wrong place" if o.place is False else None
+        if o.named:
+            return None if o.in_words else "named what it cannot know"
+        return "wrong place" if o.place is False else None
     if o.verdict == "unexplained":
         return "left unexplained"
     if o.group == "two":
