@@ -71,6 +71,11 @@ class Outcome:
         return self.verdict in NAMED
 
     @property
+    def alarmed(self) -> bool:
+        """Something was found, whatever it was called."""
+        return self.named or self.verdict == "unexplained"
+
+    @property
     def right(self) -> bool:
         """Nothing that was said is wrong, equivalents taken as equal; for `unexplained`, that nothing fits."""
         if self.group == "none":

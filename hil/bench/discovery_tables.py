@@ -57,12 +57,12 @@ def _scores(outcomes: Sequence[Outcome], how: str) -> Table:
     one = [o for o in inside if o.group == "one"]
     two = [o for o in inside if o.group == "two"]
     outside = [o for o in outcomes if o.group == "outside"]
-    seen = [o for o in inside if o.verdict != "adequate"]
+    seen = [o for o in inside if o.alarmed]
     abstained = [o for o in outcomes if o.verdict == "unexplained"]
     rows = [
-        _count("false alarms on healthy records", none, lambda o: o.verdict != "adequate"),
+        _count("false alarms on healthy records", none, lambda o: o.alarmed),
         _count("a wrong cause named on healthy records", none, lambda o: o.named),
-        _count("one effect: something found", one, lambda o: o.verdict != "adequate"),
+        _count("one effect: something found", one, lambda o: o.alarmed),
         _count("one effect: kind and place right, of all", one, lambda o: bool(o.top1)),
         _count("one effect: the same, nothing besides", one, lambda o: bool(o.exact)),
         _count("one effect: right but for equivalents, of all", one, lambda o: bool(o.class1)),
@@ -125,7 +125,7 @@ def _by_z(outcomes: Sequence[Outcome]) -> Table:
         found = [o for o in outcomes if o.group == "one" and o.z_truth is not None and low <= o.z_truth < high]
         if found:
             name = f"{low:g} to {high:g}" if high < math.inf else f"above {low:g}"
-            seen = [o for o in found if o.verdict != "adequate"]
+            seen = [o for o in found if o.alarmed]
             rows.append((
                 name, len(found), len(seen), sum(bool(o.top1) for o in found), sum(bool(o.class1) for o in found),
                 sum(bool(o.in_set) for o in found), sum(o.verdict == "unexplained" for o in found),
@@ -154,7 +154,7 @@ def _ablations(done: Sequence[Finished]) -> Table:
         return Table("ablations", "Parts left out", (), ())
     rows: list[tuple[Cell, ...]] = [(
         "as it is", len(one), sum(bool(f.outcome.top1) for f in one), sum(bool(f.outcome.class1) for f in one),
-        len(none), sum(f.outcome.verdict != "adequate" for f in none), len(outside),
+        len(none), sum(f.outcome.alarmed for f in none), len(outside),
         sum(f.outcome.named and not f.outcome.in_words for f in outside),
     )]  # fmt: skip
     for key, name in (("linear", "no joint fit, no verdict"), ("raw", "nor tunables projected out")):
@@ -196,8 +196,8 @@ def _by_load(outcomes: Sequence[Outcome]) -> Table:
         one = [o for o in outcomes if o.load == load and o.group == "one"]
         none = [o for o in outcomes if o.load == load and o.group == "none"]
         rows.append((
-            load, len(one), sum(o.verdict != "adequate" for o in one), sum(bool(o.top1) for o in one),
-            sum(bool(o.class1) for o in one), len(none), sum(o.verdict != "adequate" for o in none),
+            load, len(one), sum(o.alarmed for o in one), sum(bool(o.top1) for o in one),
+            sum(bool(o.class1) for o in one), len(none), sum(o.alarmed for o in none),
         ))  # fmt: skip
     columns = ("load", "one effect", "found", "right", "but for equivalents", "healthy", "alarms")
     return Table("loads", "By kind of load", columns, tuple(rows))
@@ -208,7 +208,7 @@ def failure(o: Outcome) -> str | None:
     if o.verdict == "crashed":
         return "no answer"
     if o.group == "none":
-        return "false alarm" if o.verdict != "adequate" else None
+        return "false alarm" if o.alarmed else None
     if o.verdict == "adequate":
         return "missed" if (o.z_truth or 0.0) >= Z_EDGES[2] or o.group == "outside" else None
     if o.group == "outside":
