@@ -7,7 +7,7 @@ an input changes and is left with sums of products in its innermost loop.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 ONE, ZERO = "1.0", "0.0"
@@ -55,6 +55,17 @@ def affine(text: str, variables: Iterable[str], known: Mapping[str, Form]) -> Fo
 def names_in(text: str) -> set[str]:
     """Names that occur in an expression."""
     return {node.id for node in ast.walk(ast.parse(text, mode="eval")) if isinstance(node, ast.Name)}
+
+
+def shared_call(text: str, apart: Collection[str]) -> str | None:
+    """The first function call in an expression that uses none of the names `apart`, outermost first."""
+    queue: list[ast.AST] = [ast.parse(text, mode="eval").body]
+    while queue:
+        node = queue.pop(0)
+        if isinstance(node, ast.Call) and not {n.id for n in ast.walk(node) if isinstance(n, ast.Name)} & set(apart):
+            return ast.get_source_segment(text, node)
+        queue += ast.iter_child_nodes(node)
+    return None
 
 
 def plus(a: str, b: str) -> str:

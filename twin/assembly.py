@@ -6,7 +6,9 @@ Names in the text: ``x3`` state, ``p12`` parameter, ``u2`` input as the elements
 
 from __future__ import annotations
 
+import ast
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +19,9 @@ from twin.elements.base import Drive, Stream
 from twin.network import Network
 
 _TOKEN = re.compile(r"<([PTULDFAS]):([^>]+)>")
+FEW = 5
+"""In networks of more states than this, shared intermediate results stay so: written out, a chain of volumes that
+hand on water has as many products as a full matrix."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,7 @@ class System:
         states: names of the integrated states, nodes first. lags, drives, delays: what is remembered besides.
         coefficients: name -> expression free of temperatures, each after those that it needs.
         locals_: name -> expression of temperatures, likewise in order.
+        chain: name -> affine form, in order, of locals that forms refer to by name.
         slopes: per state {variable: coefficient}, offset, and remainder (text or ""), of capacitance * dT/dt.
     """
 
@@ -111,7 +117,7 @@ class System:
         found = {self.text(name): self.text(value) for _, f in self.parts for name, value in (*f.uniform, *f.sample)}
         for j, node in enumerate(self.network.nodes):
             found[f"c{j}"] = f"1.0 / {self.text(f'<P:{node}.capacitance>')}"
-        for part in (self._forms, self.slopes, self.followers, self.waters):
+        for part in (self.chain, self.slopes, self.followers, self.waters):
             assert part is not None  # each names coefficients of its own
         return _in_order({**found, **self._named})
 
@@ -126,18 +132,40 @@ class System:
         return frozenset((*(f"x{j}" for j in range(len(self.states))), *(f"D{k}" for k in range(count))))
 
     @cached_property
-    def _forms(self) -> tuple[dict[str, Form], dict[str, str]]:
-        """Stage locals that are affine, and the others."""
+    def chain(self) -> dict[str, Form]:
+        return self._forms[2]
+
+    @cached_property
+    def _forms(self) -> tuple[dict[str, Form], dict[str, str], dict[str, Form]]:
+        """Stage locals that are affine, those that are not, and affine ones that stay names of their own."""
         forms: dict[str, Form] = {}
         others: dict[str, str] = {}
+        chain: dict[str, Form] = {}
+        used = self._uses() if len(self.states) > FEW else Counter[str]()
         for name, value in self.locals_.items():
             try:
                 if names_in(value) & others.keys():
                     raise NotAffine(name)
-                forms[name] = self._name_terms(affine(value, self.variables, forms))
+                form = self._name_terms(affine(value, self.variables | chain.keys(), forms))
             except NotAffine:
                 others[name] = value
-        return forms, others
+                continue
+            if used[name] > 1 and len(form.slopes) > 1:
+                chain[name] = form
+            else:
+                forms[name] = form
+        return forms, others, chain
+
+    def _uses(self) -> Counter[str]:
+        """How often each name stands in an expression of temperatures."""
+        texts = [*self.locals_.values(), *(self.text(h) for _, f in self.parts for h in f.heat.values())]
+        texts += [self.text(s.rate) for _, f in self.parts for s in f.states] + [d.water for d in self.delays]
+        found: Counter[str] = Counter()
+        for text in texts:
+            for node in ast.walk(ast.parse(text, mode="eval")):
+                if isinstance(node, ast.Name):
+                    found[node.id] += 1
+        return found
 
     def form(self, text: str) -> Form:
         """Affine form of an expression.
@@ -145,10 +173,10 @@ class System:
         Raises:
             NotAffine: it has none.
         """
-        forms, others = self._forms
+        forms, others, chain = self._forms
         if names_in(text) & others.keys():
             raise NotAffine(text)
-        return affine(text, self.variables, forms)
+        return affine(text, self.variables | chain.keys(), forms)
 
     def _name_terms(self, form: Form) -> Form:
         """The form with a name for every coefficient that is more than a name, so that texts stay short."""
@@ -201,13 +229,32 @@ class System:
 
     @cached_property
     def rates(self) -> tuple[str, ...]:
-        """Bounds on each state's own rate, 1/s."""
+        """Bounds on each state's own rate, 1/s: of an affine row its own coefficient, else what elements declare."""
+        speeds = [self.text(s.speed) for _, f in self.parts for s in f.states]
+        late = {d.late for d in self.delays}
         rows = []
-        for j, node in enumerate(self.network.nodes):
-            found = [f"({self.text(f.conductance[node])})" for _, f in self.parts if node in f.conductance]
-            rows.append(f"({' + '.join(found) or ZERO}) * c{j}")
-        rows += [self.text(s.speed) for _, f in self.parts for s in f.states]
+        for j, (form, rest) in enumerate(self.slopes):
+            own = form.slopes.get(f"x{j}", ZERO)
+            if rest == ZERO and not self.chain and not late & self.behind(own):
+                rows.append(times(own, "-1.0"))
+            elif j < len(self.network.nodes):
+                node = self.network.nodes[j]
+                found = [f"({self.text(f.conductance[node])})" for _, f in self.parts if node in f.conductance]
+                rows.append(f"({' + '.join(found) or ZERO}) * c{j}")
+            else:
+                rows.append(speeds[j - len(self.network.nodes)])
         return tuple(rows)
+
+    def behind(self, text: str) -> set[str]:
+        """Names that an expression depends on, through coefficients too."""
+        found: set[str] = set()
+        queue = [text]
+        while queue:
+            for name in names_in(queue.pop()) - found:
+                found.add(name)
+                if name in self.coefficients:
+                    queue.append(self.coefficients[name])
+        return found
 
     @cached_property
     def readings(self) -> tuple[str, ...]:
@@ -262,23 +309,59 @@ def python_source(network: Network) -> str:
         column = network.input_columns.index(drive.column)
         body.append(f"{system.text(f'<A:{name}>')} = u{column}")
         body.append(f"u{column} = {system.text(drive.value)}")
-    for line in system.delays:
-        body += [f"{line.late} = 0.0"]
-    for k in range(len(system.delays)):
-        body.append(f"D{k} = 0.0")
+    body += [f"{line.late} = 0.0" for line in system.delays]
+    body += [f"D{k} = 0.0" for k in range(len(system.delays))]
+    return _function("rhs(T, u, p)", [*body, *_locals(system)], f"[{', '.join(_plain_rates(system))}]")
+
+
+def remembering_source(system: System) -> str:
+    """Plain Python source of what a network with pipes and lags does at one instant, from the elements' formulas alone.
+
+    ``now(T, D, u, p)`` with states T and outlets of delays D gives dT/dt, the water that enters each delay and what
+    each lag follows. ``pushed(u, p)`` gives each delay's flow, L/s, and volume, L, and each lag's time constant, s.
+    ``read(T, F, p, now)`` gives the readings, with F the lagged values.
+    """
+    waters = [system.text(f.delay.water) for _, f in system.parts if f.delay]
+    followed = [system.text(lag.of) for _, f in system.parts for lag in f.lags]
+    late = [f"{line.late} = 1.0" for line in system.delays]
+    results = ", ".join(f"[{', '.join(texts)}]" for texts in (_plain_rates(system), waters, followed))
+    pushes = [[system.flows[d.line] for d in system.delays], [d.volume for d in system.delays]]
+    pushes.append([f.constant for f in system.followers])
+    pushed = ", ".join(f"[{', '.join(texts)}]" for texts in pushes)
+    needed = set().union(*(system.behind(t) for texts in pushes for t in texts)) if any(pushes) else set()
+    steps = [f"{name} = {value}" for name, value in system.coefficients.items() if name in needed]
+    return "\n".join(
+        [
+            _function("now(T, D, u, p)", [*late, *_locals(system)], f"({results})"),
+            _function("pushed(u, p)", steps, f"({pushed})"),
+            _function("read(T, F, p, now)", [], f"[{', '.join(system.readings)}]"),
+        ]
+    )
+
+
+def _locals(system: System) -> list[str]:
     steps = _in_order({**system.coefficients, **system.locals_})
-    body += [f"{name} = {value}" for name, value in steps.items()]
+    return [f"{name} = {value}" for name, value in steps.items()]
+
+
+def _plain_rates(system: System) -> list[str]:
+    """Rates of all states as the elements have them, nothing taken apart."""
     rows = []
-    for j, node in enumerate(network.nodes):
+    for j, node in enumerate(system.network.nodes):
         heat = " + ".join(f"({system.text(f.heat[node])})" for _, f in system.parts if node in f.heat) or ZERO
         rows.append(f"({heat}) * c{j}")
-    rows += [system.text(s.rate) for _, f in system.parts for s in f.states]
-    used = "\n".join((*body, *rows))
-    head = ["from math import exp, log", "", "", "def rhs(T, u, p):"]
-    for letter, vector in (("x", "T"), ("u", "u"), ("p", "p")):
-        wanted = sorted({int(k) for k in re.findall(rf"\b{letter}(\d+)\b", used)})
-        head += [f"    {letter}{k} = {vector}[{k}]" for k in wanted]
-    return "\n".join([*head, *(f"    {line}" for line in body), f"    return [{', '.join(rows)}]", ""])
+    return rows + [system.text(s.rate) for _, f in system.parts for s in f.states]
+
+
+def _function(signature: str, body: list[str], result: str) -> str:
+    """A function of vectors whose text uses entries by name: x3 of T, f1 of F, D0 of D, u2 of u, p7 of p."""
+    head = ["from math import exp, log", "", "", f"def {signature}:"]
+    used = "\n".join([*body, result])
+    for letter, vector in (("x", "T"), ("f", "F"), ("D", "D"), ("u", "u"), ("p", "p")):
+        if re.search(rf"\b{vector}\b", signature):
+            wanted = sorted({int(k) for k in re.findall(rf"\b{letter}(\d+)\b", used)})
+            head += [f"    {letter}{k} = {vector}[{k}]" for k in wanted]
+    return "\n".join([*head, *(f"    {line}" for line in body), f"    return {result}", ""])
 
 
 def _in_order(expressions: Mapping[str, str]) -> dict[str, str]:

@@ -14,87 +14,70 @@ compiler turns it into vector instructions. The row offsets are literals, which 
 not overlap. A coefficient that all lanes share is a plain scalar. A kernel for one particle has one lane.
 
 Inputs are held from one sample to the next (zero-order hold). Each interval is cut into as many equal substeps
-as keep  substep * (largest bound on a state's own rate)  below STEP_LIMIT, with the largest taken over the lanes of
+as keep  substep * (largest bound on a state's own rate)  below a limit, with the largest taken over the lanes of
 the block: that keeps the error of a cooling loop below 1e-6 K, and every corner of the declared bounds stable.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import Literal
 
-from twin.affine import ZERO, Form, names_in, plus, times
+from twin.affine import names_in, shared_call
 from twin.assembly import System, python_source
-from twin.delays import DELAY_FUNCTIONS, SLOTS, delay_lines
+from twin.delays import NEVER, SLOTS, delay_lines
+from twin.integrators import NAME, PAIRS, Integrator, renamed
+from twin.kernel_functions import ARRIVED, EXP
 from twin.network import Network
 
 LANES = 32
-ORDER = 5
-"""Order of the Taylor series for linear networks."""
-STEP_LIMIT = 0.2
 MOST_STEPS = 1.0e6
 """Substeps in one sample interval, at most."""
 OUTLINE_LINES = 60
-_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")  # not the e of 1.0e-5
-_WORDS = {"for", "in", "range", "max", "min", "exp", "log", "abs", "if", "else"}
+_WORDS = {"for", "in", "range", "max", "min", "exp", "log", "abs", "if", "else", "or"}
 Mode = Literal["cost", "trace", "gram"]
 MODES: tuple[Mode, ...] = ("cost", "trace", "gram")
 
-_FUNCTIONS = '''
-@nb.njit(inline='always')
-def exp(x):
-    """exp(x) by halving, a Taylor polynomial and squaring: no call, so the lane loop stays vectorised."""
-    y = min(max(x, -60.0), 60.0) * 0.00390625
-    y = 1.0 + y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0 + y / 720.0)))))
-    y = y * y
-    y = y * y
-    y = y * y
-    y = y * y
-    y = y * y
-    y = y * y
-    y = y * y
-    return y * y
-'''
-_ARRIVED = '''
-@nb.njit('f8(f8[::1], f8[:,::1], i8, i8, f8)', cache=True, error_model='numpy')
-def arrived(time, inputs, column, i, dead):
-    """Mean of a held input over interval i, `dead` seconds ago; before the first sample it was as then."""
-    first, last = time[i] - dead, time[i + 1] - dead
-    low, high = 0, i
-    while low < high:
-        middle = (low + high + 1) // 2
-        if time[middle] <= first:
-            low = middle
-        else:
-            high = middle - 1
-    if last <= first:
-        return inputs[low, column]
-    total, at = 0.0, first
-    while low < i and time[low + 1] < last:
-        total += inputs[low, column] * max(time[low + 1] - at, 0.0)
-        at = max(time[low + 1], at)
-        low += 1
-    return (total + inputs[low, column] * (last - at)) / (last - first)
-'''
 
+def kernel_source(
+    network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int = LANES, alike: bool = True
+) -> str:
+    """Source of one kernel.
 
-def kernel_source(network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int = LANES) -> str:
-    """Source of one kernel. `lane_ids` are the parameters that may differ from particle to particle."""
-    return _Kernel(network, mode, lane_ids, lanes).source()
+    Args:
+        lane_ids: the parameters that may differ from particle to particle.
+        alike: whether the water in delay lines has been pushed the same way in all lanes before the first sample.
+    """
+    return _Kernel(network, mode, lane_ids, lanes, alike).source()
 
 
 class _Kernel:
-    def __init__(self, network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int) -> None:
+    def __init__(self, network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int, alike: bool) -> None:
         self.network, self.mode, self.lanes = network, mode, lanes
         self.system = s = System(network, lane_ids)
         self.k, self.m = len(s.states), len(s.readings)
         self.rows: dict[str, int] = {}
         self.functions: list[str] = []
+        self.loops = 0
+        self.table: dict[str, int] = {}
         self.parameters = {f"p{i}": row for row, i in enumerate(network.index(lane_ids))}
         for name in (*self.states(), *self.memories(), *self.parameters):
             self.row(name)
-        self.delays = delay_lines(s, self) if s.delays else None
+        for j in range(self.m if mode == "cost" else 0):
+            self.row(f"sse{j}")
+        for c in s.driven:
+            self.row(f"u{c}")
+        alike = lanes == 1 or (alike and self._pushed_alike())
+        self.delays = delay_lines(s, self, alike) if s.delays else None
+        self.integrator = Integrator(self)
         self._levels()
+
+    def _pushed_alike(self) -> bool:
+        """Whether no flow or volume of a delay differs between lanes."""
+        s = self.system
+        texts = [*s.flows, *(d.volume for d in s.delays)]
+        return not any(s.behind(text) & self.rows.keys() for text in texts)
 
     def states(self) -> list[str]:
         return [f"x{j}" for j in range(self.k)]
@@ -117,11 +100,9 @@ class _Kernel:
         late = {d.late for d in s.delays}
         self.uses: dict[str, frozenset[int]] = {}
         self.late: set[str] = set(late)
-        for name in late:
-            self.row(name)
-        for c in s.driven:
-            self.row(f"u{c}")
-        for name, text in s.coefficients.items():
+        self.texts: dict[str, str] = {}
+        for name, text in self._hoisted():
+            self.texts[name] = text
             needed = names_in(text)
             inputs = {int(n[1:]) for n in needed if re.fullmatch(r"u\d+", n)}
             self.uses[name] = frozenset(inputs).union(*(self.uses.get(n, frozenset()) for n in needed))
@@ -137,10 +118,23 @@ class _Kernel:
         self.slow |= inputs
         self.fast = frozenset().union(*self.uses.values()) - self.slow if self.uses else frozenset()
 
+    def _hoisted(self) -> Iterator[tuple[str, str]]:
+        """Coefficients, with the function calls in them that all lanes share as coefficients of their own."""
+        count = 0
+        for name, text in self.system.coefficients.items():
+            while names_in(text) & self.rows.keys():
+                shared = shared_call(text, self.rows.keys())
+                if shared is None:
+                    break
+                yield f"shared_{count}", shared
+                text = text.replace(shared, f"shared_{count}")
+                count += 1
+            yield name, text
+
     def coefficients(self, pick: str, late: bool, lane: bool) -> list[str]:
         """Assignments of one level: ``fixed``, ``slow`` or ``fast``; of lanes or of scalars."""
         out = []
-        for name, text in self.system.coefficients.items():
+        for name, text in self.texts.items():
             inputs = self.uses[name]
             level = "fixed" if not inputs else "slow" if inputs <= self.slow else "fast"
             if late and level == "fixed" and name in self.late:
@@ -151,36 +145,55 @@ class _Kernel:
                     out.append(f"{self.at(name)} = {name}")
         return out
 
-    def loop(self, body: list[str]) -> list[str]:
-        """A loop over lanes, with the lane rows that the body reads loaded into scalars first."""
+    def loop(self, body: list[str], own: bool = True) -> list[str]:
+        """A loop over lanes, with the lane rows that the body reads loaded into scalars first.
+
+        With `own`, what the body assigns gets names that no other loop has: the compiler's time goes with the number
+        of names that are assigned in more than one place.
+        """
         if not body:
             return []
         known: set[str] = set()
         loads: list[str] = []
         for line in body:
             target, _, value = line.partition(" = ")
-            for name in _NAME.findall(value if value else line):
+            for name in NAME.findall(value if value else line):
                 if name in self.rows and name not in known:
                     known.add(name)
                     loads.append(f"{name} = {self.at(name)}")
-            known.add(target.strip())
-        return [f"for l in range({self.lanes}):", *indent([*loads, *body])]
+            if value:
+                known.add(target.strip())
+        lines = [*loads, *body]
+        if own:
+            self.loops += 1
+            names = {name: f"{name}_{self.loops}l" for name in known if name.isidentifier()}
+            lines = [renamed(line, names) for line in lines]
+        return [f"for l in range({self.lanes}):", *indent(lines)]
 
-    def outlined(self, name: str, body: list[str]) -> list[str]:
+    def outlined(self, name: str, body: list[str], always: bool = False) -> list[str]:
         """A loop over lanes as a function of its own: compilers take more than twice as long for twice the text."""
-        lines = self.loop(body)
-        if len(lines) < OUTLINE_LINES:
-            return lines
-        assigned = {"l", "W", *(line.strip().partition(" = ")[0] for line in lines)}
-        scalars = sorted({n for line in lines for n in _NAME.findall(line)} - assigned - _WORDS)
+        lines = self.loop(body, own=False)
+        if len(lines) < OUTLINE_LINES and not always:
+            return self.loop(body)
+        return self.called(name, ["W"], ["f8[::1]"], lines)
+
+    def called(self, name: str, arrays: list[str], types: list[str], lines: list[str]) -> list[str]:
+        """A compiled function of arrays and of all the scalars that its lines need, and the call of it."""
+        assigned = {"l", "i", "n", "np", *arrays, *(line.strip().partition(" = ")[0] for line in lines)}
+        scalars = sorted({n for line in lines for n in NAME.findall(line)} - assigned - _WORDS)
+        arguments = ", ".join([*arrays, *scalars])
+        self.define(name, ", ".join([*types, *("f8" for _ in scalars)]), arguments, lines)
+        return [f"{name}({arguments})"]
+
+    def define(self, name: str, types: str, arguments: str, lines: list[str]) -> None:
+        """A compiled function beside the kernel."""
         self.functions += [
-            f"@nb.njit('void(f8[::1]{', f8' * len(scalars)})', cache=True, fastmath=FAST, error_model='numpy')",
-            f"def {name}({', '.join(['W', *scalars])}):",
+            f"@nb.njit('void({types})', cache=True, fastmath=FAST, error_model='numpy')",
+            f"def {name}({arguments}):",
             *indent(lines),
             "",
             "",
         ]
-        return [f"{name}({', '.join(['W', *scalars])})"]
 
     # --- one interval ---------------------------------------------------------------------------------------
 
@@ -214,151 +227,82 @@ class _Kernel:
     def refresh(self) -> list[str]:
         """Coefficients whose inputs have changed, the step, and what depends on the step."""
         s, lanes = self.system, self.lanes
-        bounds = ["rate = 0.0", *(f"rate = max(rate, {r})" for r in dict.fromkeys(s.rates))]
-        slow = self.coefficients("slow", late=False, lane=False)
-        at, half = self.row("rate") * lanes, lanes // 2
-        bounds.append(f"W[{at} + l] = rate")
-        slow += self.outlined("renew", [*self.coefficients("slow", late=False, lane=True), *bounds])
-        while half >= 8:
-            slow += [f"for l in range({half}):", f"    W[{at} + l] = max(W[{at} + l], W[{at + half} + l])"]
-            half //= 2
-        slow += ["limit = 0.0", f"for l in range({min(lanes, 8)}):", f"    limit = max(limit, W[{at} + l])"]
+        at = self.row("rate") * lanes
+        # Most often one substep does for all lanes; counting those for which it does not is a vector operation,
+        # finding the largest rate is not.
+        body = self.coefficients("slow", late=False, lane=True)
+        body += [f"rate = max({', '.join(['0.0', *dict.fromkeys(s.rates)])})", f"W[{at} + l] = rate"]
+        body.append("fast += int(rate > limit)")
+        slow = [*self.shared("slow"), "limit = STEP_LIMIT / max(dt, 1e-30)", "fast = 0"]
+        if self.integrator.paired:
+            slow += [f"limit{n} = {z!r} / max(dt, 1e-30)" for n, (z, _) in enumerate(PAIRS[:-1])]
+            slow += [f"fast{n} = 0" for n in range(len(PAIRS) - 1)]
+            body += [f"fast{n} += int(rate > limit{n})" for n in range(len(PAIRS) - 1)]
+        slow += self.loop(body)
+        if self.integrator.paired:
+            slow += [f"pairs = {PAIRS[0][1]}"]
+            slow += [f"if fast{n} > 0: pairs = {PAIRS[n + 1][1]}" for n in range(len(PAIRS) - 1)]
+        slow += ["if fast > 0:", f"    for l in range({lanes}):", f"        limit = max(limit, W[{at} + l])"]
         stepwise = [
             # Beyond LONGEST / limit the inputs have been constant for so many time constants that more of
             # the same changes nothing; without the cut a gap of months would take minutes.
-            "dt = min(time[i + 1] - time[i], LONGEST / max(limit, 1e-30))",
-            "steps = int(dt * limit * PER_STEP) + 1",
+            "dt = min(dt, LONGEST / limit)",
+            "steps = max(int(np.ceil(dt * limit * PER_STEP - 1e-9)), 1)",
             "h = dt / steps",
         ]
-        on_step = self.followers_refresh()
+        on_step = self.integrator.refresh()
         if self.delays:
             on_step = [*self.delays.refresh(), *on_step]
         on_step += self.coefficients("slow", late=True, lane=False)
         on_step += self.outlined("renew_late", self.coefficients("slow", late=True, lane=True))
-        fast = [line for late in (False, True) for line in self.coefficients("fast", late=late, lane=False)]
+        fast = [*self.shared("fast"), *self.coefficients("fast", late=True, lane=False)]
         body = [x for late in (False, True) for x in self.coefficients("fast", late=late, lane=True)]
         fast += self.outlined("renew_offsets", body)
-        new = f"i == {self.first} or {self.changed(self.slow)}"
-        out = [f"new = {new}", "if new:", *indent(slow), *stepwise]
+        new = f"i == first or abs(dt - known_dt) > 1e-9 * dt or {self.changed(self.slow)}"
+        out = ["dt = time[i + 1] - time[i]", f"new = {new}", "if new:", "    known_dt = dt", *indent(slow), *stepwise]
         if on_step:
-            out += ["if new or abs(h - known_h) > 1e-9 * h:", *indent(["known_h = h", "fresh = True", *on_step])]
+            out += ["if new or abs(h - known_h) > 1e-9 * h:", *indent(["known_h = h", *on_step])]
             out += ["    new = True"]
         if fast:
             out += [f"if new or {self.changed(self.fast)}:", *indent(fast)]
         return out
 
-    def followers_refresh(self) -> list[str]:
-        body: list[str] = []
-        for j, f in enumerate(self.system.followers):
-            for name in (f"ratio{j}", f"decay{j}"):
-                self.row(name)
-            body += [
-                f"ratio{j} = ({f.constant}) / max(h, 1e-12)",
-                f"{self.at(f'ratio{j}')} = ratio{j}",
-                f"{self.at(f'decay{j}')} = exp(-1.0 / max(ratio{j}, 1e-12))",
-            ]
-        return self.loop(body)
+    def shared(self, level: str) -> list[str]:
+        """Coefficients that all lanes share: looked up for a swarm, which would compute them in every block."""
+        lines = self.coefficients(level, late=False, lane=False)
+        names = [line.partition(" = ")[0] for line in lines]
+        if self.lanes == 1:
+            return lines
+        return [f"{name} = S[i, {self.table.setdefault(name, len(self.table))}]" for name in names]
 
-    # --- one substep ----------------------------------------------------------------------------------------
-
-    def slopes(self, y: list[str], outlets: str, stage: str) -> list[str]:
-        """Rates k0, k1, .. of a stage at temperatures `y`, with delay outlets named `outlets` + index."""
-        names = {f"x{j}": y[j] for j in range(self.k)}
-        names |= {f"D{p}": f"{outlets}{p}" for p in range(len(self.system.delays))}
-        staged = {name: f"{name}_{stage}" for name in self.system.curved}
-        lines = [f"{staged[n]} = {renamed(t, {**names, **staged})}" for n, t in self.system.curved.items()]
-        for j, (form, rest) in enumerate(self.system.slopes):
-            text = renamed(ordered(form), names)
-            if rest != ZERO:
-                text = plus(text, renamed(rest, {**names, **staged}))
-            lines.append(f"k{j}{stage} = {text}")
-        return lines
-
-    def substep(self) -> list[str]:
-        """Body of the lane loop of one substep."""
-        k = range(self.k)
-        if not self.system.linear:
-            lines = self.runge_kutta()
-        elif self.delays:
-            lines = self.taylor()
-        else:
-            lines = self.horner()
-        new = {f"x{j}": f"n{j}" for j in k} | {f"D{p}": f"De{p}" for p in range(len(self.system.delays))}
-        for j, f in enumerate(self.system.followers):
-            first = renamed(ordered(Form(f.of.slopes)), {f"x{i}": f"e{i}" for i in k} | self.starts_of_delays("Da"))
-            here = self.starts_of_delays("Ds")
-            lines += [
-                f"t0 = {renamed(ordered(f.of), here)}",
-                f"t1 = {renamed(ordered(f.of), new)}",
-                f"t2 = {first}",
-                "bend = 2.0 * (t1 - t0 - t2)",
-                f"slope = t2 + bend - ratio{j} * bend",
-                f"f{j} = t1 - ratio{j} * slope + decay{j} * (f{j} - t0 + ratio{j} * (t2 - ratio{j} * bend))",
-                f"{self.at(f'f{j}')} = f{j}",
-            ]
-        if self.delays:
-            lines += self.delays.water(new)
-        return lines + [f"{self.at(f'x{j}')} = n{j}" for j in k]
-
-    def starts_of_delays(self, letter: str) -> dict[str, str]:
-        return {f"D{p}": f"{letter}{p}" for p in range(len(self.system.delays))}
-
-    def horner(self) -> list[str]:
-        """Taylor series of the exact solution, for a right side that is affine and constant in the step.
-
-        x_i = x + h/(s + 1 - i) f(x_(i-1)), i = 1 .. s: of order s, as Horner's scheme of exp.
-        """
-        k, y, lines = range(self.k), self.states(), list[str]()
-        for i in range(ORDER, 0, -1):
-            last = i == 1
-            lines += self.slopes(y, "D", f"s{i}")
-            if i == ORDER and self.system.followers:
-                lines += [f"e{j} = h * k{j}s{i}" for j in k]
-            y = [f"n{j}" if last else f"y{j}s{i}" for j in k]
-            lines += [f"{y[j]} = x{j} + {'h' if last else f'h{i}'} * k{j}s{i}" for j in k]
-        return lines
-
-    def taylor(self) -> list[str]:
-        """The same with delayed water that comes in as a quadratic in time, Ds + Da r + Db r^2 at the share r.
-
-        e_i = h/i (A e_(i-1) + F_(i-1)) with F_0 = b + E Ds, F_1 = E Da, F_2 = E Db; x + e_1 + e_2 + ..
-        """
-        assert self.delays is not None
-        k, lines = range(self.k), self.delays.polynomials()
-        y, outlets, total = self.states(), "Ds", self.states()
-        for i in range(1, ORDER + 1):
-            names = {f"x{j}": y[j] for j in k} | self.starts_of_delays(outlets)
-            for j, (form, _) in enumerate(self.system.slopes):
-                slopes = {v: t for v, t in form.slopes.items() if outlets or v.startswith("x")}
-                text = renamed(ordered(Form(slopes, form.offset if i == 1 else ZERO)), names)
-                lines.append(f"{'e' if i == 1 else f'e{i}_'}{j} = {'h' if i == 1 else f'h{i}'} * ({text})")
-            y = [f"e{j}" if i == 1 else f"e{i}_{j}" for j in k]
-            total = [f"{total[j]} + {y[j]}" for j in k]
-            outlets = {1: "Da", 2: "Db"}.get(i, "")
-        return lines + [f"n{j} = {total[j]}" for j in k]
-
-    def runge_kutta(self) -> list[str]:
-        """Classical fourth order."""
-        k, x = range(self.k), self.states()
-        lines = self.delays.polynomials() if self.delays else []
-        lines += self.slopes(x, "Ds", "a")
-        stages = (("a", "b", "h2", "Dm"), ("b", "c", "h2", "Dm"), ("c", "d", "h", "De"))
-        for last, here, share, outlets in stages:
-            lines += [f"y{j}{here} = x{j} + {share} * k{j}{last}" for j in k]
-            lines += self.slopes([f"y{j}{here}" for j in k], outlets, here)
-        lines += [f"n{j} = x{j} + h6 * (k{j}a + 2.0 * (k{j}b + k{j}c) + k{j}d)" for j in k]
-        return lines + [f"e{j} = h * k{j}a" for j in k] if self.system.followers or self.delays else lines
+    def tabulate(self) -> list[str]:
+        """Fill the table of the coefficients that all lanes share, sample by sample."""
+        if not self.table:
+            return []
+        columns = {int(c) for name in self.table for c in self.uses[name]}
+        again = " or ".join(f"inputs[i, {c}] != inputs[i - 1, {c}]" for c in sorted(columns))
+        level = [line for pick in ("slow", "fast") for line in self.coefficients(pick, late=False, lane=False)]
+        body = [f"u{c} = inputs[i, {c}]" for c in sorted(columns)] + level
+        lines = [
+            "n = inputs.shape[0]",
+            "for i in range(n):",
+            f"    if i == 0 or {again}:",
+            *indent(indent(body)),
+            *[f"    S[i, {column}] = {name}" for name, column in self.table.items()],
+        ]
+        types = ["f8[:,::1]", "f8[:,::1]"]
+        return [f"S = np.empty((n, {len(self.table)}))", *self.called("tabulate", ["inputs", "S"], types, lines)]
 
     # --- samples --------------------------------------------------------------------------------------------
 
-    def observe(self, i: str) -> list[str]:
-        """Lines that compare the state at sample `i` with the measurement."""
+    def observe(self) -> list[str]:
+        """Lines that compare the state at sample i with the measurement."""
         readings = self.system.readings
-        lines = [f"now = time[{i}]"] if any("now" in names_in(r) for r in readings) else []
+        lines = ["now = time[i]"] if any("now" in names_in(r) for r in readings) else []
         if self.mode == "trace":
-            return lines + self.loop([f"Y[b, {i}, {j}, l] = {reading}" for j, reading in enumerate(readings)])
-        lines += [f"w{j} = weight[{i}, {j}]" for j in range(self.m)]
-        lines += [f"y{j} = y[{i}, {j}]" for j in range(self.m)]
+            return lines + self.loop([f"Y[b, i, {j}, l] = {reading}" for j, reading in enumerate(readings)])
+        lines += [f"w{j} = weight[i, {j}]" for j in range(self.m)]
+        lines += [f"y{j} = y[i, {j}]" for j in range(self.m)]
         if self.mode == "cost":
             body = []
             for j, reading in enumerate(readings):
@@ -381,45 +325,48 @@ class _Kernel:
             block += [f"if w{j} != 0.0:", *indent(inner)]
         return block
 
-    first = "first"
+    def copied(self, row: int, count: int, place: str, store: bool) -> list[str]:
+        """Rows of the work array from or to an array, as loops."""
+        here = f"W[({row} + r) * {self.lanes} + l]"
+        text = f"{place} = {here}" if store else f"{here} = {place}"
+        return [f"for r in range({count}):", f"    for l in range({self.lanes}):", f"        {text}"] if count else []
 
     def block(self) -> list[str]:
         """One block of lanes from the first sample to the last."""
         s, n = self.system, self.lanes
         cost = self.mode == "cost"
         remembered = [*self.states(), *self.memories()]
-        enter = [f"{self.at(p)} = lanes[b, {r}, l]" for p, r in self.parameters.items()]
-        body = [f"x{j} = start[b, {j}, l]" for j in range(len(self.network.nodes))]
-        rest = [
-            *s.starts,
-            *(f"inputs[first, {self.network.input_columns.index(d.column)}]" for _, d in s.drives if d.lag),
-        ]
-        for row, (name, at_rest) in enumerate(
-            zip(remembered[len(self.network.nodes) :], rest, strict=True), start=len(self.network.nodes)
-        ):
-            body += [f"{name} = start[b, {row}, l]", f"{name} = {name} if {name} == {name} else {at_rest}"]
-        for name in remembered:
-            body.append(f"W[{self.row(name) * n} + l] = {name}")
+        lines = self.copied(0, len(remembered), "start[b, r, l]", store=False)
+        lines += self.copied(len(remembered), len(self.parameters), "lanes[b, r, l]", store=False)
+        lagging = [self.network.input_columns.index(d.column) for _, d in s.drives if d.lag]
+        rest = [*s.starts, *(f"inputs[first, {c}]" for c in lagging)]
+        # Loops rather than lines, here and at the end: the compiler's time goes with the number of statements.
+        body = []
+        for name, at_rest in zip(remembered[len(self.network.nodes) :], rest, strict=True):
+            body += [f"{name} = {name} if {name} == {name} else {at_rest}", f"{self.at(name)} = {name}"]
+        lines += self.loop(body)
         if cost:
-            enter += [f"{self.at(f'sse{j}')} = 0.0" for j in range(self.m)]
-        lines = [f"for l in range({n}):", *indent(enter), *self.loop(body)] if enter else self.loop(body)
+            lines += self.copied(self.row("sse0"), self.m, "0.0", store=False)
         lines += self.outlined("begin", self.coefficients("fixed", late=False, lane=True))
         lines += self.delays.enter() if self.delays else []
         lines += ["G[:] = 0.0"] if self.mode == "gram" else []
         # Before the substep: it gives the rows that the substep reads.
         refresh = self.refresh()
-        inner = self.outlined("advance", self.substep())
+        inner = self.integrator.substep()
         if self.delays:
             inner = [*self.delays.look(), *inner, *self.delays.advance()]
         interval = [f"u{c} = inputs[i, {c}]" for c in range(len(self.network.input_columns)) if c not in s.driven]
-        interval += [*self.observe("i"), *self.drive(), *refresh]
-        interval += [*[f"h{i} = h / {i}.0" for i in range(2, 9)], "for step in range(steps):", *indent(inner)]
-        lines += ["limit = 0.0", "known_h = -1.0", "fresh = True", "for i in range(first, n - 1):", *indent(interval)]
-        lines += self.observe("n - 1")
-        leave = [f"end[b, {j}, l] = W[{self.row(name) * n} + l]" for j, name in enumerate(remembered)]
+        interval += [*self.observe(), "if i == n - 1:", "    break", *self.drive(), *refresh]
+        interval += [*[f"h{i} = h / {i}.0" for i in range(2, 7)], "for step in range(steps):", *indent(inner)]
+        lines += [
+            "limit = 0.0",
+            "known_dt, known_h = -1.0, -1.0",
+            "for i in range(first, n):",
+            *indent(interval),
+        ]
+        lines += self.copied(0, len(remembered), "end[b, r, l]", store=True)
         if cost:
-            leave += [f"sse[b, {j}, l] = {self.at(f'sse{j}')}" for j in range(self.m)]
-        lines += [f"for l in range({n}):", *indent(leave)]
+            lines += self.copied(self.row("sse0"), self.m, "sse[b, r, l]", store=True)
         if self.delays:
             lines += self.delays.leave()
         if self.mode == "gram":
@@ -432,15 +379,17 @@ class _Kernel:
         used = "used, " if self.mode == "gram" else ""
         out = {"cost": "sse", "trace": "Y", "gram": "gram, sse"}[self.mode]
         block = self.block()
-        head = ["n = time.shape[0]", f"W = np.empty({len(self.rows) * n})"]
+        head = ["n = time.shape[0]", f"W = np.zeros({len(self.rows) * n})"]
         if self.mode == "gram":
             head += [f"E = np.empty({self.m * n})", f"G = np.empty({n * n})"]
         if self.delays:
             head += self.delays.head()
-        head += [f"p{i} = base[{i}]" for i in range(len(self.network.ids)) if f"p{i}" not in self.parameters]
-        head += self.coefficients("fixed", late=False, lane=False)
+        fixed = [*self.coefficients("fixed", late=False, lane=False), *self.tabulate()]
+        used_names = {name for line in (*fixed, *block) for name in NAME.findall(line)}
+        wanted = [i for i in range(len(self.network.ids)) if f"p{i}" in used_names]
+        head += [*(f"p{i} = base[{i}]" for i in wanted if f"p{i}" not in self.parameters), *fixed]
         jit = f"{_SIGNATURE[self.mode]!r}, cache=True, fastmath=FAST, nogil=True, error_model='numpy'"
-        functions = _FUNCTIONS + (_ARRIVED if any(d.dead_time for _, d in s.drives) else "")
+        functions = EXP + (ARRIVED if any(d.dead_time for _, d in s.drives) else "")
         return "\n".join(
             [
                 f'"""Generated: {self.mode} kernel of a network of {self.k} states. Changes here are lost."""',
@@ -452,12 +401,14 @@ class _Kernel:
                 "",
                 f"LANES = {n}",
                 f"SLOTS = {SLOTS}",
-                f"PER_STEP = {1.0 / STEP_LIMIT!r}",
-                f"LONGEST = {MOST_STEPS * STEP_LIMIT!r}",
+                f"NEVER = {NEVER!r}",
+                f"STEP_LIMIT = {self.integrator.limit!r}",
+                f"PER_STEP = {1.0 / self.integrator.limit!r}",
+                f"LONGEST = {MOST_STEPS * self.integrator.limit!r}",
                 "FAST = {'contract', 'nsz', 'arcp'}",
                 "",
                 functions,
-                DELAY_FUNCTIONS if self.delays else "",
+                self.delays.functions if self.delays else "",
                 "",
                 *self.functions,
                 f"@nb.njit({jit})",
@@ -474,19 +425,6 @@ _SIGNATURE: dict[Mode, str] = {
     "trace": f"void({_HEAD}, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1])",
     "gram": f"void({_HEAD}, f8[:,::1], f8[:,::1], i8, f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1])",
 }
-
-
-def ordered(form: Form) -> str:
-    """Text of a form as a chain of multiply-adds."""
-    total = form.offset
-    for name, slope in form.slopes.items():
-        total = plus(total, times(slope, name))
-    return total
-
-
-def renamed(text: str, names: dict[str, str]) -> str:
-    """The expression with whole names replaced."""
-    return _NAME.sub(lambda m: names.get(m.group(), m.group()), text)
 
 
 def indent(lines: list[str]) -> list[str]:

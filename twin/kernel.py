@@ -68,17 +68,18 @@ class Kernel:
         self.lane_ids = network.ids if lane_ids is None else tuple(dict.fromkeys(lane_ids))
         self.lane = network.index(self.lane_ids)
         self._memory = Memory(network, self.lane_ids)
-        self._variants: dict[tuple[Mode, int], Callable[..., None]] = {}
+        self._variants: dict[tuple[Mode, int, bool], Callable[..., None]] = {}
 
     @property
     def size(self) -> int:
         """Length of a full state."""
         return self._memory.size
 
-    def _variant(self, mode: Mode, lanes: int = LANES) -> Callable[..., None]:
-        if (mode, lanes) not in self._variants:
-            self._variants[mode, lanes] = compiled(kernel_source(self.network, mode, self.lane_ids, lanes))
-        return self._variants[mode, lanes]
+    def _variant(self, mode: Mode, call: Call) -> Callable[..., None]:
+        key = (mode, call.lanes, call.alike)
+        if key not in self._variants:
+            self._variants[key] = compiled(kernel_source(self.network, mode, self.lane_ids, call.lanes, call.alike))
+        return self._variants[key]
 
     def cost(
         self, parameters: Array, state: Array, time: Array, inputs: Array, measured: Array, weight: Array
@@ -94,9 +95,9 @@ class Kernel:
         for low in range(0, count, CHUNK):
             part = slice(low, low + CHUNK)
             rows = [a if len(a) == 1 else a[part] for a in (parameters, state)]
-            call = self._call(rows[0], rows[1], time, inputs, min(CHUNK, count - low), LANES)
-            out = np.empty((call.blocks, m, LANES))
-            call.run(self._variant("cost"), *call.later(measured, weight), out, call.end, call.no_future)
+            call = self._call(rows[0], rows[1], time, inputs, min(CHUNK, count - low), 1 if count == 1 else LANES)
+            out = np.empty((call.blocks, m, call.lanes))
+            call.run(self._variant("cost", call), *call.later(measured, weight), out, call.end, call.no_future)
             sse[part], end[part] = call.particles(out), call.particles(call.end)[:, :k]
         return sse, end
 
@@ -105,7 +106,7 @@ class Kernel:
         call = self._call(parameters, state, time, inputs)
         m = len(self.network.sensors)
         readings = np.empty((call.blocks, len(call.time), m, call.lanes))
-        call.run(self._variant("trace", call.lanes), readings, call.end, call.future)
+        call.run(self._variant("trace", call), readings, call.end, call.future)
         rows = np.moveaxis(readings[:, call.first :], 3, 1).reshape(-1, len(time), m)
         return rows[: call.count], call.ends(time, inputs)
 
@@ -132,7 +133,7 @@ class Kernel:
         m = len(self.network.sensors)
         gram, sse = np.empty((1, LANES, LANES)), np.zeros((1, m))
         call.run(
-            self._variant("gram"), *call.later(measured, weight), count, gram, sse, call.end, call.future
+            self._variant("gram", call), *call.later(measured, weight), count, gram, sse, call.end, call.future
         )  # fmt: skip
         inner = gram[0, 1:count, 1:count] / np.outer(steps, steps)
         return GaussNewton(inner, gram[0, 0, 1:count] / steps, sse[0], call.ends(time, inputs)[0])
@@ -177,6 +178,7 @@ class Call:
             raise ValueError("parameters and initial states must be finite")
         self._start = _laid_out(temperatures, count, lanes)
         self._past = np.empty((0, 0, 0)) if past is None else _laid_out(past, count, lanes)
+        self.alike = memory.alike(past)
         self.history = history
         self.time, self.inputs = memory.extended(history, time, inputs)
         self.first = len(self.time) - len(time)

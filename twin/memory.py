@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from twin.assembly import System
-from twin.delays import memory_rows
+from twin.delays import layout
 from twin.network import Array, Network, TwinFileError
 
 COMMANDS = 64
@@ -35,7 +35,8 @@ class Memory:
         self._take = np.array([names.index(n) if n in names else -1 for n in wanted])
         self._give = np.array([wanted.index(n) for n in names])
         same = [d.element for d in own.delays] == [d.element for d in inner.delays]
-        self._lines = memory_rows(own)
+        lines = layout(own)
+        self._lines, self._pushed = lines.rows, lines.pushed
         self.rows = self._lines if same else 0
         columns = [network.input_columns.index(d.column) for _, d in own.drives if d.dead_time]
         self._columns = np.array(columns, dtype=np.intp)
@@ -57,6 +58,10 @@ class Memory:
         at += self._lines
         commands = state[0, at:] if full and self._commands else None
         return start, past, commands
+
+    def alike(self, past: Array | None) -> bool:
+        """Whether delay lines (P, rows) have all been pushed the same way."""
+        return past is None or len(past) == 1 or not np.ptp(past[:, self._pushed], axis=0).any()
 
     def put_together(self, end: Array, lines: Array, commands: Array) -> Array:
         """Full states (P, size) from a kernel's end values, its delay lines and the recent commands."""

@@ -196,6 +196,6 @@ def test_peers_leave_the_process_as_it_was():
     assert np.array([2.0**-1030])[0] / 4 > 0.0
 
 
-def test_no_error_is_claimed_where_no_oracle_reaches():
+def test_networks_that_remember_are_told_from_those_with_an_exponential():
     assert not contestants.remembers(LOOP)
     assert contestants.remembers(variants.nine_volumes())

@@ -175,6 +175,11 @@ class Contest:
         sizes = covariance @ score
         return Estimate(sizes, covariance, float(sizes @ score))
 
+    def bare(self, flat: Array) -> Array:
+        """Squared norms (e,) of signatures `flat` (e, sites * b) before the tunables have taken their part."""
+        squared: Array = ((self._columns @ flat.T) ** 2).sum(axis=0)
+        return squared
+
     def moved(self, vectors: Array, sizes: Array) -> Array:
         """Change of [tunables z, initial state] (q + k,) that goes with effects of these sizes."""
         shift = np.array(self._shift, dtype=np.float64)

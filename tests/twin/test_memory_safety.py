@@ -1,0 +1,107 @@
+"""Compiled kernels stay inside their arrays, and what they give does not depend on how a record is cut or laid out."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.twin.conftest import ROOT
+from twin.kernel import Kernel, masked
+from twin.network import Network
+from twin.twinfile import load
+
+TWINS = ROOT / "profiles" / "twins"
+
+# Pumps that stop, creep and jump, stamps that stand still and leap, windows from one sample to more than a delay line
+# can hold, one particle and several that differ.
+CHECKED = """
+import sys
+from pathlib import Path
+import numpy as np
+from twin.kernel import Kernel, masked
+from twin.twinfile import load
+net = load(Path(sys.argv[1]))
+ids = net.tunables()
+kernel = Kernel(net, ids)
+rng = np.random.default_rng(0)
+low, high = net.bounds(ids)
+at = net.index(ids)
+pump = [k for k, c in enumerate(net.input_columns) if "pump" in c or "flow" in c][0]
+for n in (1, 2, 300):
+    for step in (1.0, 13.0):
+        time = np.cumsum(step * rng.choice([0.0, 0.2, 1.0, 7.0], n))
+        u = np.tile(net.nominal_inputs, (n, 1)) * rng.uniform(0.8, 1.0, (n, 1))
+        u[:, pump] *= rng.choice([0.0, 1e-6, 0.1, 1.0], n)
+        full = np.tile(net.values, (3, 1))
+        full[1:, at] = np.clip(full[1:, at] * rng.uniform(0.7, 1.4, (2, len(ids))), low, high)
+        state = np.full(len(net.nodes), 30.0)
+        y, weight = masked(np.full((n, len(net.sensors)), 30.0))
+        for rows in (full[:1], full):
+            first, end = kernel.trace(rows, state, time, u)
+            again, end = kernel.trace(rows, end, time + time[-1], u)
+            assert np.isfinite(first).all() and np.isfinite(again).all()
+            kernel.cost(rows, end, time, u, y, weight)
+        kernel.linearise(full, state, np.ones(2), time, u, y, weight)
+print("inside")
+"""
+
+
+@pytest.mark.parametrize("name", ["heated_pipe", "loop_six"])
+def test_no_kernel_reads_or_writes_outside_its_arrays(name: str, tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "XDG_CACHE_HOME": str(tmp_path)}
+    command = [sys.executable, "-c", CHECKED, str(TWINS / f"{name}.toml")]
+    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.strip() == "inside"
+
+
+@pytest.fixture(scope="module")
+def pipe() -> Kernel:
+    net = load(TWINS / "heated_pipe.toml")
+    return Kernel(net, net.tunables("commission"))
+
+
+def record(net: Network, n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Irregular stamps, and inputs in steps with a pump that stops at times."""
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.choice([0.5, 1.0, 1.0, 4.0, 20.0], n))
+    levels = np.repeat(rng.uniform(0.7, 1.0, (n // 20 + 1, len(net.input_columns))), 20, axis=0)[:n]
+    inputs = net.nominal_inputs * levels
+    inputs[:, 0] *= np.repeat(rng.choice([0.0, 0.05, 1.0, 1.0], n // 30 + 1), 30)[:n]
+    return time, inputs
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 1000), cuts=st.lists(st.integers(1, 239), max_size=5))
+def test_cutting_a_record_changes_nothing(pipe: Kernel, seed: int, cuts: list[int]) -> None:
+    net = pipe.network
+    time, inputs = record(net, 240, seed)
+    start = np.full(len(net.nodes), 18.0)
+    whole, _ = pipe.trace(net.values, start, time, inputs)
+    edges = [0, *sorted(set(cuts)), 239]
+    state, rows = start, []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        part, state = pipe.trace(net.values, state, time[low : high + 1], inputs[low : high + 1])
+        rows.append(part[0, (low > 0) :])
+    assert np.abs(np.vstack(rows) - whole[0]).max() < 1e-9
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 1000), count=st.integers(2, 70))
+def test_the_number_of_particles_changes_nothing(pipe: Kernel, seed: int, count: int) -> None:
+    net = pipe.network
+    time, inputs = record(net, 120, seed)
+    start = np.full(len(net.nodes), 18.0)
+    alone, end = pipe.trace(net.values, start, time, inputs)
+    together, ends = pipe.trace(np.tile(net.values, (count, 1)), start, time, inputs)
+    assert np.abs(together - alone).max() < 1e-9
+    assert np.nanmax(np.abs(ends - end)) < 1e-9
+    y, weight = masked(alone[0] + 0.1, 1.0)
+    sse, _ = pipe.cost(np.tile(net.values, (count, 1)), start, time, inputs, y, weight)
+    assert sse == pytest.approx(np.tile(sse[:1], (count, 1)), rel=1e-12)
+    assert sse[0, 0] == pytest.approx(0.01 * len(time), rel=1e-6)

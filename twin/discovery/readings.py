@@ -1,0 +1,48 @@
+"""Thermometers that have stopped telling anything, found before anything is made of their readings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.network import Array
+
+STUCK_S = 900.0
+STUCK_SAMPLES = 60
+"""A noisy reading does not repeat itself for so long and so often."""
+
+
+@dataclass(frozen=True)
+class Stuck:
+    """A column that shows one value from `first_s` to `last_s`, degC."""
+
+    column: str
+    value: float
+    first_s: float
+    last_s: float
+    rows: slice
+
+
+def stuck(column: str, time_s: Array, values: Array, sigma: float) -> tuple[Stuck, ...]:
+    """Spans over which `values` (n,), degC, do not change although the thermometer has a noise of `sigma` K.
+
+    A thermometer whose steps are far coarser than its noise repeats itself by nature and is left alone.
+    """
+    good = np.flatnonzero(np.isfinite(values))
+    if len(good) < STUCK_SAMPLES:
+        return ()
+    v = values[good]
+    steps = np.abs(np.diff(v))
+    moving = steps[steps > 1e-9]
+    if not moving.size:
+        return (Stuck(column, float(v[0]), float(time_s[good[0]]), float(time_s[good[-1]]), slice(0, len(values))),)
+    if sigma < 0.3 * float(moving.min()):
+        return ()
+    borders = np.flatnonzero(np.concatenate([[True], steps > 1e-9, [True]]))
+    found = []
+    for first, last in zip(borders[:-1], borders[1:], strict=True):
+        a, b = good[first], good[last - 1]
+        if last - first >= STUCK_SAMPLES and time_s[b] - time_s[a] >= STUCK_S:
+            found.append(Stuck(column, float(v[first]), float(time_s[a]), float(time_s[b]), slice(int(a), int(b) + 1)))
+    return tuple(found)
