@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from hil.bench.discovery_tables import failure, tables
 from hil.bench.discovery_worker import Worker, WorkerError
 from hil.cli import group
 from hil.profile import read_profile
+from hil.record import read_record
 
 
 def effect(kind: str = "heat_source", where: str = "tank", driver: str = "constant", **more: Any) -> dict[str, Any]:
@@ -216,3 +218,24 @@ def test_a_crash_counts_as_no_answer() -> None:
     size = discovery.Size((0,), (), 4.0, True)
     found = tables([discovery.Finished(o, {}, None)], size)
     assert any("error" in str(row[0]) for table in found for row in table.rows)
+
+
+def test_a_direct_record_is_like_one_over_the_wire(tmp_path: Path) -> None:
+    size = discovery.Size((5,), (), 0.5, direct=False, ablations=False)
+    trial = discovery.Trial(size, 0, tmp_path)
+    case = setting(5, 0, 0.5)
+    path = tmp_path / "record.parquet"
+    try:
+        trial._over_the_wire(case, path, {"setting": dataclasses.asdict(case), "draw": 0, "healthy": True})
+    finally:
+        trial.close()
+    wire = read_record(path)
+    direct = direct_record(profile(case), load_rig(RIG), seed=case.seed, unit=case.unit)
+    assert set(direct.columns) <= set(wire.columns)
+    for name, values in direct.columns.items():
+        # The loop needs some seconds to arm the rig, so the two are shifted a little.
+        late = wire.columns[name][-300:]
+        assert np.isfinite(late).all()
+        assert late.mean() == pytest.approx(values[-300:].mean(), rel=0.01), name
+        if name.startswith("T_"):
+            assert np.diff(late).std() == pytest.approx(np.diff(values[-300:]).std(), rel=0.3), name
