@@ -25,12 +25,20 @@ STEPS = 4.0
 @click.argument("target", type=click.Path(exists=True, path_type=Path), metavar="RUN|RECORD")
 @click.option("--twin", type=INPUT_FILE, help="Twin file; of a run, the one that it ran with.")
 @click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, the one it was commissioned on.")
+@click.option("--with", "more", type=INPUT_FILE, multiple=True, help="A later record of the rig; may be repeated.")
 @click.option("--clock", help="Time of day at 0 s of the record, like 08:00, where the record does not tell.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")
 @click.option("--dry", is_flag=True, help="Propose only: no revision of the twin, no files.")
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
 def command(
-    target: Path, twin: Path | None, healthy: Path | None, clock: str | None, out: Path | None, dry: bool, as_json: bool
+    target: Path,
+    twin: Path | None,
+    healthy: Path | None,
+    more: tuple[Path, ...],
+    clock: str | None,
+    out: Path | None,
+    dry: bool,
+    as_json: bool,
 ) -> None:
     """Find the residual of RUN or RECORD, trace it to an effect that the twin lacks, and add that effect.
 
@@ -41,9 +49,10 @@ def command(
     Example:
       hil diagnose runs/<a run> --healthy runs/<a healthy run>/record.parquet
       hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet
+      hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet --with experiment.parquet
     """
-    from hil.diagnosing import clock_of, read_columns, revise, subject_of, with_clock, write
-    from hil.terminal import Steps, console
+    from hil.diagnosing import clock_of, read_columns, revise, subject_of, with_clock, write, write_experiment
+    from hil.terminal import Steps, console, invocation
     from twin.discovery.engine import diagnose
     from twin.network import TwinFileError
     from twin.twinfile import load
@@ -55,6 +64,7 @@ def command(
     told = with_clock(network) if hour is not None else network
     record, messages = read_columns(told, subject.record, hour)
     good = read_columns(told, healthy, hour)[0] if healthy else None
+    later = tuple(read_columns(told, path, hour)[0] for path in more)
     stages = 0
     with Steps("diagnosing", STEPS, quiet=as_json) as steps:
         for message in messages:
@@ -66,7 +76,7 @@ def command(
             steps.update(min(float(stages), STEPS), what)
 
         try:
-            diagnosis = diagnose(told, record, good, say=say)
+            diagnosis = diagnose(told, record, good, more=later, say=say)
         except TwinFileError as error:
             raise TwinFileError(f"{subject.record}: {error}") from None
     revision = None if dry else revise(diagnosis, network, subject.twin, subject.record)
@@ -74,13 +84,17 @@ def command(
         "record": str(subject.record), "twin": str(subject.twin), "revision": str(revision) if revision else None,
         "healthy": str(healthy) if healthy else None, "seconds": round(time.monotonic() - began, 2),
     }  # fmt: skip
+    planned = None
     if not dry:
         write(diagnosis, subject.out, extra)
+        planned = write_experiment(diagnosis, subject.out)
     if as_json:
         click.echo(json.dumps({**diagnosis.document(), **extra}, indent=1))
     else:
         to = console()
         _show(to, diagnosis)
+        if planned:
+            to.print(f"run it: {invocation()} run {planned}", soft_wrap=True)
         if revision:
             to.print(f"revision of the twin: {revision}", soft_wrap=True)
         if not dry:
@@ -137,5 +151,7 @@ def _show(to: Console, d: Diagnosis) -> None:
                 f"{m.after:.4g} ({m.after_sd:+.0f})", m.unit,
             )  # fmt: skip
         to.print(table)
+    if d.next_experiment:
+        to.print(f"next experiment: {d.next_experiment.get('name', '')} {d.next_experiment['why']}", soft_wrap=True)
     for spot in d.blind_spots:
         to.print(f"blind spot: {spot}", soft_wrap=True)

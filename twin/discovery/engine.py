@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,13 +15,14 @@ from twin.discovery.catalogue import catalogue
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Diagnosis, Rung, SensorError
 from twin.discovery.fitting import Fit, fit
+from twin.discovery.forecast import from_the_start
 from twin.discovery.grid import Grid, bridged, filled, on_grid
 from twin.discovery.laws import Law, laws
 from twin.discovery.members import Members, members
 from twin.discovery.model import Model
 from twin.discovery.probe import Probe, Run, posterior
 from twin.discovery.search import Entry, best_pair, refine, scan
-from twin.discovery.verdict import Finding, Ranked, conclude, rank, width
+from twin.discovery.verdict import Finding, Ranked, conclude, enough, rank, width
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
 
@@ -141,6 +142,7 @@ def diagnose(
     record: Columns,
     healthy: Columns | None = None,
     *,
+    more: tuple[Columns, ...] = (),
     say: Callable[[str], None] = lambda _: None,
     held_out: float = HELD_OUT,
 ) -> Diagnosis:
@@ -148,6 +150,7 @@ def diagnose(
 
     Args:
         network: the commissioned twin. healthy: the record that it was commissioned on.
+        more: records made later on the same rig, by which causes that this record cannot tell apart are weighed.
         say: called with what is being done. held_out: share of the record, at its end, that no fit sees.
 
     Raises:
@@ -172,6 +175,9 @@ def diagnose(
         )
         train = _Part.of(known, grid.part(0, split))
     finding = _search(train, say)
+    if more and len(finding.ranked) > 1:
+        say("comparing with further records")
+        finding = _weighed(finding, [_Part.of(known, on_grid(network, r.time_s, r.inputs, r.measured)) for r in more])
     say("judging")
     single = _members(network, record, grid, healthy, whole.contest.edges)
     return conclude(
@@ -248,7 +254,8 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
     ranked: tuple[Ranked, ...] = ()
     entries, first_gain = part.entries, 0.0
     while entries and entries[0].z >= THRESHOLD and len(chosen) < MOST_EFFECTS:
-        if chosen and entries[0].gain < SECOND_SHARE * first_gain:
+        small = SECOND_SHARE * first_gain
+        if best is not None and entries[0].gain < small and enough(best.chi, start_chi):
             break
         finalists = _finalists(entries, chosen)
         if not finalists:
@@ -267,8 +274,10 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
             trials.append((fit(contest, Model.of(network, group, ids), part.state), group))
         order = rank(trials, contest, ladder[0].chi * contest.count)
         winner = order[0].fit
-        if best is not None and best.total - winner.total < max(THRESHOLD**2, SECOND_SHARE * first_gain):
-            break
+        if best is not None:
+            need = THRESHOLD**2 if not enough(best.chi, start_chi) else max(THRESHOLD**2, small)
+            if best.total - winner.total < need:
+                break
         best, ranked, chosen = winner, order, winner.entries
         if not first_gain:
             first_gain = max(ladder[0].chi * contest.count - winner.total, 1.0)
@@ -298,6 +307,34 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
         contest=contest,
         state=part.state,
     )
+
+
+def _weighed(finding: Finding, parts: list[_Part]) -> Finding:
+    """The finding with its hypotheses ranked by all records, each effect being there throughout the later ones."""
+    trials = []
+    span = finding.contest.grid.span_s
+    for ranked in finding.ranked:
+        total = ranked.fit.total
+        for part in parts:
+            laws_by = {law.candidate.id: law for law in part.laws}
+            if any(e.candidate.id not in laws_by for e in ranked.entries):
+                # The effect does nothing in this record: it is judged by the twin without it.
+                entries: tuple[Entry, ...] = ()
+            else:
+                entries = tuple(
+                    from_the_start(
+                        replace(e, law=laws_by[e.candidate.id]), e.size * e.shape.mean(span - 1.0, span)
+                    ).refreshed(part.contest)
+                    for e in ranked.entries
+                )
+            part.reset()
+            network, ids = part.basis.probe.network, part.basis.probe.scaling.ids
+            total += fit(part.contest, Model.of(network, entries, ids), part.state).total
+        trials.append((replace(ranked.fit, total=total), ranked.entries))
+    start = finding.start + sum(p.contest.misfit for p in parts)
+    order = rank(trials, finding.contest, start)
+    best = order[0]
+    return replace(finding, ranked=order, fit=best.fit, entries=best.entries)
 
 
 def _finalists(entries: list[Entry], chosen: tuple[Entry, ...]) -> list[Entry]:

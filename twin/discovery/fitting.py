@@ -112,7 +112,9 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
     for _ in range(rounds):
         hessian = slopes.T @ slopes + precision
         pull = slopes.T @ residual - precision @ v
-        free = ~(((v <= low) & (pull < 0.0)) | ((v >= high) & (pull > 0.0)))
+        # What changes nothing (an onset where its effect is nothing yet, say) stays where it is.
+        flat = np.diag(hessian) < 1e-9 * np.median(np.diag(hessian))
+        free = ~(flat | ((v <= low) & (pull < 0.0)) | ((v >= high) & (pull > 0.0)))
         step = np.zeros_like(v)
         inner = hessian[np.ix_(free, free)]
         step[free] = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), pull[free])
@@ -130,7 +132,7 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
             damping *= 10.0
             if damping > 1e6:
                 break
-    covariance = np.linalg.inv(slopes.T @ slopes + precision + 1e-12 * np.eye(count))
+    covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     shapes = shapes_at(v)
     onset_sd = np.zeros(e)

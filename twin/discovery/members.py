@@ -16,7 +16,7 @@ from twin.discovery.shapes import Shape
 from twin.network import Array, Network
 
 LEAST_MEMBERS = 3
-MARGIN_K = 0.015
+MARGIN_K = 0.06
 """Differences below this are not looked at: contact and placement shift by as much."""
 STANDS_OUT = 6.0
 """Times the healthy scatter of a block that one thermometer must differ by."""

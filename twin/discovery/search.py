@@ -45,6 +45,10 @@ class Entry:
         placed: Array = contest.vector(self.law) * self.shape.block_means(contest.edges * contest.grid.step_s)
         return placed
 
+    def refreshed(self, contest: Contest) -> Entry:
+        """The entry with the vector of its present shape in another contest."""
+        return replace(self, vector=self.placed(contest))
+
     @property
     def driver(self) -> str:
         """What the effect follows: time where it grows, else what its law says."""

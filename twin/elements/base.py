@@ -198,7 +198,7 @@ class Candidate:
         """Unique within a catalogue."""
         weights = ",".join(f"{name}*{weight:.4g}" for name, weight in self.changes.items())
         others = "".join(f"|{key}={value}" for keys in self.replaces.values() for key, value in keys.items())
-        return f"{self.kind}@{self.where}~{self.driver}[{weights}{others}]"
+        return f"{self.kind}@{self.where}~{self.driver}[{weights}{others}]{self.typical:.3g}"
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,9 @@ from typing import ClassVar
 
 from twin.elements.base import Candidate, Element, Fragment, Lag, Names, ParameterSpec, Sites, place
 
+LAGS_S = (15.0, 60.0, 240.0)
+"""Lags about which an unknown one is looked for, s: a late reading is not proportional to how late it is."""
+
 
 @dataclass(frozen=True)
 class Sensor(Element):
@@ -58,10 +61,15 @@ class Sensor(Element):
     def moved(self, sites: Sites) -> tuple[Candidate, ...]:
         where = self.measured[0] if len(self.measured) == 1 else self.name
         sensor, now = ("sensor", where), {k: sites.values[f"{self.name}.{k}"] for k in ("gain", "lag_s")}
-        later = replace(
-            self.moves("lag_s", *sensor, "rate_of_change", "s", 30.0, -now["lag_s"], 3600.0, "reads late by {value}"),
-            change="new" if now["lag_s"] == 0.0 else "existing", shapes=("step",),
-        )  # fmt: skip
+        later = [
+            replace(
+                self.moves(
+                    "lag_s", *sensor, "rate_of_change", "s", lag, -now["lag_s"], 3600.0, "reads late by {value}"
+                ),
+                change="new" if now["lag_s"] == 0.0 else "existing", shapes=("step",),
+            )
+            for lag in LAGS_S
+        ]  # fmt: skip
         found = [
             replace(
                 self.moves("bias_K", *sensor, "constant", "K", 0.2, -20.0, 20.0, "reads {value} off"), change="new"
@@ -71,7 +79,7 @@ class Sensor(Element):
                     "reads by a factor that differs by {value}"),
                 change="new",
             ),
-            later,
+            *later,
         ]  # fmt: skip
         if self.other:
             return tuple(found)
