@@ -25,6 +25,7 @@ RESOLUTION = (0.01, 0.0, 0.0, 0.1, 0.1)
 COUNTS_PER_K = 100.0
 WORDS = 4 * len(FRAME_IDS)
 _START = (0.0, 1.0, 1.0)
+"""Heater W, pump and fans before the first tick: the rig is found as a run leaves it."""
 
 
 def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: tuple[Effect, ...] = ()) -> Record:
