@@ -9,7 +9,7 @@ from typing import Any
 from hil.bench.discovery import Finished, Size
 from hil.bench.discovery_score import Outcome, alike, risk_at_coverage, wilson
 from hil.bench.machine import median
-from hil.bench.report import Cell, Table
+from hil.bench.report import Cell, Table, number
 
 Z_EDGES = (0.0, 3.0, 6.0, 10.0, 20.0, 50.0, math.inf)
 COVERAGES = (0.25, 0.5, 0.75, 0.9, 1.0)
@@ -26,7 +26,7 @@ def tables(done: Sequence[Finished], size: Size) -> tuple[Table, ...]:
         t
         for t in (
             _scores(outcomes, how), _verdicts(outcomes), _numbers(outcomes), _by_z(outcomes), _risk(outcomes),
-            _ablations(done), _by_load(outcomes), _failures(outcomes, size),
+            _ablations(done), _by_load(outcomes), _failures(done, size),
         )
         if t.rows
     )  # fmt: skip
@@ -224,11 +224,13 @@ def failure(o: Outcome) -> str | None:
     return "equivalent only" if not o.top1 else "one too many" if not o.exact else None
 
 
-def _failures(outcomes: Sequence[Outcome], size: Size) -> Table:
-    rows = []
-    for o in outcomes:
+def _failures(done: Sequence[Finished], size: Size) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for f in done:
+        o = f.outcome
         if (what := failure(o)) is not None:
-            rows.append((o.case, what, o.what, o.load, o.verdict, o.said, o.z, o.z_truth, o.confidence))
+            each = [number(z) for z in (f.ablation or {}).get("z_truth", [])]
+            rows.append((o.case, what, o.what, o.load, o.verdict, o.said, o.z, " and ".join(each) or "-", o.confidence))
     columns = ("case", "failure", "truth", "load", "verdict", "answer", "z", "z of the truth", "confidence")
     how = "direct" if size.direct else "wire"
     again = f"one again: --{how} --hours {size.hours:g} --twin {size.twin} --case NUMBER, or --healthy-case NUMBER"
