@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import json
+import platform
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.rigfile import file_sha256
+from hil import __version__
 from hil.atomic import replacing
+from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
 from hil.record import Record, read_record
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.engine import Columns
@@ -123,6 +127,22 @@ def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path) -> 
     return save_revision(saved, twin)
 
 
+def provenance(files: dict[str, Path | None]) -> dict[str, object]:
+    """Hash of each file, versions, host and time."""
+    return {
+        "files": {
+            name: {"path": str(path), "sha256": file_sha256(path)} for name, path in files.items() if path is not None
+        },
+        "versions": {
+            "hil": __version__,
+            "python": platform.python_version(),
+            **{name: metadata.version(name) for name in ("numpy", "scipy", "numba", "pyarrow", "matplotlib")},
+        },
+        "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "host": platform.node(),
+    }
+
+
 def write_experiment(diagnosis: Diagnosis, out: Path) -> Path | None:
     """Write the next experiment as a load profile, `experiment.csv`; None where there is none."""
     plan = diagnosis.next_experiment
@@ -144,10 +164,11 @@ def write_experiment(diagnosis: Diagnosis, out: Path) -> Path | None:
     return path
 
 
-def write(diagnosis: Diagnosis, out: Path, extra: dict[str, object]) -> Path:
-    """Write `diagnosis.json` into the folder."""
+def write(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict[str, object]) -> Path:
+    """Write document, curves and page into the folder; returns the page. `sensors` are the twin's."""
+    from hil.diagnosis_page import write_page
+
     out.mkdir(parents=True, exist_ok=True)
-    path = out / "diagnosis.json"
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps({**diagnosis.document(), **extra}, indent=1) + "\n", encoding="utf-8")
-    return path
+    write_document({**diagnosis.document(), **extra}, out)
+    write_curves(curves_of(diagnosis, sensors), out / CURVES)
+    return write_page(out)

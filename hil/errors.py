@@ -24,7 +24,15 @@ def exit_code(error: BaseException) -> int | None:
     if isinstance(error, RunFolderError):
         return USAGE
     names = {kind.__name__ for kind in type(error).__mro__}
-    if names & {"ProfileError", "ScenarioError", "RecordError", "TwinFileError", "EffectFileError", "DiagnosingError"}:
+    if names & {
+        "ProfileError",
+        "ScenarioError",
+        "RecordError",
+        "TwinFileError",
+        "EffectFileError",
+        "DiagnosingError",
+        "DiagnosisFolderError",
+    }:
         return USAGE
     if names & {"VirtualRigError", "ViewerError"}:
         return FOUND

@@ -58,6 +58,11 @@ class RunFolder:
         return self.path / "report.html"
 
     @property
+    def diagnosis(self) -> Path:
+        """Folder with the diagnosis of the run, where there is one."""
+        return self.path / "diagnosis"
+
+    @property
     def manifest(self) -> Path:
         """Identity, hashes, versions and exit status."""
         return self.path / "run.json"

@@ -7,7 +7,7 @@ import contextlib
 import datetime
 import shutil
 import signal
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,8 +16,9 @@ from drivers.points import ConfigurationError
 from drivers.rig import RigConnection
 from drivers.rigfile import Rig, load_rig
 from hil.clock import Clock, LockstepClock, MonotonicClock
-from hil.engine import Engine, Outcome, Status
+from hil.engine import Engine, Outcome, Publisher, Status
 from hil.journal import Header, JournalWriter
+from hil.live_diagnosis import LiveConfig, LiveDiagnosis, Reply
 from hil.profile import Profile, SetpointLimit, read_profile, validate
 from hil.record import export_record
 from hil.run_folder import RunFolder, create_run_folder, new_manifest
@@ -39,7 +40,8 @@ class RunRequest:
     """What to run. `virtual` starts the virtual rig in place of the one at the rig file's addresses.
 
     `twin` None takes the twin that the rig file names, if any; `use_twin` False runs without one. `control` is the
-    control port of a virtual rig in lockstep that runs already, at the rig file's addresses.
+    control port of a virtual rig in lockstep that runs already, at the rig file's addresses. `diagnose_s`: seconds of
+    profile time between diagnoses of the record so far, against the record `healthy`; `adopt` saves what they find.
     """
 
     profile: Path
@@ -55,11 +57,14 @@ class RunRequest:
     viewer: bool | None = None
     use_twin: bool = True
     control: tuple[str, int] | None = None
+    diagnose_s: float | None = None
+    healthy: Path | None = None
+    adopt: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """A finished run: its folder, how it ended, the twins' errors and how fast it went."""
+    """A finished run: its folder, how it ended, the twins' errors, how fast it went, what the diagnosis said."""
 
     folder: RunFolder
     outcome: Outcome
@@ -67,6 +72,7 @@ class RunResult:
     duration_s: float
     wall_s: float
     viewed: bool
+    diagnosis: Reply | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +113,21 @@ def prepare(request: RunRequest) -> Prepared:
         raise ConfigurationError(
             "--with switches on effects in the virtual rig; give --virtual too, or take --with out"
         )
+    if request.diagnose_s is not None:
+        notes = [*notes, *_check_diagnosis(request, network)]
     return Prepared(rig, profile, twin, network, tuple(notes))
+
+
+def _check_diagnosis(request: RunRequest, network: Network | None) -> list[str]:
+    """Remarks on a diagnosis that is asked for; raises ConfigurationError or RecordError."""
+    if network is None:
+        raise ConfigurationError("--diagnose asks why a twin is wrong, and this run has none; take --no-twin out")
+    if request.healthy is None:
+        return ["--diagnose without --healthy takes the noise floor from the run itself: small effects are not seen"]
+    from hil.diagnosing import read_columns
+
+    read_columns(network, request.healthy, None)
+    return []
 
 
 def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:
@@ -149,6 +169,7 @@ async def run_session(
             "profile": request.profile,
             "twin": ready.twin,
             "effects": request.effects,
+            "healthy": request.healthy,
         },
         mode=request.mode,
         speed=request.speed,
@@ -191,13 +212,16 @@ async def _run_in(
         tracking = await _start_tracking(request, folder, ready, header, journal)
         if tracking is not None:
             stack.push_async_callback(tracking.close)
+        live = _start_diagnosis(request, folder, journal, announce)
+        if live is not None:
+            stack.push_async_callback(live.close)
         follower = await stack.enter_async_context(_live_review(request, folder, announce))
         engine = Engine(
             connection,
             clock,
             ready.profile,
             journal,
-            publisher=tracking,
+            publisher=_Publishers(tuple(p for p in (tracking, live) if p is not None)),
             observer=observer,
             lockstep=request.mode == "lockstep",
         )
@@ -207,6 +231,11 @@ async def _run_in(
         if tracking is not None and tracking.failure is not None:
             outcome.problems.append(f"the calibrators stopped: {tracking.failure}")
         wall_s = loop.time() - began
+        told = None
+        if live is not None:
+            announce("diagnosing the whole run (Ctrl-C skips it)")
+            with _interrupted(live.give_up):
+                told = await live.finish(folder.diagnosis)
         manifest |= {
             "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             "exit_status": outcome.status,
@@ -217,6 +246,7 @@ async def _run_in(
             "wall_s": round(wall_s, 2),
             "problems": outcome.problems,
             "errors_K": None if errors is None else asdict(errors),
+            "diagnosis": None if told is None or told.found is None else told.found.verdict,
         }
         journal.put_meta("exit_status", outcome.status)
         journal.put_meta("errors", manifest["errors_K"])
@@ -232,7 +262,7 @@ async def _run_in(
     from hil.report import write_report
 
     write_report(folder)
-    return RunResult(folder, outcome, errors, outcome.ticks * clock.period_s, wall_s, viewed=follower)
+    return RunResult(folder, outcome, errors, outcome.ticks * clock.period_s, wall_s, viewed=follower, diagnosis=told)
 
 
 @contextlib.asynccontextmanager
@@ -311,6 +341,28 @@ async def _start_tracking(
     return tracking
 
 
+@dataclass(frozen=True, slots=True)
+class _Publishers:
+    """Hands every block to several publishers."""
+
+    each: tuple[Publisher, ...]
+
+    async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
+        for publisher in self.each:
+            await publisher.publish(ticks, time_s, rows)
+
+
+def _start_diagnosis(
+    request: RunRequest, folder: RunFolder, journal: JournalWriter, announce: Callable[[str], None]
+) -> LiveDiagnosis | None:
+    if request.diagnose_s is None:
+        return None
+    config = LiveConfig(folder.twin, folder.journal, request.healthy, request.diagnose_s, request.adopt)
+    live = LiveDiagnosis(config, journal, announce)
+    live.start()
+    return live
+
+
 @contextlib.asynccontextmanager
 async def _live_review(request: RunRequest, folder: RunFolder, announce: Callable[[str], None]) -> AsyncIterator[bool]:
     """A viewer that follows the journal, where there is a display or one was asked for; yields whether it runs."""
@@ -328,6 +380,20 @@ async def _live_review(request: RunRequest, folder: RunFolder, announce: Callabl
         yield True
     finally:
         await asyncio.to_thread(follower.finish)
+
+
+@contextlib.contextmanager
+def _interrupted(callback: Callable[[], None]) -> Iterator[None]:
+    """Ctrl-C and SIGTERM call `callback`: what is derived after a run must not be lost to an impatient operator."""
+    loop = asyncio.get_running_loop()
+    numbers = signal.SIGINT, signal.SIGTERM
+    for number in numbers:
+        loop.add_signal_handler(number, callback)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            loop.remove_signal_handler(number)
 
 
 @contextlib.contextmanager

@@ -163,6 +163,12 @@ class LiveRun:
             out.print("The rig was NOT confirmed safe: look at it now.", style="bold red")
         for problem in outcome.problems:
             out.print(f"  {problem}", markup=False)
+        if result.diagnosis is not None:
+            told = result.diagnosis
+            said = f"no diagnosis: {told.problem}" if told.found is None else f"diagnosis: {told.found.sentence}"
+            out.print(said, soft_wrap=True, markup=False)
+            if told.page is not None:
+                out.print(f"page with pictures: {told.page}", soft_wrap=True)
         out.print(f"run folder: {result.folder.path}", soft_wrap=True)
         path = result.folder.path
         out.print(f"look at it: {invocation()} review {path}", soft_wrap=True)

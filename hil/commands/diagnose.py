@@ -29,6 +29,7 @@ STEPS = 4.0
 @click.option("--clock", help="Time of day at 0 s of the record, like 08:00, where the record does not tell.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")
 @click.option("--dry", is_flag=True, help="Propose only: no revision of the twin, no files.")
+@click.option("--review", is_flag=True, help="Also write diagnosis.rrd, and open it where there is a display.")
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
 def command(
     target: Path,
@@ -38,6 +39,7 @@ def command(
     clock: str | None,
     out: Path | None,
     dry: bool,
+    review: bool,
     as_json: bool,
 ) -> None:
     """Find the residual of RUN or RECORD, trace it to an effect that the twin lacks, and add that effect.
@@ -51,7 +53,16 @@ def command(
       hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet
       hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet --with experiment.parquet
     """
-    from hil.diagnosing import clock_of, read_columns, revise, subject_of, with_clock, write, write_experiment
+    from hil.diagnosing import (
+        clock_of,
+        provenance,
+        read_columns,
+        revise,
+        subject_of,
+        with_clock,
+        write,
+        write_experiment,
+    )
     from hil.terminal import Steps, console, invocation
     from twin.discovery.engine import diagnose
     from twin.network import TwinFileError
@@ -86,7 +97,11 @@ def command(
     }  # fmt: skip
     planned = None
     if not dry:
-        write(diagnosis, subject.out, extra)
+        files = {"record": subject.record, "twin": subject.twin, "healthy record": healthy}
+        files |= {f"later record {number}": path for number, path in enumerate(more, start=1)}
+        extra["provenance"] = provenance(files)
+        shown = write(diagnosis, told.sensor_names, subject.out, extra)
+        extra["page"] = str(shown)
         planned = write_experiment(diagnosis, subject.out)
     if as_json:
         click.echo(json.dumps({**diagnosis.document(), **extra}, indent=1))
@@ -98,10 +113,24 @@ def command(
         if revision:
             to.print(f"revision of the twin: {revision}", soft_wrap=True)
         if not dry:
-            to.print(f"results: {subject.out}", soft_wrap=True)
+            to.print(f"page with pictures: {shown}", soft_wrap=True)
         to.print(f"{time.monotonic() - began:.1f} s")
+    if review and not dry:
+        _review(subject.out, quiet=as_json)
     if diagnosis.verdict != "adequate":
         sys.exit(FOUND)
+
+
+def _review(folder: Path, *, quiet: bool) -> None:
+    from hil.diagnosis_store import REVIEW
+    from hil.review import has_display, show_review, write_findings_review
+    from hil.terminal import console
+
+    write_findings_review(folder, folder / REVIEW)
+    if has_display():
+        show_review(folder / REVIEW)
+    else:
+        console(quiet=quiet).print(f"for Rerun: {folder / REVIEW}", soft_wrap=True)
 
 
 def _show(to: Console, d: Diagnosis) -> None:

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 @click.option("--seed", default=0, show_default=True, help="Seed of the virtual rig and of the calibrators.")
 @click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
+@click.option("--diagnose", metavar="INTERVAL", help="Diagnose the record so far: hourly, 30min, 2h of profile time.")
+@click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, for --diagnose.")
+@click.option("--adopt", is_flag=True, help="Save a sure finding of --diagnose as the twin's next revision.")
 @click.option("--check-only", is_flag=True, help="Validate everything, move nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
@@ -48,6 +51,9 @@ def command(
     seed: int,
     runs: Path,
     viewer: bool | None,
+    diagnose: str | None,
+    healthy: Path | None,
+    adopt: bool,
     check_only: bool,
     as_json: bool,
 ) -> None:
@@ -59,13 +65,17 @@ def command(
     Example:
       hil run profiles/loads/battle_40h.csv --virtual --lockstep
       hil run my_load.csv --rig my_rig.toml --twin my_twin.toml
+      hil run my_load.csv --virtual --lockstep --diagnose hourly --healthy runs/<a healthy run>/record.parquet
     """
+    from hil.live_diagnosis import interval_of
     from hil.session import RunRequest, prepare, run_session
 
     if lockstep and speed is not None:
         raise click.UsageError("--lockstep and --speed exclude each other; choose one")
     if control is not None and virtual:
         raise click.UsageError("--control and --virtual exclude each other: one rig runs already, the other is started")
+    if diagnose is None and (healthy is not None or adopt):
+        raise click.UsageError("--healthy and --adopt belong to --diagnose; add --diagnose hourly")
     mode = "lockstep" if lockstep or control is not None else "scaled" if speed is not None else "real"
     request = RunRequest(
         profile=profile,
@@ -81,6 +91,9 @@ def command(
         calibrators=calibrators,
         viewer=viewer,
         control=None if control is None else _address(control),
+        diagnose_s=None if diagnose is None else interval_of(diagnose),
+        healthy=healthy,
+        adopt=adopt,
     )
     if check_only:
         ready = prepare(request)

@@ -4,7 +4,7 @@ The review follows the journal and never the engine, so a live run is not delaye
 the file can be made again at any time. Only `hil.review.rerun_io` imports rerun.
 """
 
-from hil.review.follower import follow, write_review
+from hil.review.follower import follow, write_findings_review, write_review
 from hil.review.rerun_io import read_columns, read_words
 from hil.review.show import Follower, follow_review, screenshot, screenshot_review, show_review, start_follower
 from hil.review.viewer import Viewer, ViewerError, has_display, open_viewer
@@ -23,5 +23,6 @@ __all__ = [
     "screenshot_review",
     "show_review",
     "start_follower",
+    "write_findings_review",
     "write_review",
 ]

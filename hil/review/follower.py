@@ -10,8 +10,11 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from hil.atomic import replacing
+from hil.diagnosis_store import Findings, read_findings
 from hil.journal import JournalError, JournalReader
 from hil.review.collect import Batch, Collector, merged
+from hil.review.findings import batches, findings_beside, notes, plan_alone, with_findings
+from hil.review.plan import Plan
 from hil.review.rerun_io import Recording
 from hil.review.viewer import listens
 
@@ -106,6 +109,26 @@ def write_review(journal: Path, rrd: Path) -> None:
     follow(journal, rrd=rrd, viewer=None, stop=lambda: True)
 
 
+def write_findings_review(folder: Path, rrd: Path) -> None:
+    """Write the diagnosis in a results folder to `rrd`, whole or not at all; raises DiagnosisFolderError or OSError."""
+    found = read_findings(folder)
+    name = folder.resolve().name
+    plan = plan_alone(found, name)
+    with replacing(rrd) as path:
+        recording = Recording(plan, name, path=path)
+        _send_findings(recording, found, plan)
+        recording.layout(plan, plan.header.duration_s)
+        recording.close()
+
+
+def _send_findings(recording: Recording, found: Findings, plan: Plan) -> None:
+    recording.extend(plan)
+    for entity, markdown in notes(found).items():
+        recording.note(entity, markdown)
+    for batch in batches(found):
+        recording.send(batch)
+
+
 def follow(
     journal: Path,
     *,
@@ -142,7 +165,12 @@ def follow(
                 time.sleep(poll_s)
         finally:
             if recording is not None and file is not None:
-                recording.layout(collector.plan, collector.end_s or collector.plan.header.duration_s)
+                plan = collector.plan
+                found = findings_beside(journal)
+                if found is not None:
+                    plan = with_findings(plan, found)
+                    _send_findings(recording, found, plan)
+                recording.layout(plan, collector.end_s or plan.header.duration_s)
                 file.close()
             if screen is not None:
                 screen.close()

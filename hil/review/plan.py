@@ -109,13 +109,15 @@ class Stack:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All looks and the tabs; `actuators` and `others` say which columns of a sample row go to which entity."""
+    """All looks and the tabs; `columns_of` says which columns of a sample row go to which entity, `colours` how
+    estimates that belong to no twin are drawn."""
 
     header: Header
     lines: tuple[Lines, ...]
     lanes: tuple[Lane, ...]
     tabs: tuple[Stack, ...]
     columns_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    colours: dict[str, Colour] = field(default_factory=dict)
 
 
 def path(*parts: str) -> str:

@@ -16,7 +16,7 @@ from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from hil.review.collect import Batch, Estimates, Rows, States, Texts
-from hil.review.plan import NEUTRAL, Panel, Plan, Stack, colour_key, symbol, twin_colours
+from hil.review.plan import NEUTRAL, Colour, Panel, Plan, Stack, colour_key, symbol, twin_colours
 
 TIMELINE = "test_time"
 _SETTLED = 3
@@ -35,7 +35,9 @@ class Recording:
         self._stream.send_recording_name(name)
         self._header = plan.header
         self._live = url is not None
+        self._colours: dict[str, Colour] = {}
         self._looks(plan)
+        self._stream.log("/key", rr.TextDocument(colour_key(plan.header.twin_names)), static=True)
         self._plan: Plan | None = None
         self._units: set[str] = set()
 
@@ -49,7 +51,16 @@ class Recording:
         """The plan whose layout was sent last."""
         return self._plan
 
+    def extend(self, plan: Plan) -> None:
+        """Looks of entities that a plan has since come to hold; `layout` shows them."""
+        self._looks(plan)
+
+    def note(self, entity: str, markdown: str) -> None:
+        """A text that holds at all times."""
+        self._stream.log(entity, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN), static=True)
+
     def _looks(self, plan: Plan) -> None:
+        self._colours |= plan.colours
         for lines in plan.lines:
             looks = rr.SeriesLines(
                 names=lines.names,
@@ -59,7 +70,6 @@ class Recording:
                 interpolation_mode="StepAfter" if lines.steps else "Linear",
             )
             self._stream.log(lines.entity, looks, static=True)
-        self._stream.log("/key", rr.TextDocument(colour_key(plan.header.twin_names)), static=True)
         for lane in plan.lanes:
             states = list(lane.colours)
             colours = rr.StateConfiguration(values=states, labels=states, colors=list(lane.colours.values()))
@@ -74,7 +84,7 @@ class Recording:
                 self._stream.send_columns(entity, times, columns.partition([values.shape[1]] * len(time_s)))
             case Estimates(entity, name, unit, _, values, variances):
                 if entity not in self._units:
-                    colour = twin_colours(self._header.twin_names).get(name, NEUTRAL)
+                    colour = self._colours.get(entity) or twin_colours(self._header.twin_names).get(name, NEUTRAL)
                     looks = rr.Measurements.from_fields(names=[name], units=[symbol(unit)], colors=[colour])
                     self._stream.log(entity, looks, static=True)
                     self._units.add(entity)

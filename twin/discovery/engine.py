@@ -11,13 +11,12 @@ from numpy.typing import ArrayLike
 from twin.commission import _inflation as inflation
 from twin.commission import weak_prior
 from twin.discovery import noise as noises
-from twin.discovery.catalogue import catalogue
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Diagnosis, Rung, SensorError
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.forecast import from_the_start
 from twin.discovery.grid import Grid, bridged, filled, on_grid
-from twin.discovery.laws import Law, laws
+from twin.discovery.laws import Book, Law
 from twin.discovery.members import Members, members
 from twin.discovery.model import Model
 from twin.discovery.probe import Probe, Run, posterior
@@ -68,6 +67,7 @@ class Basis:
     """What is known before the record is looked at."""
 
     probe: Probe
+    book: Book
     noise: noises.Noise
     prior: Prior
     source: str
@@ -83,7 +83,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
     ids = network.tunables("commission" if "commission" in network.sets else None)
     if not ids:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
-    probe = Probe(network, ids)
+    probe, book = Probe(network, ids), Book(network)
     if healthy is not None:
         grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
         state, _, residual, good = _free_run(probe, grid)
@@ -99,7 +99,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         learned = noises.learn(residual, grid.sigma, grid.step_s)
         if learned.step_s != record.step_s:
             learned = learned.at_step(record.step_s)
-        return Basis(probe, learned, known, "the healthy record", ())
+        return Basis(probe, book, learned, known, "the healthy record", ())
     state, _, residual, good = _free_run(probe, record)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)
     learned = noises.learn(residual, record.sigma, record.step_s)
@@ -107,13 +107,15 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         "no healthy record was given: the noise floor is taken from this record itself, so small effects are not seen "
         "and parameters are trusted less; give --healthy for a sharper answer"
     )
-    return Basis(probe, _from_itself(probe, record, state, learned, prior), prior, "the record itself", (warning,))
+    return Basis(
+        probe, book, _from_itself(probe, book, record, state, learned, prior), prior, "the record itself", (warning,)
+    )
 
 
-def _from_itself(probe: Probe, grid: Grid, state: Array, noise: noises.Noise, prior: Prior) -> noises.Noise:
+def _from_itself(probe: Probe, book: Book, grid: Grid, state: Array, noise: noises.Noise, prior: Prior) -> noises.Noise:
     """Noise of what is left after the best three hypotheses have taken what they can, twice."""
     run = probe.run(grid, state)
-    candidates = laws(probe.network, catalogue(probe.network), grid, run)
+    candidates = book.laws(grid, run)
     for _ in range(2):
         contest = Contest(probe, grid, state, run, noise, prior)
         chosen: list[Array] = []
@@ -226,7 +228,7 @@ class _Part:
     def of(cls, known: Basis, grid: Grid) -> _Part:
         state, run, _, _ = _free_run(known.probe, grid)
         contest = Contest(known.probe, grid, state, run, known.noise, known.prior)
-        found = laws(known.probe.network, catalogue(known.probe.network), grid, run)
+        found = known.book.laws(grid, run)
         entries = [refine(contest, e) for e in scan(contest, found)[: 4 * FINALISTS]]
         entries.sort(key=lambda e: -e.gain)
         return cls(known, grid, state, run, contest, found, entries)

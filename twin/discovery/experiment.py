@@ -13,6 +13,7 @@ import numpy as np
 
 from twin.discovery.forecast import from_the_start, separation
 from twin.discovery.grid import Grid
+from twin.discovery.laws import Book
 from twin.discovery.noise import Noise
 from twin.discovery.probe import Probe
 from twin.discovery.search import Entry
@@ -38,7 +39,7 @@ class Experiment:
 
 
 def propose(
-    probe: Probe, noise: Noise, prior: Prior, grid: Grid, entries: tuple[Entry, ...], seed: int = 0
+    probe: Probe, book: Book, noise: Noise, prior: Prior, grid: Grid, entries: tuple[Entry, ...], seed: int = 0
 ) -> Experiment | None:
     """The best sequence of the library for telling the entries apart; None where no sequence does.
 
@@ -63,7 +64,7 @@ def propose(
         hottest = float(probe.run(plan, state).readings.max())
         if hottest > limit:
             continue
-        difference = separation(probe, noise, prior, plan, now, state)
+        difference = separation(probe, book, noise, prior, plan, now, state)
         if best is None or difference > best.difference:
             why = f"expected difference {difference:.0f} in weighted squares, hottest reading {hottest:.0f} degC"
             best = Experiment(name, tuple(steps), difference, hottest, why)

@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.discovery.catalogue import catalogue
 from twin.discovery.contest import Contest
 from twin.discovery.grid import Grid
-from twin.discovery.laws import laws
+from twin.discovery.laws import Book
 from twin.discovery.noise import Noise
 from twin.discovery.probe import Probe
 from twin.discovery.search import Entry
@@ -51,7 +50,7 @@ def planned(probe: Probe, grid: Grid, state: Array | None = None) -> tuple[Grid,
     return replace(grid, measured=probe.run(grid, start).readings), start
 
 
-def forecast(probe: Probe, noise: Noise, prior: Prior, grid: Grid, state: Array | None = None) -> Forecast:
+def forecast(probe: Probe, book: Book, noise: Noise, prior: Prior, grid: Grid, state: Array | None = None) -> Forecast:
     """What inputs like the grid's could show.
 
     Args:
@@ -60,13 +59,13 @@ def forecast(probe: Probe, noise: Noise, prior: Prior, grid: Grid, state: Array 
     own, start = planned(probe, grid, state)
     run = probe.run(own, start)
     contest = Contest(probe, own, start, run, noise, prior)
-    found = laws(probe.network, catalogue(probe.network), own, run)
+    found = book.laws(own, run)
     vectors = np.stack([contest.vector(law) for law in found])
     flat = vectors.reshape(len(found), -1)
     gram = flat @ contest.gram @ flat.T
     norm = np.sqrt(np.maximum(np.diag(gram), 0.0))
     bare = np.sqrt(np.maximum(contest.bare(flat), 1e-30))
-    seen, unseen = [], [c for c in catalogue(probe.network) if c.id not in {law.candidate.id for law in found}]
+    seen, unseen = [], [c for c in book.candidates if c.id not in {law.candidate.id for law in found}]
     for law, n, b in zip(found, norm, bare, strict=True):
         c = law.candidate
         least = SEEN / n if n > 0.0 else np.inf
@@ -87,14 +86,16 @@ def forecast(probe: Probe, noise: Noise, prior: Prior, grid: Grid, state: Array 
     return Forecast(tuple(seen), tuple(unseen), tuple(confused))
 
 
-def separation(probe: Probe, noise: Noise, prior: Prior, grid: Grid, entries: tuple[Entry, ...], state: Array) -> float:
+def separation(
+    probe: Probe, book: Book, noise: Noise, prior: Prior, grid: Grid, entries: tuple[Entry, ...], state: Array
+) -> float:
     """Least expected difference in weighted squares between two of the entries, each taken as true in turn, if the
     record were to be made with the grid's inputs: z_i^2 (1 - rho_ij^2) (Atkinson & Fedorov, Biometrika 62 (1975) 57).
     """
     own, start = planned(probe, grid, state)
     run = probe.run(own, start)
     contest = Contest(probe, own, start, run, noise, prior)
-    by_id = {law.candidate.id: law for law in laws(probe.network, tuple(e.candidate for e in entries), own, run)}
+    by_id = {law.candidate.id: law for law in book.laws(own, run, tuple(e.candidate for e in entries))}
     if any(e.candidate.id not in by_id for e in entries):
         return 0.0
     vectors = np.stack([contest.vector(by_id[e.candidate.id]) * e.size for e in entries])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.discovery.catalogue import extended, sized
+from twin.discovery.catalogue import catalogue, extended, sized
 from twin.discovery.formulas import Formulas, follow
 from twin.discovery.grid import Grid, filled
 from twin.discovery.probe import Run
@@ -40,25 +40,45 @@ def temperatures(network: Network, grid: Grid, run: Run) -> Array:
     return known
 
 
-def laws(network: Network, candidates: tuple[Candidate, ...], grid: Grid, run: Run) -> list[Law]:
-    """The laws of those candidates that do anything on this record."""
-    known = temperatures(network, grid, run)
-    base = Formulas(network).heats(known, grid.inputs, network.values, grid.step_s)
-    found = []
-    for candidate in candidates:
-        if candidate.kind == "sensor" and not candidate.adds:
-            law = Law(candidate, None, _reading(network, candidate, grid, run))
-        elif candidate.kind == "delay":
-            law = Law(candidate, _delay(network, candidate, grid, known, base), None)
-        else:
-            bigger = extended(network, candidate)
-            changed = bigger.with_values(sized(bigger, candidate, candidate.typical))
-            heat = Formulas(changed).heats(known, grid.inputs, changed.values, grid.step_s)
-            law = Law(candidate, (heat - base) / candidate.typical, None)
-        size = law.heat if law.heat is not None else law.reading
-        if size is not None and np.isfinite(size).all() and float(np.abs(size).max()) * candidate.typical > LEAST_W:
-            found.append(law)
-    return found
+class Book:
+    """The candidates of a network with their formulas, which are made once for all records."""
+
+    def __init__(self, network: Network) -> None:
+        self.network = network
+        self.candidates = catalogue(network)
+        self._base = Formulas(network)
+        self._made: dict[str, Formulas] = {}
+
+    def _formulas(self, candidate: Candidate, changed: Network) -> Formulas:
+        """Formulas of the network with a candidate; those that add the same elements share them."""
+        if not candidate.adds and not candidate.replaces:
+            return self._base
+        key = repr((sorted(candidate.adds.items()), sorted(candidate.replaces.items())))
+        if key not in self._made:
+            self._made[key] = Formulas(changed)
+        return self._made[key]
+
+    def laws(self, grid: Grid, run: Run, only: tuple[Candidate, ...] | None = None) -> list[Law]:
+        """The laws of the candidates that do anything on this record; `only` of some of them."""
+        network = self.network
+        known = temperatures(network, grid, run)
+        base = self._base.heats(known, grid.inputs, network.values, grid.step_s)
+        found = []
+        for candidate in self.candidates if only is None else only:
+            if candidate.kind == "sensor" and not candidate.adds:
+                law = Law(candidate, None, _reading(network, candidate, grid, run))
+            elif candidate.kind == "delay":
+                law = Law(candidate, _delay(network, self._base, candidate, grid, known, base), None)
+            else:
+                bigger = extended(network, candidate)
+                changed = bigger.with_values(sized(bigger, candidate, candidate.typical))
+                formulas = self._formulas(candidate, changed)
+                heat = formulas.heats(known, grid.inputs, changed.values, grid.step_s)
+                law = Law(candidate, (heat - base) / candidate.typical, None)
+            size = law.heat if law.heat is not None else law.reading
+            if size is not None and np.isfinite(size).all() and float(np.abs(size).max()) * candidate.typical > LEAST_W:
+                found.append(law)
+        return found
 
 
 def _reading(network: Network, candidate: Candidate, grid: Grid, run: Run) -> Array:
@@ -81,7 +101,7 @@ def _reading(network: Network, candidate: Candidate, grid: Grid, run: Run) -> Ar
     return out * weight
 
 
-def _delay(network: Network, candidate: Candidate, grid: Grid, known: Array, base: Array) -> Array:
+def _delay(network: Network, formulas: Formulas, candidate: Candidate, grid: Grid, known: Array, base: Array) -> Array:
     """Heat that a further volume of pipe keeps from arriving: what the water before it was, a delay ago."""
     (name, _), *_ = candidate.changes.items()
     pipe = name.split(".")[0]
@@ -99,6 +119,6 @@ def _delay(network: Network, candidate: Candidate, grid: Grid, known: Array, bas
     size = candidate.typical
     when = np.interp(passed - size, passed + 1e-9 * np.arange(len(passed)), grid.time)
     late[:, k] = np.interp(when, grid.time, known[:, k])
-    heat = (Formulas(network).heats(late, grid.inputs, network.values, grid.step_s) - base) / size
+    heat = (formulas.heats(late, grid.inputs, network.values, grid.step_s) - base) / size
     heat[:, k] = 0.0
     return heat

@@ -16,7 +16,8 @@ from twin.network import Array
 MOST_EFFECTS = 3
 LAST_SHARE = 0.95
 """Onsets are looked for up to this share of the record; an effect needs some time to show."""
-PAIRS_OF = 12
+WORTH_GROWING = 4.0
+"""Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
 _TINY = 1e-12
 
 
@@ -75,33 +76,55 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
         given: vectors (e, sites, b) of effects that are already known; their sizes are fitted along.
     """
     edges_s = contest.edges * contest.grid.step_s
-    last = max(int(contest.b * LAST_SHARE), 1)
-    onsets = edges_s[:last]
-    found: list[Entry] = []
-    courses = {
-        (name, growth): np.stack([Shape(name, float(t), growth).block_means(edges_s) for t in onsets], axis=1)
-        for name in ("step", "ramp", "saturating")
+    onsets = edges_s[: max(int(contest.b * LAST_SHARE), 1)]
+    steps = np.stack([Shape("step", float(t)).block_means(edges_s) for t in onsets], axis=1)
+    # Growth begins so gently that every third block is enough; `refine` looks between them.
+    grown = [
+        Shape(name, float(t), growth)
+        for name in ("ramp", "saturating")
         for growth in family(name, float(edges_s[-1]))
-    }
+        for t in onsets[::3]
+    ]
+    courses = np.stack([shape.block_means(edges_s) for shape in grown], axis=1)
+    found: list[Entry] = []
     for law in laws:
         p = contest.vector(law)
         gram, score = _less_given(contest, p, given)
-        for name in law.candidate.shapes:
-            for growth in family(name, float(edges_s[-1])):
-                course = courses[name, growth]
-                top = score @ course
-                bottom = np.einsum("ij,ij->j", course, gram @ course)
-                bottom = np.maximum(bottom, _TINY * max(float(np.diag(gram).sum()), _TINY))
-                size = top / bottom
-                gain = np.where((size >= law.candidate.lower) & (size <= law.candidate.upper), top**2 / bottom, 0.0)
-                j = int(np.argmax(gain))
-                if gain[j] <= 0.0:
-                    continue
-                shape = Shape(name, float(onsets[j]), growth)
-                vector = p * course[:, j]
-                found.append(Entry(law, shape, vector, float(size[j]), float(bottom[j] ** -0.5), float(gain[j])))
+        least = _TINY * max(float(np.diag(gram).sum()), _TINY)
+        bottom = np.maximum(_late_sums(gram)[: len(onsets)], least)
+        size, gain = _gains(law, score @ steps, bottom)
+        best = int(np.argmax(gain))
+        if gain[best] > 0.0:
+            vector = p * steps[:, best]
+            found.append(_entry(law, Shape("step", float(onsets[best])), vector, size[best], bottom[best], gain[best]))
+        if law.candidate.shapes == ("step",) or gain[best] < WORTH_GROWING:
+            continue
+        bottom = np.maximum((courses * (gram @ courses)).sum(axis=0), least)
+        size, gain = _gains(law, score @ courses, bottom)
+        for first in range(0, len(grown), len(onsets[::3])):
+            best = first + int(np.argmax(gain[first : first + len(onsets[::3])]))
+            if gain[best] > 0.0:
+                found.append(_entry(law, grown[best], p * courses[:, best], size[best], bottom[best], gain[best]))
     found.sort(key=lambda e: -e.gain)
     return found
+
+
+def _gains(law: Law, top: Array, bottom: Array) -> tuple[Array, Array]:
+    """Sizes and gains of courses with scores `top` and squares `bottom`; none where the size is impossible."""
+    size = top / bottom
+    inside = (size >= law.candidate.lower) & (size <= law.candidate.upper)
+    gain: Array = np.where(inside, top * size, 0.0)
+    return size, gain
+
+
+def _entry(law: Law, shape: Shape, vector: Array, size: float, bottom: float, gain: float) -> Entry:
+    return Entry(law, shape, vector, float(size), float(bottom) ** -0.5, float(gain))
+
+
+def _late_sums(gram: Array) -> Array:
+    """Squares (b,) of steps that begin with each block: sums of the lower right corners of a Gram matrix (b, b)."""
+    sums: Array = np.diag(gram[::-1, ::-1].cumsum(axis=0).cumsum(axis=1))[::-1]
+    return sums
 
 
 def _less_given(contest: Contest, p: Array, given: Array | None) -> tuple[Array, Array]:

@@ -231,7 +231,7 @@ def _experiment(finding: Finding, known: Basis, grid: Grid) -> dict[str, Any]:
             best.append(e)
     if len(best) < 2:
         return {"possible": False, "why": "only one cause is left in the set"}
-    found = propose(known.probe, known.noise, known.prior, grid, tuple(best[:4]))
+    found = propose(known.probe, known.book, known.noise, known.prior, grid, tuple(best[:4]))
     if found is None:
         return {
             "possible": False,

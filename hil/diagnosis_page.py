@@ -1,0 +1,293 @@
+"""`diagnosis.html`: why the twin was wrong, as one file that needs nothing else, made from the results folder."""
+
+from __future__ import annotations
+
+import base64
+import html
+from pathlib import Path
+from typing import Any
+
+from hil.atomic import replacing
+from hil.diagnosis_pictures import after_label, pictures, plain
+from hil.diagnosis_store import PAGE, Findings, read_findings
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
+h1 { font-size: 1.05rem; font-weight: 600; color: #5b636b; margin-bottom: .6rem }
+h2 { font-size: 1.15rem; margin: 2.4rem 0 .3rem } h3 { font-size: 1rem; margin: 1.6rem 0 .2rem }
+img { width: 100%; display: block }
+.verdict { border-left: .5rem solid #0072B2; background: #f3f6f9; padding: .9rem 1.2rem }
+.verdict b { text-transform: uppercase; letter-spacing: .06em; font-size: .85rem }
+.verdict p { font-size: 1.15rem; margin: .3rem 0 0 }
+.adequate { border-color: #009E73 } .ambiguous { border-color: #E69F00 } .unexplained { border-color: #D55E00 }
+.cards { display: flex; flex-wrap: wrap; gap: .8rem; margin: 1rem 0 }
+.cards div { flex: 1 1 10rem; border: 1px solid #d8dce0; border-radius: .4rem; padding: .5rem .8rem }
+.cards span { color: #5b636b; font-size: .82rem; display: block } .cards b { font-size: 1.15rem }
+.cards i { font-style: normal; color: #5b636b; font-size: .85rem; display: block }
+table { border-collapse: collapse; font-size: .92rem; margin: .5rem 0 }
+td, th { padding: .25rem .8rem .25rem 0; border-bottom: 1px solid #d8dce0; text-align: left; vertical-align: top }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums } tr.far td { font-weight: 600 }
+td { overflow-wrap: anywhere } th { color: #5b636b; font-weight: 600 }
+p.note { color: #5b636b; font-size: .9rem; margin: .2rem 0 .4rem } p.warn { color: #8a5a00; font-weight: 600 }
+nav { font-size: .9rem; margin: .6rem 0 } nav a { color: #0072B2; margin-right: 1rem }
+@media print { h2 { break-after: avoid } img { break-inside: avoid } nav { display: none } }
+"""
+_FAR_SD = 3.0
+
+
+def write_page(folder: Path) -> Path:
+    """Write `diagnosis.html` from the folder's results; raises DiagnosisFolderError where there are none."""
+    path = folder / PAGE
+    text = page(read_findings(folder))
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def page(findings: Findings) -> str:
+    """The whole page."""
+    d = findings.document
+    drawn = pictures(findings)
+    subject = Path(str(d.get("record") or "record"))
+    title = html.escape(f"Diagnosis of {subject.parent.name}/{subject.name}" if subject.parent.name else subject.name)
+    body = [
+        f"<h1>{title}</h1>",
+        _verdict(d),
+        _cards(d),
+        _experiment(d),
+        _section("Residual", drawn, "residuals", _residual_note(d)),
+        _section("Where the unknown acts", drawn, "unknowns", _UNKNOWN_NOTE),
+        _section("Evidence", drawn, "ladder", _LADDER_NOTE),
+        _section("Explanations", drawn, "others", _others_note(d)),
+        _section("Error on data that no fit saw", drawn, "errors", _errors_note(d)),
+        _section("What re-tuning alone had to bend", drawn, "tunables", _TUNABLES_NOTE),
+        "<h2>Tables</h2>",
+        _effects(d),
+        _alternatives(d),
+        _error_table(d),
+        _tunable_table(d),
+        _lists(d),
+        _provenance(d),
+    ]
+    head = (
+        f"<!doctype html><html lang=en><head><meta charset=utf-8><title>{title}</title><style>{_STYLE}</style></head>"
+    )
+    return head + "<body>" + "\n".join(part for part in body if part) + "</body></html>\n"
+
+
+_UNKNOWN_NOTE = (
+    "No catalogue of effects is used here: each curve is the power (or the thermometer's offset) that would have to "
+    "act at that one place to explain the record. The place where one curve explains the record best is blue."
+)
+_LADDER_NOTE = (
+    "Left: the misfit of the twin with each effect that was added, the dotted line is what noise alone leaves. Right: "
+    "how strongly one more effect would be called for."
+)
+_TUNABLES_NOTE = (
+    "A twin without the effect imitates it by moving its own parameters. Far outside the grey band means: further than "
+    "commissioning leaves room for."
+)
+
+
+def _residual_note(d: dict[str, Any]) -> str:
+    return (
+        "Measured minus the free-running twin. The grey band is what a twin in good order leaves; on the right the "
+        f"same, {after_label(d)}, on a scale of its own."
+    )
+
+
+def _others_note(d: dict[str, Any]) -> str:
+    if d["indistinguishable"]:
+        told = (
+            "Orange explanations fit as well: what this record cannot tell from the answer. Grey ones were ruled out. "
+        )
+    else:
+        told = "What was tried, and why it was ruled out. "
+    return told + "The answer's confidence is that of its kind and place, whatever it follows."
+
+
+def _errors_note(d: dict[str, Any]) -> str:
+    low, high = (_hours(s) for s in d["error"]["held_out_s"])
+    return (
+        f"Free runs, never one step ahead; scored from {low} to {high}, which was split off before any fit. Re-tuned: "
+        "the twin's own parameters fitted anew without any new term, so that re-tuning is not credited to the effect."
+    )
+
+
+def _section(title: str, drawn: dict[str, str], name: str, note: str) -> str:
+    if name not in drawn:
+        return ""
+    data = base64.b64encode(drawn[name].encode()).decode()
+    picture = f'<img id="{name}" alt="{html.escape(title)}" src="data:image/svg+xml;base64,{data}">'
+    return f"<h2>{html.escape(title)}</h2><p class=note>{html.escape(note)}</p>{picture}"
+
+
+def _verdict(d: dict[str, Any]) -> str:
+    name = str(d["verdict"])
+    warnings = "".join(f"<p class=warn>{html.escape(text)}</p>" for text in d["warnings"])
+    kind = html.escape(name.replace(" ", "-"))
+    return (
+        f'<div class="verdict {kind}"><b>{html.escape(name)}</b><p>{html.escape(d["summary"])}</p></div>{warnings}'
+        + "".join(f"<p class=note>{html.escape(text)}</p>" for text in d["notes"])
+    )
+
+
+def _cards(d: dict[str, Any]) -> str:
+    cards: list[tuple[str, str, str]] = []
+    for e in d["effects"]:
+        low, high = e["interval90"]
+        label = "What" if len(d["effects"]) == 1 else plain(e)
+        cards.append((label, f"{_number(e['value'])} {e['unit']}", f"90 %: {_number(low)} to {_number(high)}"))
+        cards.append(("Where", e["where"].replace("_", " "), f"{e['kind']}, {e['driver']}".replace("_", " ")))
+        onset_low, onset_high = e["onset_interval90_s"]
+        spread = f"90 %: {_hours(onset_low)} to {_hours(onset_high)}" if onset_high - onset_low >= 60.0 else e["shape"]
+        cards.append(("Since", _hours(e["onset_s"]) if e["onset_s"] > 60.0 else "the beginning", spread))
+    sensors = d["error"]["sensors"]
+    if sensors:
+        worst = max(sensors, key=lambda name: (sensors[name]["before"] or 0.0) / (sensors[name]["noise"] or 1.0))
+        e = sensors[worst]
+        value, beside = f"{_number(e['stale'])} K", f"re-tuned {_number(e['before'])}"
+        if after_label(d) == "with the effect":
+            value, beside = f"{_number(e['before'])} → {_number(e['after'])} K", f"as it was {_number(e['stale'])}"
+        cards.append((f"{worst}, held out", value, f"{beside}, noise {_number(e['noise'])} K"))
+    cells = (
+        f"<div><span>{html.escape(a)}</span><b>{html.escape(b)}</b><i>{html.escape(c)}</i></div>" for a, b, c in cards
+    )
+    return f"<div class=cards>{''.join(cells)}</div>" if cards else ""
+
+
+def _table(head: list[str], rows: list[list[str]], numbers: int = 0, far: tuple[bool, ...] = ()) -> str:
+    """A table; the last `numbers` columns are right-aligned, rows marked `far` are bold."""
+    first = len(head) - numbers
+
+    def cells(tag: str, row: list[str]) -> str:
+        return "".join(
+            f"<{tag}{' class=n' if i >= first else ''}>{html.escape(cell)}</{tag}>" for i, cell in enumerate(row)
+        )
+
+    marks = far or (False,) * len(rows)
+    lines = (
+        f"<tr{' class=far' if mark else ''}>{cells('td', row)}</tr>" for row, mark in zip(rows, marks, strict=True)
+    )
+    return f"<table><tr>{cells('th', head)}</tr>{''.join(lines)}</table>"
+
+
+def _effects(d: dict[str, Any]) -> str:
+    if not d["effects"]:
+        return ""
+    rows = []
+    for e in d["effects"]:
+        low, high = e["interval90"]
+        early, late = e["onset_interval90_s"]
+        rows.append(
+            [
+                e["kind"].replace("_", " "), e["where"], e["driver"].replace("_", " "), e["change"], e["shape"],
+                f"{_number(e['value'])} {e['unit']}", f"{_number(low)} to {_number(high)}",
+                _hours(e["onset_s"]), f"{_hours(early)} to {_hours(late)}",
+                _number(e["confidence"]), _number(e["z"]),
+            ]
+        )  # fmt: skip
+    head = ["kind", "where", "driver", "change", "shape", "size", "90 %", "since", "90 %", "confidence", "z"]
+    said = "".join(f"<p class=note>{html.escape(e['evidence'])}</p>" for e in d["effects"])
+    return f"<h3>Effects</h3>{_table(head, rows, 6)}{said}"
+
+
+def _alternatives(d: dict[str, Any]) -> str:
+    rows = [[plain(a), _share(a), "this record cannot tell it from the answer"] for a in d["indistinguishable"]]
+    rows += [[plain(a), _share(a), a["why_not"]] for a in d["alternatives"]]
+    return f"<h3>Other explanations</h3>{_table(['explanation', 'confidence', 'why not'], rows)}" if rows else ""
+
+
+def _share(a: dict[str, Any]) -> str:
+    share = a["confidence"] or 0.0
+    return f"{100.0 * share:.0f} %" if share >= 0.005 else "0" if share == 0.0 else "< 1 %"
+
+
+def _error_table(d: dict[str, Any]) -> str:
+    kinds = {"stale": "as it was", "before": "re-tuned"}
+    if after_label(d) != "re-tuned":
+        kinds["after"] = after_label(d)
+    rows = []
+    for name, e in d["error"]["sensors"].items():
+        means = e["ten_second_means"]
+        cells = [e[k] for k in kinds] + [e["noise"]] + [means[k] for k in kinds]
+        rows.append([name, *(_number(cell) for cell in cells)])
+    head = ["sensor", *kinds.values(), "noise", *(f"{label}, 10 s means" for label in kinds.values())]
+    return f"<h3>RMSE in K, held out</h3>{_table(head, rows, len(head) - 1)}" if rows else ""
+
+
+def _tunable_table(d: dict[str, Any]) -> str:
+    beside = after_label(d) != "re-tuned"
+    rows, far = [], []
+    for m in d["tunables_moved"]:
+        rows.append(
+            [
+                m["parameter"], m["unit"], _number(m["commissioned"]),
+                _number(m["before"]), _number(m["before_sd"], "+.1f"),
+                *((_number(m["after"]), _number(m["after_sd"], "+.1f")) if beside else ()),
+            ]
+        )  # fmt: skip
+        far.append(max(abs(m["before_sd"] or 0.0), abs(m["after_sd"] or 0.0)) > _FAR_SD)
+    head = ["parameter", "unit", "commissioned", "re-tuned alone", "in sd"]
+    head += [after_label(d), "in sd"] if beside else []
+    note = "<p class=note>Bold: more than three standard deviations of commissioning.</p>"
+    return f"<h3>Tunables</h3>{_table(head, rows, len(head) - 2, tuple(far))}{note}" if rows else ""
+
+
+def _lists(d: dict[str, Any]) -> str:
+    parts = []
+    if d["description"]:
+        rows = [[key.replace("_", " "), _said(value)] for key, value in d["description"].items()]
+        parts.append(f"<h3>The unknown in numbers</h3>{_table(['', ''], rows)}")
+    if d["blind_spots"]:
+        items = "".join(f"<li>{html.escape(text)}</li>" for text in d["blind_spots"])
+        parts.append(f"<h3>Blind spots of this record</h3><ul>{items}</ul>")
+    return "".join(parts)
+
+
+def _experiment(d: dict[str, Any]) -> str:
+    """What to run next, where the record leaves a question open."""
+    plan = d["next_experiment"]
+    if not plan:
+        return ""
+    why = f"<p>{html.escape(str(plan['why']))}</p>" if plan.get("why") else ""
+    steps = plan.get("steps") or ()
+    columns = list(dict.fromkeys(column for step in steps for column in step if column != "time_s"))
+    rows = [[_hours(step["time_s"]), *(_said(step.get(column, "")) for column in columns)] for step in steps]
+    table = _table(["from", *columns], rows, len(columns)) if rows else ""
+    beside = "<p class=note>As a load profile: experiment.csv beside this page.</p>" if rows else ""
+    rest = [[k.replace("_", " "), _said(v)] for k, v in plan.items() if k not in ("why", "steps", "possible")]
+    return f"<h2>Next experiment</h2>{why}{table}{beside}{_table(['', ''], rest) if rest else ''}"
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key.replace('_', ' ')} {_said(cell)}" for key, cell in value.items())
+    if isinstance(value, list):
+        return " to ".join(_said(cell) for cell in value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _provenance(d: dict[str, Any]) -> str:
+    about = d.get("provenance") or {}
+    rows = [[name, f"{item['path']}  sha256 {item['sha256'][:16]}"] for name, item in about.get("files", {}).items()]
+    if d.get("revision"):
+        rows.append(["revision of the twin", str(d["revision"])])
+    rows += [[name, str(version)] for name, version in about.get("versions", {}).items()]
+    rows += [[key, str(about[key])] for key in ("command", "made", "host") if about.get(key)]
+    if d.get("seconds") is not None:
+        rows.append(["took", f"{d['seconds']:.0f} s"])
+    return f"<h3>Provenance</h3>{_table(['', ''], rows)}" if rows else ""
+
+
+def _number(value: float | None, form: str = ".3g") -> str:
+    if value is None:
+        return "–"
+    return f"{value:.0f}" if form == ".3g" and 1000.0 <= abs(value) < 1e7 else format(value, form)
+
+
+def _hours(seconds: float | None) -> str:
+    if seconds is None:
+        return "–"
+    minutes = round(seconds / 60.0)
+    return f"{minutes // 60} h {minutes % 60:02d} min"

@@ -1,0 +1,357 @@
+"""The pictures of a diagnosis as SVG: residuals, unknowns, the ladder of evidence, errors, tunables."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hil.diagnosis_store import Findings, Unknown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's palette: told apart without red-green vision.
+ORANGE, SKY, GREEN, BLUE, RED, GREY, DARK = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#8a9099", "#30343a"
+BAND = "#cfd6dd"
+_WIDTH = 10.4
+_MOST_TUNABLES = 18
+_MOST_OTHERS = 9
+_LEAST_K = 1e-4
+_STYLE: dict[str, Any] = {
+    "font.size": 9,
+    "font.family": "DejaVu Sans",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.alpha": 0.25,
+    "legend.frameon": False,
+    "svg.fonttype": "path",
+}
+
+
+def short(sensor: str) -> str:
+    """A sensor's column as a label: `T_tank_C` -> `tank`."""
+    return sensor.removeprefix("T_").removesuffix("_C")
+
+
+def plain(effect: dict[str, Any]) -> str:
+    """`heat source at modules (constant)`."""
+    what = f"{effect['kind']} at {effect['where']}".replace("_", " ") if effect["kind"] != "sensor" else ""
+    return f"{what or 'sensor ' + effect['where']} ({effect['driver'].replace('_', ' ')})"
+
+
+def after_label(document: dict[str, Any]) -> str:
+    """What the twin held whose errors are called `after`."""
+    if document["verdict"] in ("effect found", "ambiguous"):
+        return "with the effect"
+    tried = any(e["after"] != e["before"] for e in document["error"]["sensors"].values())
+    return "with the best effect tried" if tried else "re-tuned"
+
+
+def pictures(findings: Findings) -> dict[str, str]:
+    """SVG text by name, of those that the diagnosis has something to show in."""
+    import matplotlib
+
+    makers = {
+        "residuals": _residuals, "unknowns": _unknowns, "ladder": _ladder, "others": _others, "errors": _errors,
+        "tunables": _tunables,
+    }  # fmt: skip
+    drawn = {}
+    for name, make in makers.items():
+        style: dict[Any, Any] = {**_STYLE, "svg.hashsalt": name}
+        with matplotlib.rc_context(style):
+            figure = make(findings)
+            if figure is not None:
+                buffer = io.StringIO()
+                figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+                drawn[name] = buffer.getvalue()
+    return drawn
+
+
+def _figure(height: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(_WIDTH, height), layout="constrained")
+
+
+def _marks(axes: Axes, findings: Findings) -> None:
+    """Onsets as dashed lines, the held-out part shaded."""
+    low, high = (s / 3600.0 for s in findings.document["error"]["held_out_s"])
+    axes.axvspan(low, high, facecolor="#f1f3f5", edgecolor="none", zorder=0)
+    begin = findings.curves.time_s[0] / 3600.0
+    for effect in findings.document["effects"]:
+        onset = effect["onset_s"] / 3600.0
+        if onset > begin + 1e-6:
+            axes.axvline(onset, color=DARK, linewidth=1.0, linestyle=(0, (4, 3)))
+    axes.set_xlim(begin, max(high, findings.curves.time_s[-1] / 3600.0))
+
+
+def _marks_legend(findings: Findings) -> list[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    begin = findings.curves.time_s[0]
+    found: list[Any] = []
+    if any(e["onset_s"] > begin for e in findings.document["effects"]):
+        found.append(Line2D([], [], color=DARK, linewidth=1.0, linestyle=(0, (4, 3)), label="onset"))
+    found.append(Patch(facecolor="#e6e9ec", edgecolor="none", label="held out of the fit"))
+    return found
+
+
+def _residuals(findings: Findings) -> Figure | None:
+    curves, label = findings.curves, after_label(findings.document)
+    sensors = list(curves.residual)
+    hours = curves.time_s / 3600.0
+    figure = _figure(1.5 * len(sensors) + 0.9)
+    grid = figure.subplots(len(sensors), 2, sharex=True, squeeze=False, gridspec_kw={"width_ratios": [1.25, 1.0]})
+    for row, sensor in zip(grid, sensors, strict=True):
+        band = 2.0 * curves.band[sensor]
+        for axes in row:
+            _marks(axes, findings)
+            axes.axhspan(-band, band, facecolor=BAND, edgecolor="none", label="healthy (±2σ)", zorder=1)
+            axes.axhline(0.0, color=DARK, linewidth=0.6)
+        row[0].plot(hours, curves.residual[sensor], color=RED, linewidth=1.3, label="as it was")
+        row[0].plot(hours, curves.after[sensor], color=BLUE, linewidth=1.3, label=label)
+        row[1].plot(hours, curves.after[sensor], color=BLUE, linewidth=1.1)
+        good = curves.after[sensor][np.isfinite(curves.after[sensor])]
+        reach = 1.15 * max(1.5 * band, float(np.abs(good).max()) if good.size else 0.0)
+        row[1].set_ylim(-reach, reach)
+        row[0].set_ylabel(f"{short(sensor)}, K")
+    grid[0, 0].set_title("measured − twin")
+    grid[0, 1].set_title(f"{label}, enlarged")
+    for axes in grid[-1]:
+        axes.set_xlabel("time, h")
+    handles, _ = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles=[*handles, *_marks_legend(findings)], loc="outside upper center", ncols=6)
+    return figure
+
+
+def _unknowns(findings: Findings) -> Figure | None:
+    power = [u for u in findings.curves.unknowns if u.unit == "W"]
+    offset = [u for u in findings.curves.unknowns if u.unit != "W"]
+    columns = [c for c in (power, offset) if c]
+    if not columns:
+        return None
+    hours = findings.curves.time_s / 3600.0
+    rows = max(len(c) for c in columns)
+    figure = _figure(1.45 * rows + 0.9)
+    grid = figure.subplots(rows, len(columns), sharex=True, squeeze=False)
+    likeliest = findings.curves.unknowns[0] if findings.document["effects"] else None
+    for k, column in enumerate(columns):
+        for axes, unknown in zip(grid[:, k], column, strict=False):
+            _unknown(axes, findings, unknown, hours, unknown is likeliest)
+        for axes in grid[len(column) :, k]:
+            axes.set_visible(False)
+        grid[len(column) - 1, k].set_xlabel("time, h")
+        grid[len(column) - 1, k].tick_params(labelbottom=True)
+        title = (
+            "power, W, if it entered here alone" if column is power else "offset, K, if this thermometer alone erred"
+        )
+        grid[0, k].set_title(title)
+    figure.legend(handles=_legend_unknown(findings), loc="outside upper center", ncols=5)
+    return figure
+
+
+def _legend_unknown(findings: Findings) -> list[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    return [
+        Line2D([], [], color=BLUE, linewidth=1.6, label="likeliest place"),
+        Line2D([], [], color=GREY, linewidth=1.3, label="other place"),
+        Patch(facecolor=BAND, edgecolor="none", label="±2σ"),
+        *_marks_legend(findings),
+    ]
+
+
+def _unknown(axes: Axes, findings: Findings, unknown: Unknown, hours: np.ndarray, best: bool) -> None:
+    _marks(axes, findings)
+    colour = BLUE if best else GREY
+    low, high = unknown.mean - 2.0 * unknown.sd, unknown.mean + 2.0 * unknown.sd
+    axes.fill_between(hours, low, high, facecolor=SKY if best else BAND, edgecolor="none", alpha=0.45 if best else 0.8)
+    axes.plot(hours, unknown.mean, color=colour, linewidth=1.6 if best else 1.2)
+    axes.axhline(0.0, color=DARK, linewidth=0.6)
+    behind = findings.curves.unknowns[0].log_evidence - unknown.log_evidence
+    note = "explains the record best" if behind == 0.0 else f"log evidence {behind:,.0f} lower"
+    axes.set_ylabel(f"{short(unknown.site) if unknown.unit != 'W' else unknown.site}, {unknown.unit}")
+    axes.annotate(
+        note, (1.0, 1.0), xycoords="axes fraction", ha="right", va="top", fontsize=8, color=DARK,
+        bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
+    )  # fmt: skip
+    spread = float(np.median(unknown.sd)) if unknown.sd.size else 0.0
+    bottom, top = float(unknown.mean.min()) - 2.2 * spread, float(unknown.mean.max()) + 2.2 * spread
+    room = 0.25 * (max(top, 0.0) - min(bottom, 0.0))
+    axes.set_ylim(min(bottom, -0.2 * room), max(top, 0.0) + room)
+
+
+def _ladder(findings: Findings) -> Figure | None:
+    rungs = findings.document["ladder"]
+    if not rungs:
+        return None
+    figure = _figure(0.5 * len(rungs) + 1.3)
+    left, right = figure.subplots(1, 2, sharey=True)
+    names = [_folded(r["twin"].replace("_", " ").replace(" + ", "\n+ ")) for r in rungs]
+    places = np.arange(len(rungs))[::-1]
+    colours = [RED, *([BLUE] * (len(rungs) - 1))]
+    _bars(left, places, [r["misfit"] for r in rungs], colours, "{:.3g}")
+    _bars(right, places, [r["best_next_z"] for r in rungs], colours, "{:.3g}")
+    left.set_yticks(places, names)
+    left.axvline(1.0, color=DARK, linewidth=1.0, linestyle=":")
+    left.set_xlabel("misfit left (chi² per block and sensor; dotted: 1, nothing but noise)")
+    right.axvline(6.0, color=DARK, linewidth=1.0, linestyle=":")
+    right.set_xlabel("score z of the best next effect (dotted: 6, below it nothing is claimed)")
+    for axes in (left, right):
+        axes.grid(axis="y", visible=False)
+        axes.xaxis.label.set_size(8)
+    return figure
+
+
+def _folded(text: str, width: int = 34) -> str:
+    import textwrap
+
+    return "\n".join("\n".join(textwrap.wrap(line, width)) for line in text.splitlines())
+
+
+def _bars(axes: Axes, places: np.ndarray, values: list[float | None], colours: list[str], form: str) -> None:
+    """Horizontal bars on a log axis, each with its value."""
+    shown = np.array([max(v if v is not None else 0.0, 1e-3) for v in values])
+    low, high = (
+        10.0 ** np.floor(np.log10(min(shown.min(), 0.9))),
+        10.0 ** np.ceil(np.log10(max(shown.max(), 2.0)) + 0.5),
+    )
+    axes.barh(places, shown - low, left=low, height=0.55, color=colours)
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlim(low, high)
+    for place, x, value in zip(places, shown, values, strict=True):
+        text = "none" if value is None else form.format(value)
+        axes.annotate(text, (x, place), xytext=(4, 0), textcoords="offset points", va="center", fontsize=9)
+
+
+def _others(findings: Findings) -> Figure | None:
+    document = findings.document
+    rows: list[tuple[str, float, str, str]] = []
+    for e in document["effects"]:
+        said = "the answer" if document["verdict"] != "unexplained" else "where it enters; no effect is of this form"
+        rows.append((plain(e), float(e["confidence"] or 0.0), said, BLUE))
+    for a in document["indistinguishable"]:
+        rows.append((plain(a), float(a["confidence"] or 0.0), "this record cannot tell it from the answer", ORANGE))
+    for a in document["alternatives"][: max(_MOST_OTHERS - len(rows), 3)]:
+        rows.append((plain(a), float(a["confidence"] or 0.0), a["why_not"], GREY))
+    if not rows:
+        return None
+    figure = _figure(0.33 * len(rows) + 0.8)
+    axes = figure.subplots()
+    places = np.arange(len(rows))[::-1]
+    axes.barh(places, [100.0 * r[1] for r in rows], height=0.6, color=[r[3] for r in rows])
+    axes.set_yticks(places, [r[0] for r in rows])
+    axes.set_xlim(0.0, 200.0)
+    axes.set_xticks(range(0, 101, 20))
+    axes.grid(axis="y", visible=False)
+    axes.set_xlabel("confidence, %", loc="left")
+    for place, (_, share, why, _) in zip(places, rows, strict=True):
+        percent = f"{100.0 * share:.0f} %" if share >= 0.005 or share == 0.0 else "< 1 %"
+        axes.annotate(
+            f"{percent}   {why}", (100.0 * share, place), xytext=(5, 0), textcoords="offset points", va="center",
+            fontsize=8.5,
+        )  # fmt: skip
+    return figure
+
+
+def _errors(findings: Findings) -> Figure | None:
+    sensors = findings.document["error"]["sensors"]
+    if not sensors:
+        return None
+    last = after_label(findings.document)
+    kinds = [
+        ("stale", "as it was", RED, "D"), ("before", "re-tuned", ORANGE, "s"),
+        ("after", last, BLUE, "o"), ("noise", "noise", DARK, "|"),
+    ]  # fmt: skip
+    if last == "re-tuned":
+        kinds = [kinds[0], kinds[2], kinds[3]]
+    figure = _figure(0.42 * len(sensors) + 1.5)
+    raw, means = figure.subplots(1, 2, sharey=True, sharex=True)
+    places = np.arange(len(sensors))[::-1]
+    for axes, title in ((raw, "every sample"), (means, "means of ten seconds")):
+        for key, label, colour, marker in kinds:
+            cells = [e if axes is raw else e["ten_second_means"] for e in sensors.values()]
+            values = np.array([_number(c.get(key)) for c in cells])
+            if not np.isfinite(values).any():
+                continue
+            big = 150.0 if marker == "|" else 46.0
+            axes.scatter(values, places, s=big, color=colour, marker=marker, label=label, zorder=3, linewidths=1.6)
+        for place, cell in zip(places, cells, strict=True):
+            reach = [cell[key] for key, *_ in kinds if cell.get(key) is not None and key != "noise"]
+            if reach:
+                low, high = _number(min(reach)), _number(max(reach))
+                axes.hlines(place, low, high, color=BAND, linewidth=2.0, zorder=1)
+        axes.set_title(title)
+        axes.set_xlabel("RMSE, K (log)")
+        axes.set_ylim(-0.6, len(sensors) - 0.4)
+    _log_axis(raw)
+    raw.set_yticks(places, [short(name) for name in sensors])
+    figure.legend(*raw.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    return figure
+
+
+def _log_axis(axes: Axes) -> None:
+    """A log axis of at least a decade with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    widen = max(np.sqrt(10.0 / (high / low)), 1.1)
+    for each in axes.get_shared_x_axes().get_siblings(axes):
+        each.set_xlim(low / widen, high * widen)
+        each.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if high / low > 30.0 else (1.0, 2.0, 5.0)))
+        each.xaxis.set_major_formatter("{x:g}")
+        each.xaxis.set_minor_locator(NullLocator())
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else max(float(value), _LEAST_K)
+
+
+def _tunables(findings: Findings) -> Figure | None:
+    moved = [m for m in findings.document["tunables_moved"] if m["before_sd"] is not None and m["after_sd"] is not None]
+    if not moved:
+        return None
+    moved.sort(key=lambda m: -max(abs(m["before_sd"]), abs(m["after_sd"])))
+    left_out = len(moved) - _MOST_TUNABLES
+    moved = moved[:_MOST_TUNABLES]
+    figure = _figure(0.3 * len(moved) + 1.3)
+    axes = figure.subplots()
+    places = np.arange(len(moved))[::-1]
+    before, after = (np.array([m[key] for m in moved]) for key in ("before_sd", "after_sd"))
+    axes.axvspan(-2.0, 2.0, facecolor=BAND, edgecolor="none", alpha=0.6, label="as commissioned, ±2 sd")
+    axes.axvline(0.0, color=DARK, linewidth=0.6)
+    axes.scatter(before, places, s=46, color=ORANGE, marker="s", label="re-tuned alone", zorder=3)
+    if after_label(findings.document) != "re-tuned":
+        axes.hlines(places, before, after, color=GREY, linewidth=1.2, zorder=1)
+        axes.scatter(after, places, s=46, color=BLUE, marker="o", label=after_label(findings.document), zorder=3)
+    axes.set_yticks(places, [m["parameter"] for m in moved])
+    reach = max(float(np.abs([before, after]).max()) * 1.3, 4.0)
+    if reach > 12.0:
+        axes.set_xscale("symlog", linthresh=4.0)
+        ticks = [t for t in (2, 4, 10, 20, 50, 100, 200, 500, 1000) if t <= reach]
+        axes.set_xticks([-t for t in reversed(ticks)] + [0] + ticks)
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_locator(_no_ticks())
+    axes.set_xlim(-reach, reach)
+    more = f"; {left_out} that moved less are in the table" if left_out > 0 else ""
+    axes.set_xlabel(f"moved against commissioning, in its standard deviations{more}")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def _no_ticks() -> Any:
+    from matplotlib.ticker import NullLocator
+
+    return NullLocator()

@@ -1,0 +1,83 @@
+"""A loop, and records made by it with something added that the loop does not know of.
+
+The records come from the twin's own equations at one second with the noise of a thermometer, so that a test runs in
+seconds; rigs with other physics are in `tests/hil/test_diagnose.py` and `test_strangers.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from tests.twin.conftest import LOOP
+from twin.discovery.engine import Columns
+from twin.kernel import Kernel
+from twin.network import Array, Network
+from twin.revisions import with_elements
+from twin.twinfile import load
+
+STEP_S = 5.0
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Makes records of the loop; `inputs` are power, pump, fan and room."""
+
+    network: Network
+
+    def inputs(self, hours: float, seed: int) -> tuple[Array, Array]:
+        rng = np.random.default_rng(seed)
+        n = int(hours * 3600.0 / STEP_S)
+        t = np.arange(n) * STEP_S
+
+        def levels(choices: list[float], hold_s: float) -> Array:
+            drawn = rng.choice(choices, int(t[-1] / hold_s) + 1)
+            return np.asarray(drawn[(t / hold_s).astype(int)], dtype=np.float64)
+
+        power = levels([620.0, 700.0, 780.0, 860.0], 2400.0)
+        pump, fan = levels([70.0, 85.0, 100.0], 5400.0), levels([50.0, 70.0, 100.0], 4500.0)
+        return t, np.column_stack([power, pump, fan, 22.0 + 1.5 * np.sin(t / 14000.0)])
+
+    def record(
+        self,
+        hours: float = 16.0,
+        seed: int = 1,
+        changed: Network | None = None,
+        onset_h: float = 0.0,
+        until_h: float = 1e9,
+        noise: float = 0.05,
+    ) -> Columns:
+        """Readings of the loop, or of `changed` between two times."""
+        t, u = self.inputs(hours, seed)
+        rng = np.random.default_rng(seed + 100)
+        state: Array = np.array([37.0, 36.8, 34.5, 34.0])
+        parts, begun = [], 0
+        cuts = [c for c in (onset_h * 3600.0, until_h * 3600.0) if 0.0 < c < t[-1]]
+        for low, high in zip([0.0, *cuts], [*cuts, t[-1] + STEP_S], strict=True):
+            on = changed is not None and onset_h * 3600.0 <= low < until_h * 3600.0
+            net = changed if on and changed is not None else self.network
+            last = int(np.searchsorted(t, high))
+            until = min(last + 1, len(t))
+            read, ends = Kernel(net, ()).trace(net.values, state, t[begun:until], u[begun:until])
+            parts.append(read[0][: last - begun])
+            state, begun = ends[0][: len(net.nodes)], last
+        y = np.vstack(parts)
+        return Columns(t, u, y + rng.normal(0.0, noise, y.shape))
+
+    def with_element(self, name: str, table: dict[str, object]) -> Network:
+        return with_elements(self.network, {name: table})
+
+    def with_values(self, **values: float) -> Network:
+        return self.network.with_values({k.replace("__", "."): v for k, v in values.items()})
+
+
+@pytest.fixture(scope="session")
+def bench() -> Bench:
+    return Bench(load(LOOP))
+
+
+@pytest.fixture(scope="session")
+def healthy(bench: Bench) -> Columns:
+    return bench.record(10.0, seed=7)

@@ -1,0 +1,158 @@
+"""The parts of the search, each against arithmetic that it could get wrong."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.discovery.conftest import Bench
+from twin.discovery.catalogue import catalogue, extended, sized
+from twin.discovery.contest import Contest
+from twin.discovery.engine import Columns, basis
+from twin.discovery.formulas import Formulas, follow
+from twin.discovery.grid import filled, on_grid
+from twin.discovery.laws import Book
+from twin.discovery.model import Model
+from twin.discovery.noise import bands, learn
+from twin.discovery.readings import stuck
+from twin.discovery.search import Entry
+from twin.discovery.shapes import Shape
+from twin.network import TwinFileError
+from twin.twinfile import load
+
+SIX = "profiles/twins/loop_six.toml"
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    name=st.sampled_from(["step", "ramp", "saturating"]),
+    onset=st.floats(0.0, 9000.0),
+    growth=st.floats(300.0, 20000.0),
+)
+def test_block_means_of_a_shape_are_its_average(name: str, onset: float, growth: float) -> None:
+    edges = np.linspace(0.0, 10800.0, 19)
+    shape = Shape(name, onset, growth)
+    means = shape.block_means(edges)
+    fine = np.linspace(0.0, 10800.0, 18 * 2000 + 1)
+    middle = 0.5 * (fine[1:] + fine[:-1])
+    since = np.maximum(middle - onset, 0.0)
+    exact = {
+        "step": (middle >= onset).astype(float),
+        "ramp": np.minimum(since / growth, 1.0),
+        "saturating": 1.0 - np.exp(-since / growth),
+    }[name]
+    assert np.abs(means - exact.reshape(18, -1).mean(axis=1)).max() < 1e-3
+
+
+def test_whitening_makes_coloured_noise_white_and_can_be_undone() -> None:
+    rng = np.random.default_rng(0)
+    slow = np.cumsum(rng.normal(0.0, 0.002, (3600, 1)), axis=0)
+    noise = rng.normal(0.0, 0.02, (3600, 2)) + slow
+    learned = learn(noise, np.array([0.02, 0.02]), 10.0)
+    white = learned.whiten(noise)
+    fast = bands(3600, 10.0) == 5
+    assert 0.7 < white[fast].std() < 1.0  # cautious: never more than what was seen
+    assert np.abs(learned.colour(white) - noise).max() < 1e-9
+
+
+def test_gaps_are_closed_by_straight_lines_and_nothing_else_is_touched() -> None:
+    line = np.linspace(0.0, 9.0, 10)[:, None]
+    good = np.ones((10, 1), dtype=bool)
+    good[3:6] = False
+    broken = np.where(good, line, 50.0)
+    assert np.allclose(filled(broken, good), line)
+    assert np.array_equal(filled(line, np.ones((10, 1), dtype=bool)), line)
+
+
+def test_a_lag_follows_as_the_exponential_says() -> None:
+    out = follow(np.concatenate([[0.0], np.ones(50)]), 30.0, 10.0)
+    assert out[3] == pytest.approx(1.0 - np.exp(-3.0 / 3.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("twin", ["loop", "six"])
+def test_every_candidate_fits_the_network_and_has_a_name_of_its_own(bench: Bench, twin: str) -> None:
+    from tests.twin.conftest import ROOT
+
+    network = bench.network if twin == "loop" else load(ROOT / SIX)
+    found = catalogue(network)
+    assert len({c.id for c in found}) == len(found)
+    kinds = {c.kind for c in found}
+    assert {"heat_source", "heat_loss", "heat_rejection", "flow", "thermal_mass", "coupling", "delay", "sensor"} <= kinds
+    temperatures = np.linspace(30.0, 45.0, 200)[:, None] + np.arange(len(network.nodes))
+    inputs = np.tile(network.nominal_inputs, (200, 1))
+    for candidate in found:
+        bigger = extended(network, candidate)
+        changed = bigger.with_values(sized(bigger, candidate, candidate.typical))
+        assert np.isfinite(Formulas(changed).heats(temperatures, inputs, changed.values, 10.0)).all(), candidate.id
+
+
+def test_single_modules_and_all_of_them_are_places_of_their_own() -> None:
+    from tests.twin.conftest import ROOT
+
+    places = {c.where for c in catalogue(load(ROOT / SIX)) if c.kind == "heat_source"}
+    assert {"pm1", "pm6", "modules", "heater", "radiator", "tank"} <= places
+    assert "element" not in places  # what nothing reads is told by what stands beside it
+
+
+def test_a_law_says_what_the_element_itself_does(bench: Bench, healthy: Columns) -> None:
+    """The quadratic form against runs of the network with the real element, for every candidate of the loop."""
+    network = bench.network
+    quiet = bench.record(10.0, seed=7, noise=0.0)
+    grid = on_grid(network, quiet.time_s, quiet.inputs, quiet.measured)
+    known = basis(network, healthy, grid)
+    probe = known.probe
+    state = probe.first_state(grid)
+    run = probe.run(grid, state)
+    contest = Contest(probe, grid, state, run, known.noise, known.prior)
+    checked = set()
+    for law in known.book.laws(grid, run):
+        c = law.candidate
+        if (c.kind, c.driver) in checked:
+            continue
+        checked.add((c.kind, c.driver))
+        size = 0.2 * c.typical if c.kind != "sensor" or c.driver != "rate_of_change" else c.typical
+        entry = Entry(law, Shape("step", 7200.0), np.empty(0), size, 0.0, 0.0)
+        model = Model.of(network, (entry,), ())
+        told = (contest._columns @ entry.placed(contest).ravel()).reshape(contest.b, contest.m) * size
+        values, sizes = network.values[None, :], np.array([[size]])
+        with_it = model.run(grid.time, grid.inputs, state[None, :], values, sizes)[0]
+        real = contest.features(with_it - run.readings).reshape(contest.b, contest.m)
+        scale = np.abs(real).max()
+        off = np.abs(told - real).max() / scale
+        print(c.id, round(off,3), scale)
+        assert off < 0.15 or scale < 0.02, f"{c.id}: {off:.2f} of {scale:.3g}"
+    assert len(checked) > 15
+
+
+def test_a_book_gives_the_same_laws_as_formulas_made_anew(bench: Bench, healthy: Columns) -> None:
+    network = bench.network
+    grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
+    known = basis(network, healthy, grid)
+    run = known.probe.run(grid, known.probe.first_state(grid))
+    first = {law.candidate.id: law for law in known.book.laws(grid, run)}
+    again = {law.candidate.id: law for law in Book(network).laws(grid, run)}
+    assert first.keys() == again.keys()
+    for name, law in first.items():
+        if law.heat is not None:
+            assert np.array_equal(law.heat, again[name].heat)
+
+
+def test_a_thermometer_that_stands_still_is_noticed() -> None:
+    rng = np.random.default_rng(2)
+    time = np.arange(4000.0)
+    values = np.round(40.0 + rng.normal(0.0, 0.05, 4000), 2)
+    assert not stuck("T_tank_C", time, values, 0.05)
+    values[1000:3000] = 40.03
+    (found,) = stuck("T_tank_C", time, values, 0.05)
+    assert found.first_s == pytest.approx(1000.0, abs=3.0) and found.last_s == pytest.approx(2999.0, abs=3.0)
+    coarse = np.round(values)  # steps far coarser than the noise repeat by nature
+    assert not stuck("T_tank_C", time, coarse, 0.05)
+
+
+def test_too_little_and_nothing_at_all_are_refused_in_a_sentence(bench: Bench) -> None:
+    short = bench.record(0.25)
+    with pytest.raises(TwinFileError, match="at least two windows"):
+        on_grid(bench.network, short.time_s, short.inputs, short.measured)
+    long = bench.record(1.0)
+    with pytest.raises(TwinFileError, match="no reading"):
+        on_grid(bench.network, long.time_s, long.inputs, np.full_like(long.measured, np.nan))

@@ -1,0 +1,154 @@
+"""The results folder of a diagnosis: nothing is lost on the way to the page and to Rerun."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.diagnosing import write
+from hil.diagnosis_page import page
+from hil.diagnosis_pictures import after_label, pictures
+from hil.diagnosis_store import (
+    CURVES,
+    DiagnosisFolderError,
+    Findings,
+    curves_of,
+    has_diagnosis,
+    read_curves,
+    read_findings,
+    write_curves,
+)
+from hil.review import read_columns, read_words, write_findings_review, write_review
+from hil.review.plan import path
+from tests.hil.made_diagnosis import SAYS, SENSORS, made
+from tests.hil.synthetic_journal import make
+from tests.hil.synthetic_journal import write as write_journal
+
+PICTURES = {"residuals", "unknowns", "ladder", "others", "errors", "tunables"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("results")
+    write(made(), SENSORS, out, {"record": "runs/one/record.parquet", "seconds": 12.0})
+    return out
+
+
+def test_curves_come_back_as_they_were_written(tmp_path):
+    curves = curves_of(made(), SENSORS)
+    write_curves(curves, tmp_path / CURVES)
+    back = read_curves(tmp_path / CURVES)
+    np.testing.assert_array_equal(back.time_s, curves.time_s)
+    assert list(back.residual) == list(SENSORS)
+    assert back.band == curves.band
+    for name in SENSORS:
+        np.testing.assert_array_equal(back.residual[name], curves.residual[name])
+        np.testing.assert_array_equal(back.after[name], curves.after[name])
+    for a, b in zip(back.unknowns, curves.unknowns, strict=True):
+        assert (a.site, a.unit, a.log_evidence) == (b.site, b.unit, b.log_evidence)
+        np.testing.assert_array_equal(a.mean, b.mean)
+        np.testing.assert_array_equal(a.sd, b.sd)
+
+
+def test_a_folder_without_curves_is_one_sentence(tmp_path, folder):
+    assert has_diagnosis(folder) and not has_diagnosis(tmp_path)
+    (tmp_path / CURVES).write_text("no parquet", encoding="utf-8")
+    with pytest.raises(DiagnosisFolderError, match="diagnose again"):
+        read_curves(tmp_path / CURVES)
+
+
+def test_the_page_begins_with_the_verdict_and_holds_every_picture(folder):
+    text = (folder / "diagnosis.html").read_text(encoding="utf-8")
+    assert text.index("effect found") < text.index(SAYS) < text.index("<img")
+    assert set(re.findall(r'<img id="(\w+)"', text)) == PICTURES
+    assert all(f"<h3>{title}</h3>" in text for title in ("Effects", "Other explanations", "Tunables", "Provenance"))
+
+
+def test_the_page_needs_nothing_else(folder):
+    text = (folder / "diagnosis.html").read_text(encoding="utf-8")
+    assert re.findall(r"https?://|<script|<link|@import|url\(", text) == []
+    assert all(source.startswith("data:") for source in re.findall(r'src="([^"]*)"', text))
+
+
+def test_what_comes_from_files_cannot_become_markup(folder):
+    findings = read_findings(folder)
+    evil = "<b onclick=x>&"
+    document = findings.document | {
+        "summary": evil, "warnings": [evil], "record": f"{evil}/x.csv", "blind_spots": [evil],
+        "next_experiment": {"hold": evil}, "alternatives": [{"kind": evil, "where": evil, "driver": evil,
+        "confidence": 0.0, "why_not": evil}],
+    }  # fmt: skip
+    text = page(Findings(document, findings.curves))
+    assert evil not in text
+    assert text.count("&lt;b onclick=x&gt;&amp;") >= 6
+
+
+@pytest.mark.parametrize("verdict", ["adequate", "ambiguous", "unexplained"])
+def test_every_verdict_has_its_page(verdict):
+    diagnosis = made(verdict, summary=f"said of {verdict}")
+    findings = Findings(diagnosis.document() | {"record": "r.csv"}, curves_of(diagnosis, SENSORS))
+    assert f"said of {verdict}" in page(findings)
+    assert set(pictures(findings)) == PICTURES
+
+
+def test_what_did_not_explain_the_record_is_not_called_the_effect():
+    tried = made("unexplained")
+    same = {name: dataclasses.replace(e, after=e.before) for name, e in tried.errors.items()}
+    assert after_label(tried.document()) == "with the best effect tried"
+    assert after_label(dataclasses.replace(tried, errors=same).document()) == "re-tuned"
+    assert after_label(made().document()) == "with the effect"
+
+
+def test_the_next_experiment_is_told_step_by_step():
+    plan = {
+        "why": "a long soak tells a loss from a source",
+        "possible": True,
+        "steps": [{"time_s": 0.0, "heater_power_W": 700.0}, {"time_s": 5400.0, "heater_power_W": 0.0}],
+        "hottest_C": 41.0,
+    }
+    diagnosis = dataclasses.replace(made("ambiguous"), next_experiment=plan)
+    text = page(Findings(diagnosis.document(), curves_of(diagnosis, SENSORS)))
+    assert "a long soak tells a loss from a source" in text
+    assert "1 h 30 min" in text and "<th class=n>heater_power_W</th>" in text
+
+
+def test_a_diagnosis_that_shows_little_still_makes_a_page():
+    bare = dataclasses.replace(
+        made("adequate"), errors={}, courses=(), ladder=(), moved=(), indistinguishable=(), alternatives=()
+    )
+    findings = Findings(bare.document(), curves_of(bare, SENSORS))
+    assert set(pictures(findings)) == {"residuals"}
+    assert "adequate" in page(findings)
+
+
+def test_rerun_shows_the_curves_and_the_onset(folder, tmp_path):
+    rrd = tmp_path / "diagnosis.rrd"
+    write_findings_review(folder, rrd)
+    curves = read_findings(folder).curves
+    for sensor in SENSORS:
+        time_s, values = read_columns(rrd, path("diagnosis", "residual", sensor, "stale"))
+        np.testing.assert_allclose(time_s, curves.time_s, atol=1e-9)
+        np.testing.assert_array_equal(values[:, 0], curves.residual[sensor])
+    np.testing.assert_array_equal(
+        read_columns(rrd, path("diagnosis", "unknown", "modules"))[1][:, 0], curves.unknowns[0].mean
+    )
+    assert read_words(rrd, "/diagnosis/onsets") == [(7200.0, SAYS)]
+    assert [state for _, state in read_words(rrd, "/diagnosis/state")] == [
+        "as commissioned", "heat source at modules (constant)",
+    ]  # fmt: skip
+
+
+def test_the_review_of_a_run_takes_in_the_diagnosis_in_its_folder(tmp_path):
+    journal = tmp_path / "journal.sqlite"
+    write_journal(journal, make(200))
+    write_review(journal, tmp_path / "before.rrd")
+    with pytest.raises(KeyError):
+        read_columns(tmp_path / "before.rrd", path("diagnosis", "residual", SENSORS[0], "stale"))
+    write(made(), SENSORS, tmp_path / "diagnosis", {})
+    write_review(journal, tmp_path / "after.rrd")
+    _, values = read_columns(tmp_path / "after.rrd", path("diagnosis", "residual", SENSORS[0], "after"))
+    assert len(values) == 60

@@ -1,0 +1,225 @@
+"""A diagnosis while the run goes on: it says what is news, waits for nobody's tick, and adopts only what is sure."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.points import ConfigurationError, Signal
+from hil.diagnosis_store import has_diagnosis
+from hil.journal import Header, JournalReader, JournalWriter
+from hil.live_diagnosis import (
+    Found,
+    LiveConfig,
+    LiveDiagnosis,
+    Reply,
+    changed,
+    found_of,
+    interval_of,
+    refusal,
+)
+from hil.run_folder import RunFolder
+from tests.hil.made_diagnosis import SAYS, effect, made
+from twin.discovery.diagnosis import SensorError
+from twin.network import Network
+from twin.twinfile import load
+
+PROJECT = Path(__file__).resolve().parents[2]
+TWIN = PROJECT / "profiles" / "twins" / "virtual.toml"
+LOAD = """time_s,heater_power_W,pump_speed_pct,fan_speed_pct
+0,700,100,70
+1800,900,85,70
+3600,650,100,100
+5400,850,85,80
+{end},850,85,80
+"""
+HEAT = '[[effect]]\nkind = "heat_source"\nwhere = "modules"\ndriver = "constant"\npower_W = 180\nonset_s = 1805\n'
+
+
+def found(**changes: Any) -> Found:
+    return found_of(made(effects=(effect(**changes),)), 10_000.0)
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("hourly", 3600.0), ("30min", 1800.0), ("2h", 7200.0), ("1.5 h", 5400)])
+def test_intervals_as_they_are_written(text, seconds):
+    assert interval_of(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "soon", "30", "0h", "30s", "-1h"])
+def test_another_interval_is_one_sentence(text):
+    with pytest.raises(ConfigurationError, match="hourly, 30min or 2h"):
+        interval_of(text)
+
+
+def test_only_news_is_told():
+    healthy = found_of(made("adequate"), 10_000.0)
+    assert not changed(None, healthy)
+    assert changed(None, found())
+    assert not changed(found(), found(value=184.0, onset_s=7300.0))
+    assert changed(found(), found(value=240.0))
+    assert changed(found(), found(where="tank"))
+    assert changed(found(), found(onset_s=20_000.0))
+    assert changed(found(), found_of(made("ambiguous"), 10_000.0))
+    assert changed(found(), healthy)
+
+
+def test_an_ambiguous_finding_names_what_it_may_be_as_well():
+    assert found().sentence == SAYS
+    assert found_of(made("ambiguous"), 1.0).sentence.endswith("cannot tell that from heat source at modules")
+
+
+def error(before: float, after: float) -> SensorError:
+    return SensorError(3.0, before, after, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "confidence", "errors", "why"),
+    [
+        ("effect found", 0.95, {"a": error(1.0, 0.06), "b": error(1.0, 0.06)}, None),
+        ("effect found", 0.85, {"a": error(1.0, 0.06)}, "confidence is 0.85"),
+        ("ambiguous", 0.95, {"a": error(1.0, 0.06)}, "verdict is ambiguous"),
+        ("unexplained", 0.95, {"a": error(1.0, 0.06)}, "verdict is unexplained"),
+        ("effect found", 0.95, {"a": error(1.0, 0.06), "b": error(0.5, 0.6)}, "b is worse"),
+        ("effect found", 0.95, {"a": error(1.0, 1.0)}, "no better"),
+        ("effect found", 0.95, {"a": error(1.0, float("nan"))}, "a is worse"),
+    ],
+)
+def test_only_a_sure_finding_that_holds_on_unseen_data_is_adopted(verdict, confidence, errors, why):
+    told = refusal(made(verdict, (effect(confidence=confidence),), errors, network=network()))
+    assert told is None if why is None else why in str(told)
+
+
+def network() -> Network:
+    return load(TWIN)
+
+
+def test_nothing_to_add_is_not_adopted():
+    assert "nothing to add" in str(refusal(made()))
+
+
+SIGNAL = Signal("T_tank", "degC")
+
+
+class Deaf:
+    """A connection whose other end never answers."""
+
+    def __init__(self) -> None:
+        self.asked: list[object] = []
+
+    def send(self, what: object) -> None:
+        self.asked.append(what)
+
+
+@pytest.fixture
+def live(tmp_path: Path) -> LiveDiagnosis:
+    path = tmp_path / "journal.sqlite"
+    journal = JournalWriter(path, Header((SIGNAL,), {}, (), "load", 36_000.0, 1.0, {}))
+    return LiveDiagnosis(LiveConfig(TWIN, path, None, 3600.0), journal, lambda _: None)
+
+
+def publish(live: LiveDiagnosis, time_s: float) -> None:
+    """One block; anything that waited would not end at the first step."""
+    block = live.publish([int(time_s)], [time_s], [[]])
+    with pytest.raises(StopIteration):
+        block.send(None)
+
+
+def events(live: LiveDiagnosis) -> list[str]:
+    live._journal.commit()
+    reader = JournalReader(live._config.journal)
+    try:
+        return [f"{row.level} {row.text}" for row in reader.events()]
+    finally:
+        reader.close()
+
+
+def test_no_block_waits_and_one_diagnosis_is_asked_for_at_a_time(live):
+    deaf = live._connection = Deaf()  # type: ignore[assignment]
+    publish(live, 4000.0)
+    assert deaf.asked == []  # not ready yet
+    live._free = True
+    for time_s in (4100.0, 7300.0, 20_000.0):
+        publish(live, time_s)
+    assert len(deaf.asked) == 1
+    live._free = True
+    publish(live, 20_060.0)
+    assert len(deaf.asked) == 2  # overdue: at once
+    live._free = True
+    publish(live, 20_120.0)
+    assert len(deaf.asked) == 2
+
+
+def test_an_event_only_where_there_is_news(live):
+    for reply in (
+        Reply(), Reply(problem="too short"), Reply(found_of(made("adequate"), 3600.0)), Reply(found()),
+        Reply(found(value=182.0)), Reply(found(), adopted="twin.r2.toml"), Reply(found_of(made("adequate"), 9e3)),
+    ):  # fmt: skip
+        live._tell(reply)
+    told = events(live)
+    assert [line.split()[0] for line in told] == ["WARN", "INFO", "INFO"]
+    assert SAYS in told[0]
+    assert "twin.r2.toml" in told[1] and "static twin of this run goes on" in told[1]
+
+
+async def test_an_operator_may_skip_the_last_diagnosis(live):
+    live._connection = Deaf()  # type: ignore[assignment]
+    asyncio.get_running_loop().call_soon(live.give_up)
+    reply = await live.finish(Path("nowhere"))
+    assert reply.problem == "skipped by the operator"
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """Two and a half hours in which the modules begin to heat after half an hour."""
+    place = tmp_path_factory.mktemp("live")
+    (place / "load.csv").write_text(LOAD.format(end=9000), encoding="utf-8")
+    (place / "heat.toml").write_text(HEAT, encoding="utf-8")
+    healthy = run(place, "--no-twin").record
+    return run(place, "--with", place / "heat.toml", "--diagnose", "1h", "--adopt", "--healthy", healthy)
+
+
+def run(place: Path, *more: object) -> RunFolder:
+    command = [sys.executable, "-m", "hil", "run", place / "load.csv", "--virtual", "--lockstep", "--no-viewer"]
+    command += ["--runs", place / "runs", "--json", "--calibrator", "least_squares", *more]
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, cwd=PROJECT, timeout=280)
+    assert done.returncode == 0, done.stderr
+    return RunFolder(Path(json.loads(done.stdout)["folder"]))
+
+
+def test_a_run_tells_what_its_twin_lacks_and_every_tick_is_there(ran):
+    with sqlite3.connect(ran.journal) as database:
+        told = [text for (text,) in database.execute("SELECT text FROM events") if text.startswith("diagnosis")]
+        ticks = [tick for (tick,) in database.execute("SELECT tick FROM samples ORDER BY tick")]
+    database.close()
+    assert ticks == list(range(9001)) and ran.read_manifest()["overruns"] == 0
+    assert any("effect found" in text and "modules give off" in text and "since 30 min" in text for text in told)
+    assert ran.read_manifest()["diagnosis"] == "effect found"
+    assert has_diagnosis(ran.diagnosis) and (ran.diagnosis / "diagnosis.html").is_file()
+
+
+def test_what_was_adopted_is_a_revision_of_the_runs_twin(ran):
+    reader = JournalReader(ran.journal)
+    told = [row.text for row in reader.events() if "adopted as" in row.text]
+    reader.close()
+    revisions = sorted(ran.path.glob("twin.r*.toml"))
+    assert revisions and len(told) == len(revisions)
+    before = load(ran.twin)
+    assert all(load(path).revision.parent == before.digest for path in revisions)
+    document = json.loads((ran.diagnosis / "diagnosis.json").read_text(encoding="utf-8"))
+    assert Path(document["revision"]) == revisions[-1]
+
+
+def test_healthy_without_diagnose_is_a_usage_error(tmp_path):
+    (tmp_path / "load.csv").write_text(LOAD.format(end=9000), encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "run", str(tmp_path / "load.csv"), "--virtual", "--adopt"],
+        capture_output=True, text=True, cwd=PROJECT, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 2 and "--diagnose" in done.stderr
