@@ -112,19 +112,19 @@ def course_of(table: Mapping[str, Any], edges_s: Array) -> Array:
 
 
 def catalogue_size(table: Mapping[str, Any], law: Law, network: Network) -> float | None:
-    """Size of an effect in the unit of its candidate; None where the two measure different things."""
+    """Size of an effect in the unit of its candidate; None where the two measure different things.
+
+    So it is with the fan's exponent, of the air side in the rig and of the whole way from water to air in the twin, and
+    with a mass, whose capacity the catalogue has in steps.
+    """
     c = law.candidate
     kind, driver = table["kind"], table.get("driver")
-    if kind == "thermal_mass":
-        return float(table["conductance_W_per_K"])
     if kind == "heat_source" and driver in ("constant", "elapsed_time", "pump_speed", "fan_speed"):
         return float(table["power_W"])
     if kind == "heat_source" and driver == "heater_power":
         return float(table["power_W"]) / 1000.0
     if kind == "heat_loss" and c.unit == "W/K":
         return float(table["conductance_W_per_K"])
-    if "exponent_change" in table:
-        return float(table["exponent_change"])
     if kind == "heat_rejection" and "lost_fraction" in table and "fins.UA_100" in c.changes:
         return -float(table["lost_fraction"]) * network.parameters["fins.UA_100"].value
     if kind == "flow" and "lost_fraction" in table and "circuit.factor" in c.changes:
