@@ -17,11 +17,10 @@ import numpy as np
 
 from hil.bench.discovery_score import family, same_driver
 from hil.bench.discovery_worker import Request, serve
-from twin.discovery.catalogue import catalogue
 from twin.discovery.contest import Contest
 from twin.discovery.engine import HELD_OUT, THRESHOLD, basis
 from twin.discovery.grid import on_grid
-from twin.discovery.laws import Law, laws
+from twin.discovery.laws import Book, Law
 from twin.discovery.search import Entry, scan
 from twin.network import Array, Network
 
@@ -45,7 +44,7 @@ def answer(request: Request) -> Request:
     grid = whole.part(0, int(len(whole.time) * (1.0 - HELD_OUT)))
     state = known.probe.first_state(grid)
     run = known.probe.run(grid, state)
-    found = laws(network, catalogue(network), grid, run)
+    found = Book(network).laws(grid, run)
     stiff = dataclasses.replace(known.prior, precision=STIFF * np.eye(len(known.prior.precision)))
     said: Request = {}
     for name, prior in (("linear", known.prior), ("raw", stiff)):

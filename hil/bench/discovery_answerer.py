@@ -13,7 +13,8 @@ from hil.bench.discovery_worker import Request, serve
 
 def answer(request: Request) -> Request:
     """Diagnose as `hil diagnose` does, without its page and its revision of the twin."""
-    from hil.diagnosing import read_columns, with_clock, write
+    from hil.diagnosing import read_columns, with_clock
+    from hil.diagnosis_store import write_document
     from twin.discovery.engine import diagnose
     from twin.twinfile import load
 
@@ -22,7 +23,7 @@ def answer(request: Request) -> Request:
     record, _ = read_columns(network, Path(request["record"]), request["hour"])
     healthy, _ = read_columns(network, Path(request["healthy"]), request["hour"])
     diagnosis = diagnose(network, record, healthy)
-    path = write(diagnosis, Path(request["out"]), {"seconds": round(time.monotonic() - began, 2)})
+    path = write_document(diagnosis.document(), Path(request["out"]))
     return {"answer": str(path), "seconds": time.monotonic() - began}
 
 
