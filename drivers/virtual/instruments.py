@@ -11,14 +11,22 @@ AMBIENT_SIGMA_K, POWER_SIGMA_W, FLOW_SIGMA, PUMP_SIGMA_PCT, FAN_SIGMA_PCT = 0.03
 POWER_STEP_W, FLOW_STEP = 0.1, 0.002
 """Resolution of the meters; the other readings are rounded by their registers."""
 AMBIENT_LAG_S = 20.0
+LARGEST_OFFSET_K = 0.03
+"""Of the room sensor."""
 
 
 class Instruments:
-    """Readings in the order of `READINGS`, reproducible for a seed."""
+    """Readings in the order of `READINGS`, reproducible for a seed.
 
-    def __init__(self, seed: int, period_s: float, effects: tuple[Effect, ...]) -> None:
+    `unit` is the specimen, whose room sensor has its own offset; by default another one for every seed.
+    """
+
+    def __init__(self, seed: int, period_s: float, effects: tuple[Effect, ...], unit: int | None = None) -> None:
         self._random = np.random.default_rng([seed, 2])
-        self._ambient_offset = float(self._random.uniform(-0.03, 0.03))
+        offset = float(self._random.uniform(-LARGEST_OFFSET_K, LARGEST_OFFSET_K))
+        if unit is not None:
+            offset = float(np.random.default_rng([unit, 2]).uniform(-LARGEST_OFFSET_K, LARGEST_OFFSET_K))
+        self._ambient_offset = offset
         self._sigma = (AMBIENT_SIGMA_K, POWER_SIGMA_W, FLOW_SIGMA, PUMP_SIGMA_PCT, FAN_SIGMA_PCT)
         self._noise: list[list[float]] = []
         self._share = 1.0 - float(np.exp(-period_s / AMBIENT_LAG_S))

@@ -157,10 +157,12 @@ async def start_virtual_rig(
     control_port: int = 0,
     effects: Path | None = None,
     host: str = "127.0.0.1",
+    unit: int | None = None,
 ) -> VirtualRig:
     """Start plant and PLC in one process, thermocouple module and CAN bus in another; return when both serve.
 
-    Ports of 0 are chosen by the system. Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and
+    Ports of 0 are chosen by the system. `unit` is the specimen: the same one has the same sensors' offsets, whatever
+    the seed; by default another one for every seed. Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and
     `ValueError` for arguments that make no rig.
     """
     if mode not in ("real", "scaled", "lockstep"):
@@ -177,6 +179,8 @@ async def start_virtual_rig(
     common = ["--seed", str(seed), "--host", host]
     if effects is not None:
         common += ["--with", str(effects)]
+    if unit is not None:
+        common += ["--unit", str(unit)]
     near, far = socket.socketpair()
     children: list[_Child] = []
     try:

@@ -23,11 +23,17 @@ _LAYOUT = struct.Struct("<9hHI")
 
 
 class ThermocoupleModule:
-    """Turns true junction temperatures into raw frames; reproducible for a seed."""
+    """Turns true junction temperatures into raw frames; reproducible for a seed.
 
-    def __init__(self, seed: int, effects: tuple[Effect, ...] = ()) -> None:
+    `unit` is the specimen, whose channels have their own offsets; by default another one for every seed.
+    """
+
+    def __init__(self, seed: int, effects: tuple[Effect, ...] = (), unit: int | None = None) -> None:
         self._random = np.random.default_rng([seed, 3])
         self.offsets_K = self._random.uniform(-LARGEST_OFFSET_K, LARGEST_OFFSET_K, len(CHANNELS))
+        if unit is not None:
+            specimen = np.random.default_rng([unit, 3])
+            self.offsets_K = specimen.uniform(-LARGEST_OFFSET_K, LARGEST_OFFSET_K, len(CHANNELS))
         self._errors: list[list[float]] = []
         self._faults = SensorFaults(effects, CHANNELS)
 

@@ -195,6 +195,63 @@ def records_command(seed: int, out: Path | None, as_json: bool) -> None:
     _finish("records", seed, tables, skipped, out, as_json)
 
 
+@command.command("discovery")
+@click.option("--blind", is_flag=True, help="Seal the truth and the answers before comparing them; always done.")
+@click.option("--cases", default=40, show_default=True, help="Number of cases, a quarter of them healthy.")
+@click.option("--case", "only", multiple=True, type=int, help="This case alone; may be repeated.")
+@click.option("--healthy", default=0, show_default=True, help="Further records without any effect.")
+@click.option("--healthy-case", "only_healthy", multiple=True, type=int, help="This healthy record alone.")
+@click.option("--hours", default=24.0, show_default=True, help="Length of each record.")
+@click.option(
+    "--direct/--wire", default=True, show_default=True,
+    help="Step the virtual rig's parts here, or run the loop over Modbus and CAN.",
+)  # fmt: skip
+@click.option("--twin", default="loop", show_default=True, help="Twin of profiles/twins to commission.")
+@click.option("--no-ablations", is_flag=True, help="Leave out the comparison with parts of the method left out.")
+@click.option(
+    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/discovery"),
+    show_default=True, help="Finished cases are kept here.",
+)  # fmt: skip
+@QUICK
+@SEED
+@OUT
+@JSON
+def discovery_command(
+    blind: bool,
+    cases: int,
+    only: tuple[int, ...],
+    healthy: int,
+    only_healthy: tuple[int, ...],
+    hours: float,
+    direct: bool,
+    twin: str,
+    no_ablations: bool,
+    work: Path,
+    quick: bool,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Blind trial: hidden effects in the virtual rig, answers sealed before the truth is opened, then scored.
+
+    \b
+    Example:
+      hil bench discovery --blind --quick
+      hil bench discovery --blind --case 17
+      hil bench discovery --blind --cases 100 --healthy 300 --out docs/results
+    """
+    from hil.bench import discovery
+    from hil.bench.discovery_tables import tables
+    from hil.terminal import Steps
+
+    numbers = only or (() if only_healthy else tuple(range(12 if quick else cases)))
+    further = only_healthy or tuple(range(0 if only else healthy))
+    size = discovery.Size(numbers, further, hours, direct, twin, not no_ablations)
+    with Steps("diagnosing", 1.0, quiet=as_json) as steps:
+        done = discovery.measure(size, seed, work, steps.update)
+    _finish("discovery", seed, tables(done, size), discovery.left_out(), out, as_json)
+
+
 @command.command("structure")
 @SEED
 @OUT

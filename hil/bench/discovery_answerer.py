@@ -1,0 +1,31 @@
+"""The side that does not know: a record, a twin and a healthy record in, `diagnosis.json` out.
+
+python -m hil.bench.discovery_answerer
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from hil.bench.discovery_worker import Request, serve
+
+
+def answer(request: Request) -> Request:
+    """Diagnose as `hil diagnose` does, without its page and its revision of the twin."""
+    from hil.diagnosing import read_columns, with_clock
+    from hil.diagnosis_store import write_document
+    from twin.discovery.engine import diagnose
+    from twin.twinfile import load
+
+    began = time.monotonic()
+    network = with_clock(load(Path(request["twin"])))
+    record, _ = read_columns(network, Path(request["record"]), request["hour"])
+    healthy, _ = read_columns(network, Path(request["healthy"]), request["hour"])
+    diagnosis = diagnose(network, record, healthy)
+    path = write_document(diagnosis.document(), Path(request["out"]))
+    return {"answer": str(path), "seconds": time.monotonic() - began}
+
+
+if __name__ == "__main__":
+    serve(answer)

@@ -1,0 +1,202 @@
+"""What an answer is worth beside the truth: names, places, drivers, sizes, onsets, errors."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+Label = tuple[str, str]
+"""Kind and place."""
+
+NAMED = ("effect found", "ambiguous")
+CLASSES: tuple[frozenset[Label], ...] = (
+    # All temperatures follow heat over flow: scaling one down is scaling the other up.
+    frozenset({("flow", "loop"), ("actuator", "pump_speed"), ("actuator", "heater_power")}),
+    # All change the conductance from radiator to room.
+    frozenset({("heat_rejection", "radiator"), ("actuator", "fan_speed"), ("heat_loss", "radiator")}),
+)
+"""Causes that no record of temperatures tells apart, or hardly."""
+_SAME_DRIVER = (
+    frozenset({"history", "rate_of_change"}),
+    frozenset({"temperature", "temperature_difference"}),
+)
+_MODULE = re.compile(r"(?<![a-z])pm\d")
+SECONDS_PER_MINUTE = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One case, opened and judged; None where a question does not arise.
+
+    Attributes:
+        z, confidence: of the answer's first effect. z_truth: forecast for the true effect, see `discovery_ablation`.
+        exact: the kinds and places named are those of the truth, and no others. top1: the first one is.
+        class1: it is, or is indistinguishable from it by the answer's own words or by physics. in_set: the truth is
+            among those that the answer does not exclude. set_size: how many these are.
+        in_words: something outside the catalogue was described by several effects of the right kind at the right place,
+            as a loss that ends is by two opposite steps.
+        onset_min: error of the onset, minutes. size: relative error. errors_K: RMSE on the held-out part, re-tuned,
+            with the effects, and the thermometers' noise, over all sensors.
+        excess: share of the squared error above the floor that the effects took away.
+    """
+
+    case: str
+    group: str
+    what: str
+    load: str
+    verdict: str
+    said: str
+    z: float | None
+    confidence: float | None
+    seconds: float
+    z_truth: float | None
+    exact: bool | None
+    top1: bool | None
+    class1: bool | None
+    in_set: bool | None
+    set_size: int | None
+    place: bool | None
+    driver: bool | None
+    in_words: bool
+    onset_min: float | None
+    size: float | None
+    errors_K: tuple[float, float, float] | None
+
+    @property
+    def named(self) -> bool:
+        """A cause was named."""
+        return self.verdict in NAMED
+
+    @property
+    def alarmed(self) -> bool:
+        """Something was found, whatever it was called."""
+        return self.named or self.verdict == "unexplained"
+
+    @property
+    def right(self) -> bool:
+        """Nothing that was said is wrong, equivalents taken as equal; for `unexplained`, that nothing fits."""
+        if self.group == "none":
+            return self.verdict == "adequate"
+        if self.group == "outside":
+            return self.verdict == "unexplained" or self.in_words
+        return self.named and bool(self.class1)
+
+
+def judge(
+    case: str, load: str, hidden: Mapping[str, Any], answer: Mapping[str, Any], seconds: float,
+    z_truth: float | None = None, sizes: Sequence[float | None] = (),
+) -> Outcome:  # fmt: skip
+    """Compare an answer, `diagnosis.json`, with a truth as it was sealed.
+
+    Args:
+        sizes: of the true effects in the unit of the catalogue, at the end of the fit, None where it has no such.
+    """
+    group, verdict = str(hidden["group"]), str(answer["verdict"])
+    effects = list(answer["effects"])
+    labels = [(str(k), str(w)) for k, w, _ in hidden["labels"]]
+    first = effects[0] if effects else None
+    named = verdict in NAMED and bool(effects)
+    said = [(e["kind"], e["where"]) for e in effects]
+    others = [(a["kind"], a["where"]) for a in answer["indistinguishable"]]
+    exact = top1 = class1 = in_set = right_place = right_driver = None
+    set_size = onset = size = None
+    if group in ("one", "two") and named:
+        exact = sorted(said) == sorted(labels)
+        top1 = said[0] in labels
+        class1 = all(any(alike(s, t, others) for t in labels) for s in said[: len(labels)])
+        in_set = all(t in said or t in others for t in labels)
+        set_size = len(set(said) | set(others))
+        right_place = volume(said[0][1]) in {volume(w) for _, w in labels}
+    if group == "outside" and first is not None and labels[0][1] != "loop":
+        right_place = volume(first["where"]) == volume(labels[0][1])
+    in_words = group == "outside" and named and _in_words(effects, hidden["labels"][0])
+    if first is not None and named and group == "one" and said[0] == labels[0]:
+        right_driver = same_driver(first["driver"], hidden["labels"][0][2])
+        onset = abs(first["onset_s"] - hidden["effects"][0].get("onset_s", 0.0)) / SECONDS_PER_MINUTE
+        if sizes and sizes[0]:
+            size = abs(first["value"] - sizes[0]) / abs(sizes[0])
+    return Outcome(
+        case=case, group=group, what=str(hidden["what"]), load=load, verdict=verdict,
+        said="; ".join(spoken(e) for e in effects) or "-",
+        z=first["z"] if first else None, confidence=first["confidence"] if first else None,
+        seconds=seconds, z_truth=z_truth, exact=exact, top1=top1, class1=class1, in_set=in_set, set_size=set_size,
+        place=right_place, driver=right_driver, in_words=in_words, onset_min=onset, size=size, errors_K=pooled(answer),
+    )  # fmt: skip
+
+
+def _in_words(effects: Sequence[Mapping[str, Any]], label: tuple[str, str, str]) -> bool:
+    """Whether something that came and went is told by steps of one kind, place and driver."""
+    told = {(e["kind"], e["where"], e["driver"], e["shape"]) for e in effects}
+    kind, where, _, shape = next(iter(told))
+    return (
+        label[2] == "history" and len(told) == 1 and len(effects) > 1 and shape == "step"
+        and alike((kind, where), (label[0], label[1]), ())
+    )  # fmt: skip
+
+
+def spoken(effect: Mapping[str, Any]) -> str:
+    """An effect of an answer in one line."""
+    size = f"{effect['value']:.3g} {effect['unit']}" if effect["value"] is not None else ""
+    since = f"{effect['onset_s'] / 3600.0:.1f} h"
+    return f"{effect['kind']} at {effect['where']} ({effect['driver']}) {size} {effect['shape']} since {since}"
+
+
+def alike(said: Label, truth: Label, others: Sequence[Label]) -> bool:
+    """Named, named as indistinguishable, or of the same class."""
+    if said == truth or truth in others:
+        return True
+    a, b = (said[0], family(said[1])), (truth[0], family(truth[1]))
+    return a == b or any({a, b} <= c for c in CLASSES)
+
+
+def family(where: str) -> str:
+    """A module counts as the modules, its sensor as theirs."""
+    return _MODULE.sub("modules", where)
+
+
+def volume(where: str) -> str:
+    """The volume that a place or a sensor belongs to."""
+    inner = where.removeprefix("T_").removesuffix("_C") if where.startswith("T_") else where
+    return "heater" if family(inner) == "element" else family(inner)
+
+
+def same_driver(a: str, b: str) -> bool:
+    """Whether two words mean one driver."""
+    return a == b or any({a, b} <= c for c in _SAME_DRIVER)
+
+
+def pooled(answer: Mapping[str, Any]) -> tuple[float, float, float] | None:
+    """RMSE over all sensors of an answer, K: re-tuned, with its effects, noise."""
+    rows = list(answer["error"]["sensors"].values())
+    found = []
+    for key in ("before", "after", "noise"):
+        values = [r[key] for r in rows if r[key] is not None]
+        if not values:
+            return None
+        found.append(math.sqrt(sum(v * v for v in values) / len(values)))
+    return found[0], found[1], found[2]
+
+
+def wilson(hits: int, of: int, z: float = 1.6449) -> tuple[float, float]:
+    """90 % interval of a share. Wilson, J. Am. Stat. Assoc. 22 (1927) 209."""
+    if not of:
+        return float("nan"), float("nan")
+    p = hits / of
+    middle = p + z * z / (2 * of)
+    half = z * math.sqrt(p * (1.0 - p) / of + z * z / (4 * of * of))
+    scale = 1.0 + z * z / of
+    return max((middle - half) / scale, 0.0), min((middle + half) / scale, 1.0)
+
+
+def risk_at_coverage(outcomes: Iterable[Outcome], shares: Sequence[float]) -> list[tuple[float, int, int, float]]:
+    """For shares of the cases in which a cause was named, surest first: share, cases, wrong ones, least confidence."""
+    ranked = sorted((o for o in outcomes if o.named), key=lambda o: (-(o.confidence or 0.0), -(o.z or 0.0)))
+    rows = []
+    for share in shares:
+        taken = ranked[: max(round(share * len(ranked)), 1)] if ranked else []
+        wrong = sum(not o.right for o in taken)
+        rows.append((share, len(taken), wrong, taken[-1].confidence or 0.0 if taken else float("nan")))
+    return rows

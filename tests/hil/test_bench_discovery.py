@@ -1,0 +1,241 @@
+"""The blind trial: what an answer is worth, the order of sealing, and a small trial from end to end."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from drivers.rigfile import load_rig
+from drivers.virtual.effects import load_effects
+from drivers.virtual.thermocouple_module import ThermocoupleModule
+from hil.bench import discovery
+from hil.bench.discovery_ablation import course_of
+from hil.bench.discovery_cases import effects_text, profile, profile_text, setting, truth
+from hil.bench.discovery_direct import direct_record
+from hil.bench.discovery_injector import RIG, opened, seal
+from hil.bench.discovery_ledger import Ledger, LedgerError, sha256_of
+from hil.bench.discovery_score import Outcome, alike, judge, risk_at_coverage, volume, wilson
+from hil.bench.discovery_tables import failure, tables
+from hil.bench.discovery_worker import Worker, WorkerError
+from hil.cli import group
+from hil.profile import read_profile
+from hil.record import read_record
+
+
+def effect(kind: str = "heat_source", where: str = "tank", driver: str = "constant", **more: Any) -> dict[str, Any]:
+    return {
+        "kind": kind, "where": where, "driver": driver, "value": 44.0, "unit": "W", "onset_s": 3600.0, "z": 20.0,
+        "confidence": 0.9, "shape": "step", **more,
+    }  # fmt: skip
+
+
+def answer(verdict: str, *effects: dict[str, Any], others: tuple[tuple[str, str], ...] = ()) -> dict[str, Any]:
+    sensors = {"T_tank_C": {"before": 0.3, "after": 0.05, "noise": 0.04}}
+    return {
+        "verdict": verdict, "effects": list(effects), "error": {"sensors": sensors},
+        "indistinguishable": [{"kind": k, "where": w} for k, w in others],
+    }  # fmt: skip
+
+
+HIDDEN = {
+    "group": "one", "what": "heat_source at tank (constant), power_W 40",
+    "effects": [{"onset_s": 3000.0}], "labels": [["heat_source", "tank", "constant"]],
+}  # fmt: skip
+
+
+def judged(said: dict[str, Any], hidden: dict[str, Any] | None = None) -> Outcome:
+    return judge("case_0", "steps", hidden or HIDDEN, said, 1.0, 12.0, (40.0,))
+
+
+def test_a_right_answer_scores_in_every_respect() -> None:
+    o = judged(answer("effect found", effect()))
+    assert (o.exact, o.top1, o.class1, o.in_set, o.place, o.driver, o.right) == (True,) * 7
+    assert o.onset_min == pytest.approx(10.0)
+    assert o.size == pytest.approx(0.1)
+    assert o.errors_K == pytest.approx((0.3, 0.05, 0.04))
+    assert failure(o) is None
+
+
+def test_an_effect_too_many_is_not_exact() -> None:
+    o = judged(answer("effect found", effect(), effect("sensor", "T_tank_C")))
+    assert o.top1 and not o.exact
+    assert failure(o) == "one too many"
+
+
+def test_the_set_counts_and_its_size() -> None:
+    o = judged(answer("ambiguous", effect("heat_loss", "heater"), others=(("heat_source", "tank"), ("flow", "loop"))))
+    assert (o.top1, o.class1, o.in_set, o.set_size, o.place) == (False, True, True, 3, False)
+    assert failure(o) == "equivalent only"
+
+
+def test_classes_of_what_no_record_tells_apart() -> None:
+    assert alike(("flow", "loop"), ("actuator", "pump_speed"), ())
+    assert alike(("heat_source", "pm3"), ("heat_source", "modules"), ())
+    assert not alike(("heat_source", "tank"), ("heat_loss", "tank"), ())
+    assert [volume(w) for w in ("T_pm2_C", "pm4", "element", "T_tank_C", "T_modules_C")] == [
+        "modules", "modules", "heater", "tank", "modules",
+    ]  # fmt: skip
+
+
+def test_adequate_on_a_case_with_an_effect_is_no_wrong_name() -> None:
+    o = judged(answer("adequate"))
+    assert (o.top1, o.in_set, o.right) == (None, None, False)
+    assert failure(o) == "missed"
+
+
+def test_outside_the_catalogue_only_abstention_is_right() -> None:
+    hidden = HIDDEN | {"group": "outside", "labels": [["heat_source", "tank", "periodic"]]}
+    unknown = judged(answer("unexplained", effect("unknown", "T_tank_C")), hidden)
+    assert unknown.right and unknown.place
+    named = judged(answer("effect found", effect()), hidden)
+    assert not named.right
+    assert failure(named) == "named what it cannot know"
+
+
+def test_what_came_and_went_may_be_told_by_two_steps() -> None:
+    hidden = HIDDEN | {"group": "outside", "labels": [["flow", "loop", "history"]]}
+    steps = (effect("actuator", "pump_speed"), effect("actuator", "pump_speed"))
+    assert judged(answer("effect found", *steps), hidden).right
+    assert not judged(answer("effect found", *steps, effect("flow", "loop")), hidden).right
+    assert not judged(answer("effect found", steps[0]), hidden).right
+
+
+def test_risk_counts_the_surest_first() -> None:
+    sure = judged(answer("effect found", effect(confidence=0.99)))
+    wrong = judged(answer("effect found", effect("heat_loss", "heater", confidence=0.5)))
+    assert [(n, bad) for _, n, bad, _ in risk_at_coverage([wrong, sure], (0.5, 1.0))] == [(1, 0), (2, 1)]
+
+
+def test_wilson_against_published_values() -> None:
+    # Brown, Cai and DasGupta, Stat. Sci. 16 (2001) 101, with kappa 1.6449: symmetric about 1/2, and exact at the ends.
+    low, high = wilson(5, 10)
+    assert low + high == pytest.approx(1.0)
+    assert wilson(0, 20)[1] == pytest.approx(1.6449**2 / (20 + 1.6449**2))
+    assert np.isnan(wilson(0, 0)).all()
+
+
+def test_the_ledger_keeps_the_order(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "ledger.jsonl")
+    hidden = truth(1, 0, 24.0)
+    sealed = seal(hidden, tmp_path / "sealed" / "case_1.json")
+    assert sealed == sha256_of(tmp_path / "sealed" / "case_1.json")
+    assert opened(tmp_path / "sealed" / "case_1.json")["group"] == hidden.group
+    ledger.write("case_1", "sealed", sealed)
+    with pytest.raises(LedgerError, match="cannot be opened"):
+        ledger.write("case_1", "opened", sealed)
+    ledger.write("case_1", "answered", "a" * 64)
+    with pytest.raises(LedgerError, match="not the one that was sealed"):
+        ledger.write("case_1", "opened", "b" * 64)
+    ledger.write("case_1", "opened", sealed)
+    with pytest.raises(LedgerError, match="cannot be answered"):
+        ledger.write("case_1", "answered", "a" * 64)
+
+
+def test_a_changed_ledger_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "ledger.jsonl"
+    ledger = Ledger(path)
+    ledger.write("case_1", "sealed", "a" * 64)
+    ledger.write("case_1", "answered", "b" * 64)
+    Ledger(path)
+    path.write_text(path.read_text(encoding="utf-8").replace("a" * 64, "c" * 64), encoding="utf-8")
+    with pytest.raises(LedgerError, match="does not follow"):
+        Ledger(path)
+
+
+def test_cases_are_quarters_and_valid(tmp_path: Path) -> None:
+    drawn = [truth(n, 3, 24.0) for n in range(80)]
+    groups = [t.group for t in drawn]
+    assert groups.count("none") == groups.count("outside") == 20
+    assert 0 < groups.count("two") < groups.count("one")
+    for n, hidden in enumerate(drawn):
+        assert bool(hidden.effects) == (hidden.group != "none")
+        if hidden.effects:
+            path = tmp_path / f"{n}.toml"
+            path.write_text(effects_text(hidden.effects), encoding="utf-8")
+            assert len(load_effects(path)) == len(hidden.effects)
+
+
+def test_a_profile_is_one_that_hil_run_reads(tmp_path: Path) -> None:
+    made = profile(setting(5, 0, 24.0))
+    path = tmp_path / "case.csv"
+    path.write_text(profile_text(made), encoding="utf-8")
+    back = read_profile(path)
+    assert back.duration_s == 24 * 3600.0
+    assert np.array_equal(back.values, made.values)
+
+
+def test_a_direct_record_is_that_of_the_specimen() -> None:
+    made = profile(setting(2, 0, 0.2))
+    rig = load_rig(RIG)
+    one = direct_record(made, rig, seed=5, unit=1)
+    assert np.array_equal(one.columns["T_tank_C"], direct_record(made, rig, seed=5, unit=1).columns["T_tank_C"])
+    other = direct_record(made, rig, seed=6, unit=1)
+    assert not np.array_equal(one.columns["T_tank_C"], other.columns["T_tank_C"])
+    assert np.array_equal(ThermocoupleModule(5, unit=1).offsets_K, ThermocoupleModule(6, unit=1).offsets_K)
+    assert one.time_s[-1] == 720.0
+    counts = one.columns["T_tank_C"] * 100.0
+    assert np.abs(counts - counts.round()).max() < 1e-9
+
+
+def test_courses_follow_onset_ramp_and_growth() -> None:
+    edges = np.linspace(0.0, 100.0, 11)
+    assert course_of({"onset_s": 50.0}, edges).tolist() == [0.0] * 5 + [1.0] * 5
+    assert course_of({"onset_s": 0.0, "ramp_s": 100.0}, edges)[-1] == pytest.approx(0.95)
+    assert course_of({"onset_s": 0.0, "tau_s": 10.0}, edges)[0] == pytest.approx(1.0 - np.exp(-0.5))
+
+
+def test_a_worker_reports_errors_and_goes_on(tmp_path: Path) -> None:
+    with Worker("hil.bench.discovery_answerer") as worker:
+        for _ in range(2):
+            with pytest.raises(WorkerError, match="nowhere"):
+                worker.ask(record="x", twin=str(tmp_path / "nowhere.toml"), healthy="x", hour=8.0, out=str(tmp_path))
+
+
+def test_two_cases_from_end_to_end(tmp_path: Path) -> None:
+    options = ["bench", "discovery", "--blind", "--case", "3", "--case", "5", "--hours", "4", "--no-ablations"]
+    work = ["--work", str(tmp_path / "work"), "--json"]
+    first = CliRunner().invoke(group, [*options, *work])
+    assert first.exit_code == 0, first.output
+    report = json.loads(first.stdout)
+    assert sum(row[1] for row in report["tables"]["verdicts"]["rows"]) == 2
+    (ledger,) = (tmp_path / "work").rglob("ledger.jsonl")
+    events = [json.loads(line)["event"] for line in ledger.read_text(encoding="utf-8").splitlines()]
+    assert events == ["sealed", "answered", "opened"] * 2
+    again = CliRunner().invoke(group, [*options, *work])
+    assert json.loads(again.stdout)["tables"] == report["tables"]
+    assert len(ledger.read_text(encoding="utf-8").splitlines()) == 6
+
+
+def test_a_crash_counts_as_no_answer() -> None:
+    o = judged(discovery._no_answer("LinAlgError: Singular matrix"))
+    assert failure(o) == "no answer"
+    size = discovery.Size((0,), (), 4.0, True)
+    found = tables([discovery.Finished(o, {}, None)], size)
+    assert any("error" in str(row[0]) for table in found for row in table.rows)
+
+
+def test_a_direct_record_is_like_one_over_the_wire(tmp_path: Path) -> None:
+    size = discovery.Size((5,), (), 0.5, direct=False, ablations=False)
+    trial = discovery.Trial(size, 0, tmp_path)
+    case = setting(5, 0, 0.5)
+    path = tmp_path / "record.parquet"
+    try:
+        trial._over_the_wire(case, path, {"setting": dataclasses.asdict(case), "draw": 0, "healthy": True})
+    finally:
+        trial.close()
+    wire = read_record(path)
+    direct = direct_record(profile(case), load_rig(RIG), seed=case.seed, unit=case.unit)
+    assert set(direct.columns) <= set(wire.columns)
+    for name, values in direct.columns.items():
+        # The loop needs some seconds to arm the rig, so the two are shifted a little.
+        late = wire.columns[name][-300:]
+        assert np.isfinite(late).all()
+        assert late.mean() == pytest.approx(values[-300:].mean(), rel=0.01), name
+        if name.startswith("T_"):
+            assert np.diff(late).std() == pytest.approx(np.diff(values[-300:]).std(), rel=0.3), name
