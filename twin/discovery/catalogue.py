@@ -62,6 +62,7 @@ def sites_of(network: Network) -> Sites:
         groups=groups,
         elements=network.elements,
         values={name: p.value for name, p in network.parameters.items()},
+        litres_per_s=max((p.value / 60.0 for p in network.parameters.values() if p.unit == "L/min"), default=0.0),
     )
 
 

@@ -21,7 +21,7 @@ from twin.discovery.members import Members, members
 from twin.discovery.model import Model
 from twin.discovery.probe import Probe, Run, posterior
 from twin.discovery.readings import Stuck, stuck
-from twin.discovery.search import Entry, possible, refine, scan, together
+from twin.discovery.search import Entry, Structure, possible, refine, scan, structure_of, together
 from twin.discovery.verdict import Finding, Ranked, conclude, enough, piled_up, rank, width
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
@@ -75,6 +75,7 @@ class Basis:
     prior: Prior
     source: str
     warnings: tuple[str, ...]
+    structure: Mapping[str, Structure] = field(default_factory=dict)
 
 
 def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
@@ -89,7 +90,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
     probe, book = Probe(network, ids), Book(network)
     if healthy is not None:
         grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
-        state, _, residual, good = _free_run(probe, grid)
+        state, run, residual, good = _free_run(probe, grid)
         rms = np.sqrt(np.nanmean(np.where(good, residual, np.nan) ** 2, axis=0))
         raw = network.sigma
         worst = int(np.nanargmax(rms / raw))
@@ -100,9 +101,10 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
             )
         known = posterior(network, probe, grid, state, inflation(np.where(good, residual, np.nan), grid.sigma), WIDEN)
         learned = noises.learn(residual, grid.sigma, grid.step_s)
+        known_structure = structure_of(Contest(probe, grid, state, run, learned, known), book.laws(grid, run))
         if learned.step_s != record.step_s:
             learned = learned.at_step(record.step_s)
-        return Basis(probe, book, learned, known, "the healthy record", ())
+        return Basis(probe, book, learned, known, "the healthy record", (), known_structure)
     state, _, residual, good = _free_run(probe, record)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)
     learned = noises.learn(residual, record.sigma, record.step_s)
@@ -255,7 +257,7 @@ class _Part:
         state, run, _, _ = _free_run(known.probe, grid)
         contest = Contest(known.probe, grid, state, run, known.noise, known.prior)
         found = known.book.laws(grid, run)
-        entries = [refine(contest, e) for e in scan(contest, found)[: 4 * FINALISTS]]
+        entries = [refine(contest, e) for e in scan(contest, found, None, known.structure)[: 4 * FINALISTS]]
         entries.sort(key=lambda e: -e.gain)
         return cls(known, grid, state, run, contest, found, entries)
 
@@ -298,6 +300,8 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
             trials.append((fit(contest, Model.of(network, group, ids), part.state), group))
         order = rank(trials, contest, ladder[0].chi * contest.count)
         winner = order[0].fit
+        if best is None and ladder[0].chi * contest.count - winner.total < THRESHOLD**2:
+            break
         if best is not None:
             need = THRESHOLD**2 if not enough(best.chi, start_chi, contest) else max(THRESHOLD**2, small)
             if best.total - winner.total < need:
@@ -308,7 +312,7 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
         part.reset()
         again = fit(contest, Model.of(network, chosen, ids), part.state, rounds=2)
         given = np.stack([e.placed(contest) for e in again.entries])
-        entries = scan(contest, part.laws, given)[: 4 * FINALISTS]
+        entries = scan(contest, part.laws, given, part.basis.structure)[: 4 * FINALISTS]
         entries.sort(key=lambda e: -e.gain)
         ladder.append(
             Rung(
@@ -369,7 +373,7 @@ def _pairs(part: _Part) -> list[tuple[Entry, ...]]:
     part.reset()
     found: list[tuple[float, tuple[Entry, ...]]] = []
     for first in list(firsts.values())[:PAIRED]:
-        seconds = scan(part.contest, part.laws, first.vector[None])[:3]
+        seconds = scan(part.contest, part.laws, first.vector[None], part.basis.structure)[:3]
         for second in seconds:
             again = scan(part.contest, [first.law], second.vector[None])[:1]
             pair, fitted = together(part.contest, (again[0] if again else first, second))

@@ -120,7 +120,9 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
         free = ~(flat | ((v <= low) & (pull < 0.0)) | ((v >= high) & (pull > 0.0)))
         step = np.zeros_like(v)
         inner = hessian[np.ix_(free, free)]
-        step[free] = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), pull[free])
+        step[free] = np.linalg.solve(
+            inner + damping * np.diag(np.maximum(np.diag(inner), 1e-9 * np.diag(inner).max())), pull[free]
+        )
         trial = np.clip(v + np.clip(step, -reach, reach), low, high)
         new, _ = features(trial, False)
         new_total = float(new @ new + trial @ precision @ trial)

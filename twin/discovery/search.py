@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,11 +15,29 @@ from twin.discovery.shapes import Shape, family
 from twin.elements.base import Candidate
 from twin.network import Array
 
+EARLY_S = 3600.0
+"""Onsets up to this are as good as the beginning."""
 LAST_SHARE = 0.95
 """Onsets are looked for up to this share of the record; an effect needs some time to show."""
 WORTH_GROWING = 4.0
 """Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
 _TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A law's size in a healthy record, where it is nothing but what the twin's structure leaves, and its error."""
+
+    size: float
+    sd: float
+
+    def beyond(self, size: Array, bottom: Array) -> Array:
+        """Gain of sizes fitted with squares `bottom`, counted from here."""
+        gain: Array = (size - self.size) ** 2 / (1.0 / bottom + self.sd**2)
+        return gain
+
+
+NO_STRUCTURE: Mapping[str, Structure] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +51,7 @@ class Entry:
     sd: float
     gain: float
     onset_sd_s: float = 0.0
+    bare_gain: float = 0.0
 
     @property
     def candidate(self) -> Candidate:
@@ -68,11 +89,15 @@ def allowed(candidate: Candidate, size: float) -> bool:
     return candidate.lower <= size <= candidate.upper
 
 
-def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[Entry]:
+def scan(
+    contest: Contest, laws: list[Law], given: Array | None = None, structure: Mapping[str, Structure] = NO_STRUCTURE
+) -> list[Entry]:
     """Best onset of each law in each of its shapes, by falling gain.
 
     Args:
         given: vectors (e, sites, b) of effects that are already known; their sizes are fitted along.
+        structure: what the same laws seem to be in a healthy record, by candidate. The twin is lumped and the rig is
+            not; of an effect that is there from the beginning only the difference to that counts.
     """
     edges_s = contest.edges * contest.grid.step_s
     onsets = edges_s[: max(int(contest.b * LAST_SHARE), 1)]
@@ -85,6 +110,7 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
         for t in onsets[::3]
     ]
     courses = np.stack([shape.block_means(edges_s) for shape in grown], axis=1)
+    soon = np.array([shape.onset_s <= EARLY_S and shape.growth_s <= 4.0 * EARLY_S for shape in grown])
     found: list[Entry] = []
     for law in laws:
         p = contest.vector(law)
@@ -92,18 +118,30 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
         least = _TINY * max(float(np.diag(gram).sum()), _TINY)
         bottom = np.maximum(_late_sums(gram)[: len(onsets)], least)
         size, gain = _gains(law, score @ steps, bottom)
+        bare = gain.copy()
+        known = structure.get(law.candidate.id)
+        gain[np.abs(size) < law.candidate.lumped] = 0.0
+        if known is not None:
+            early = onsets <= EARLY_S
+            gain[early] = np.minimum(gain[early], known.beyond(size[early], bottom[early]))
         best = int(np.argmax(gain))
         if gain[best] > 0.0:
             vector = p * steps[:, best]
-            found.append(_entry(law, Shape("step", float(onsets[best])), vector, size[best], bottom[best], gain[best]))
+            shape = Shape("step", float(onsets[best]))
+            found.append(_entry(law, shape, vector, size[best], bottom[best], gain[best], bare[best]))
         if law.candidate.shapes == ("step",) or gain[best] < WORTH_GROWING:
             continue
         bottom = np.maximum((courses * (gram @ courses)).sum(axis=0), least)
         size, gain = _gains(law, score @ courses, bottom)
+        bare = gain.copy()
+        if known is not None:
+            gain[soon] = np.minimum(gain[soon], known.beyond(size[soon], bottom[soon]))
         for first in range(0, len(grown), len(onsets[::3])):
             best = first + int(np.argmax(gain[first : first + len(onsets[::3])]))
             if gain[best] > 0.0:
-                found.append(_entry(law, grown[best], p * courses[:, best], size[best], bottom[best], gain[best]))
+                found.append(
+                    _entry(law, grown[best], p * courses[:, best], size[best], bottom[best], gain[best], bare[best])
+                )
     found.sort(key=lambda e: -e.gain)
     return found
 
@@ -116,8 +154,20 @@ def _gains(law: Law, top: Array, bottom: Array) -> tuple[Array, Array]:
     return size, gain
 
 
-def _entry(law: Law, shape: Shape, vector: Array, size: float, bottom: float, gain: float) -> Entry:
-    return Entry(law, shape, vector, float(size), float(bottom) ** -0.5, float(gain))
+def _entry(law: Law, shape: Shape, vector: Array, size: float, bottom: float, gain: float, bare: float) -> Entry:
+    return Entry(law, shape, vector, float(size), float(bottom) ** -0.5, float(gain), bare_gain=float(bare))
+
+
+def structure_of(contest: Contest, laws: list[Law]) -> dict[str, Structure]:
+    """What each law seems to be in a healthy record, all along and of a possible sign."""
+    found = {}
+    for law in laws:
+        gram, score = contest.small(contest.vector(law))
+        bottom = float(gram.sum())
+        if bottom > 0.0:
+            size = min(max(float(score.sum()) / bottom, law.candidate.lower), law.candidate.upper)
+            found[law.candidate.id] = Structure(size, bottom**-0.5)
+    return found
 
 
 def _late_sums(gram: Array) -> Array:
@@ -164,9 +214,11 @@ def _better(contest: Contest, entry: Entry, shape: Shape, p: Array, gram: Array,
     course = shape.block_means(contest.edges * contest.grid.step_s)
     bottom = max(float(course @ gram @ course), _TINY)
     top = float(score @ course)
-    if top**2 / bottom <= entry.gain or not allowed(entry.candidate, top / bottom):
+    if top**2 / bottom <= entry.bare_gain or not allowed(entry.candidate, top / bottom):
         return entry
-    return Entry(entry.law, shape, p * course, top / bottom, bottom**-0.5, top**2 / bottom)
+    bare = top**2 / bottom
+    gain = bare if entry.gain == entry.bare_gain else entry.gain
+    return Entry(entry.law, shape, p * course, top / bottom, bottom**-0.5, gain, bare_gain=bare)
 
 
 def onset_interval(contest: Contest, entry: Entry, others: tuple[Entry, ...], drop: float) -> tuple[float, float]:

@@ -135,7 +135,6 @@ def conclude(
     """The verdict with everything that supports it."""
     start = float(grid.time[0])
     scale = finding.count
-    adequate_now = finding.fit is None
     left = finding.retuned.chi if finding.fit is None else finding.fit.chi
     good = enough(left, finding.start / scale, finding.contest) and not piled_up(finding.entries)
     verdict: Verdict
@@ -146,9 +145,9 @@ def conclude(
     bigger: Network | None = None
     sites = _sites(known, whole, entries)
     found: tuple[Course, ...] = courses(whole, sites) if sites else ()
-    if adequate_now and (entries and entries[0].z >= 6.0):
-        adequate_now = False
-    if finding.fit is None and enough(finding.start / scale, 0.0, finding.contest):
+    # What the twin's structure seems to be in the healthy record too is no reason to call it wrong now.
+    structural = max((e.bare_gain for e in finding.scanned), default=0.0)
+    if finding.fit is None and enough((finding.start - structural) / scale, 0.0, finding.contest):
         verdict = "adequate"
     elif finding.fit is None or not good:
         verdict = "unexplained"

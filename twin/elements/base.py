@@ -176,6 +176,7 @@ class Candidate:
         adds: name -> table of the elements that are added.
         replaces: element -> keys of its table that differ.
         shapes: time shapes in which it may come in.
+        lumped: size that a twin of mixed volumes without pipes may seem to lack without anything being wrong.
     """
 
     kind: str
@@ -192,6 +193,7 @@ class Candidate:
     replaces: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     inverse: bool = False
     shapes: tuple[str, ...] = SHAPES
+    lumped: float = 0.0
 
     @property
     def id(self) -> str:
@@ -209,7 +211,7 @@ class Sites:
         nodes, inputs: names. room, clock: input columns of the room temperature and the time of day, or "".
         before: node -> the node before it on a flow path. places: node -> what an operator calls the place.
         groups: place -> nodes that are alike and are named together.
-        elements: every element. values: id -> present value.
+        elements: every element. values: id -> present value. litres_per_s: of the largest nominal flow.
     """
 
     nodes: tuple[str, ...]
@@ -221,6 +223,7 @@ class Sites:
     groups: Mapping[str, tuple[str, ...]]
     elements: tuple[Element, ...]
     values: Mapping[str, float]
+    litres_per_s: float = 0.0
 
     def having(self, kind: str) -> tuple[Any, ...]:
         """The network's elements of a kind."""

@@ -26,6 +26,8 @@ from typing import ClassVar
 from twin.elements.base import Candidate, Delay, Element, Fragment, Names, ParameterSpec, Sites, State, place
 
 LEAST_S = 1.0
+LUMPED_S = 20.0
+"""Water on its way that a twin of mixed volumes may hide."""
 _STILL = "1e-9"
 
 
@@ -55,6 +57,7 @@ class Pipe(Element):
                 "delay", sites.places[node], "history", "new", {f"{name}.volume": 1.0}, "L", 0.5, 0.0, 50.0,
                 "gets its water later, as through a further {value} of pipe",
                 adds={name: {"kind": cls.kind, "to": node, "ambient": sites.room}}, shapes=("step",),
+                lumped=0.0 if piped else LUMPED_S * sites.litres_per_s,
             )
             for node in sites.before
             if node not in piped and sites.room and (name := f"pipe_to_{node}")
