@@ -32,7 +32,7 @@ HELD_OUT = 0.25
 WIDEN = 4.0
 """Factor on the variance that commissioning quotes for the tunables: what it quotes is of one record."""
 FINALISTS = 8
-SECOND_SHARE = 0.06
+SECOND_SHARE = 0.1
 """A further effect must win this share of the first one's gain: a large effect is never of quite the form assumed."""
 UNHEALTHY = 6.0
 """Times the noise of a bin that a healthy record's residual may reach."""
@@ -403,6 +403,11 @@ def _finalists(entries: list[Entry], chosen: tuple[Entry, ...]) -> list[Entry]:
         found.append(entry)
         if len(found) == FINALISTS:
             break
+    # What grows is only believed where the same thing all at once does worse.
+    for grown in [e for e in found if e.shape.name != "step"]:
+        at_once = [e for e in entries if e.candidate.id == grown.candidate.id and e.shape.name == "step"]
+        if at_once and at_once[0] not in found:
+            found.append(at_once[0])
     return found
 
 

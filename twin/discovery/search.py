@@ -15,6 +15,10 @@ from twin.discovery.shapes import Shape, family
 from twin.elements.base import Candidate
 from twin.network import Array
 
+BEYOND = 6.0
+"""Score that the difference to a healthy record must have."""
+STRUCTURE = 0.25
+"""Typical sizes that what a twin's structure leaves may amount to."""
 EARLY_S = 3600.0
 """Onsets up to this are as good as the beginning."""
 LAST_SHARE = 0.95
@@ -31,10 +35,11 @@ class Structure:
     size: float
     sd: float
 
-    def beyond(self, size: Array, bottom: Array) -> Array:
-        """Gain of sizes fitted with squares `bottom`, counted from here."""
-        gain: Array = (size - self.size) ** 2 / (1.0 / bottom + self.sd**2)
-        return gain
+    def gated(self, gain: Array, size: Array, bottom: Array) -> Array:
+        """The gain of sizes fitted with squares `bottom`, unless it is no more than what is there in health too."""
+        beyond = (size - self.size) ** 2 / (1.0 / bottom + self.sd**2)
+        kept: Array = np.where(beyond >= BEYOND**2, gain, np.minimum(gain, beyond))
+        return kept
 
 
 NO_STRUCTURE: Mapping[str, Structure] = MappingProxyType({})
@@ -123,7 +128,7 @@ def scan(
         gain[np.abs(size) < law.candidate.lumped] = 0.0
         if known is not None:
             early = onsets <= EARLY_S
-            gain[early] = np.minimum(gain[early], known.beyond(size[early], bottom[early]))
+            gain[early] = known.gated(gain[early], size[early], bottom[early])
         best = int(np.argmax(gain))
         if gain[best] > 0.0:
             vector = p * steps[:, best]
@@ -135,7 +140,7 @@ def scan(
         size, gain = _gains(law, score @ courses, bottom)
         bare = gain.copy()
         if known is not None:
-            gain[soon] = np.minimum(gain[soon], known.beyond(size[soon], bottom[soon]))
+            gain[soon] = known.gated(gain[soon], size[soon], bottom[soon])
         for first in range(0, len(grown), len(onsets[::3])):
             best = first + int(np.argmax(gain[first : first + len(onsets[::3])]))
             if gain[best] > 0.0:
@@ -165,8 +170,11 @@ def structure_of(contest: Contest, laws: list[Law]) -> dict[str, Structure]:
         gram, score = contest.small(contest.vector(law))
         bottom = float(gram.sum())
         if bottom > 0.0:
-            size = min(max(float(score.sum()) / bottom, law.candidate.lower), law.candidate.upper)
-            found[law.candidate.id] = Structure(size, bottom**-0.5)
+            c = law.candidate
+            prior, error = (STRUCTURE * c.typical) ** 2, 1.0 / bottom
+            size = float(score.sum()) / bottom * prior / (prior + error)
+            spread = (prior * error / (prior + error)) ** 0.5
+            found[c.id] = Structure(min(max(size, c.lower), c.upper), spread)
     return found
 
 

@@ -37,6 +37,8 @@ _PRIOR = {
     "heat_source": 1.0, "heat_loss": 1.0, "heat_rejection": 1.0, "flow": 0.7, "thermal_mass": 0.7, "sensor": 0.7,
     "coupling": 0.4, "delay": 0.5, "actuator": 0.3,
 }  # fmt: skip
+_MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
+"""What an actuator moves: a pump that turns slower is a flow that is less."""
 _RARE = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
 
 
@@ -47,7 +49,8 @@ def enough(chi: float, start: float, contest: Contest) -> bool:
 
 def piled_up(entries: tuple[Entry, ...]) -> bool:
     """Whether effects share a place: they then stand for one of a form that no candidate has."""
-    places = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
+    named = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
+    places = [_MOVED_BY.get(name, name) for name in named]
     same = [tuple(e.candidate.changes) for e in entries]
     return len(set(places)) < len(places) or len(set(same)) < len(same)
 
@@ -98,12 +101,31 @@ def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest, start: f
             cost += free * math.log(contest.count) - 2.0 * math.log(plausibility(e))
             cost += min((e.size / (_TYPICALS * e.candidate.typical)) ** 2, 20.0)
         costs.append(cost)
+    limit = width(max(start - min(f.total for f, _ in trials), 0.0))
+    for i, (fitted, _) in enumerate(trials):
+        if any(costs[k] < costs[i] + limit for k in _without_growth(fitted.entries, trials)):
+            # What is as well explained by something that is simply there has no need to grow.
+            costs[i] += limit
     least = min(costs)
-    temper = width(max(start - min(f.total for f, _ in trials), 0.0)) / 10.0
+    temper = limit / 10.0
     raw = [math.exp(-0.5 * (c - least) / temper) * _prior(f.entries) for c, (f, _) in zip(costs, trials, strict=True)]
     total = sum(raw)
     order = sorted(range(len(costs)), key=lambda i: -raw[i])
     return tuple(Ranked(trials[i][0], costs[i], raw[i] / total) for i in order)
+
+
+def _without_growth(entries: tuple[Entry, ...], trials: list[tuple[Fit, tuple[Entry, ...]]]) -> list[int]:
+    """Trials with the same candidates, the last of which comes in at once where here it grows."""
+    last = entries[-1]
+    if last.shape.name == "step":
+        return []
+    return [
+        k
+        for k, (other, _) in enumerate(trials)
+        if other.entries[-1].shape.name == "step"
+        and other.entries[-1].candidate.id == last.candidate.id
+        and len(other.entries) == len(entries)
+    ]
 
 
 def _prior(entries: tuple[Entry, ...]) -> float:
