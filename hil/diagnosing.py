@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import json
 import platform
 from dataclasses import dataclass
 from importlib import metadata
@@ -65,6 +66,15 @@ def clock_of(text: str) -> float:
     except ValueError:
         raise DiagnosingError(f"--clock {text!r} is not a time of day; write it like 08:00") from None
     return moment.hour + moment.minute / 60.0 + moment.second / 3600.0
+
+
+def clock_beside(record: Path) -> float | None:
+    """Hours since midnight at 0 s as a `datasheet.json` beside the record tells (`clock_at_time_0`), or None."""
+    try:
+        sheet = json.loads((record.parent / "datasheet.json").read_text(encoding="utf-8"))
+        return clock_of(str(sheet["clock_at_time_0"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def start_hour(record: Record) -> float | None:

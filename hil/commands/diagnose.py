@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from twin.discovery.diagnosis import Diagnosis
+    from twin.discovery.engine import Columns
+    from twin.network import Network
 
 STEPS = 4.0
 
@@ -30,6 +32,7 @@ STEPS = 4.0
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")
 @click.option("--dry", is_flag=True, help="Propose only: no revision of the twin, no files.")
 @click.option("--review", is_flag=True, help="Also write diagnosis.rrd, and open it where there is a display.")
+@click.option("--forecast", is_flag=True, help="Only say what effects the inputs of RECORD could show.")
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
 def command(
     target: Path,
@@ -40,6 +43,7 @@ def command(
     out: Path | None,
     dry: bool,
     review: bool,
+    forecast: bool,
     as_json: bool,
 ) -> None:
     """Find the residual of RUN or RECORD, trace it to an effect that the twin lacks, and add that effect.
@@ -54,6 +58,7 @@ def command(
       hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet --with experiment.parquet
     """
     from hil.diagnosing import (
+        clock_beside,
         clock_of,
         provenance,
         read_columns,
@@ -71,11 +76,14 @@ def command(
     began = time.monotonic()
     subject = subject_of(target, twin, out)
     network = load(subject.twin)
-    hour = clock_of(clock) if clock else None
+    hour = clock_of(clock) if clock else clock_beside(subject.record)
     told = with_clock(network) if hour is not None else network
     record, messages = read_columns(told, subject.record, hour)
     good = read_columns(told, healthy, hour)[0] if healthy else None
     later = tuple(read_columns(told, path, hour)[0] for path in more)
+    if forecast:
+        _forecast(console(), told, record, good, as_json)
+        return
     stages = 0
     with Steps("diagnosing", STEPS, quiet=as_json) as steps:
         for message in messages:
@@ -184,3 +192,39 @@ def _show(to: Console, d: Diagnosis) -> None:
         to.print(f"next experiment: {d.next_experiment.get('name', '')} {d.next_experiment['why']}", soft_wrap=True)
     for spot in d.blind_spots:
         to.print(f"blind spot: {spot}", soft_wrap=True)
+
+
+def _forecast(to: Console, network: Network, record: Columns, healthy: Columns | None, as_json: bool) -> None:
+    """What the record's inputs could show: the least size of each effect that would be seen, and look-alikes."""
+    from rich.table import Table
+
+    from twin.discovery.engine import foresee
+
+    found = foresee(network, record, healthy)
+    if as_json:
+        seen = [
+            {"kind": s.candidate.kind, "where": s.candidate.where, "driver": s.candidate.driver, "least": s.least,
+             "unit": s.candidate.unit, "kept": s.kept}
+            for s in found.seen
+        ]  # fmt: skip
+        pairs = [[a.id, b.id, rho] for a, b, rho in found.confused]
+        click.echo(json.dumps({"seen": seen, "unseen": [c.id for c in found.unseen], "confused": pairs}, indent=1))
+        return
+    table = Table(title="Least effect that this record could show, present all along", title_justify="left")
+    for heading in ("kind", "where", "driver", "from", "that tunables leave"):
+        table.add_column(heading, justify="right" if heading.startswith(("from", "that")) else "left")
+    shown = set()
+    for s in found.seen:
+        c = s.candidate
+        if (c.kind, c.where, c.driver) in shown:
+            continue
+        shown.add((c.kind, c.where, c.driver))
+        table.add_row(c.kind, c.where, c.driver, f"{s.least:.3g} {c.unit}", f"{100.0 * s.kept:.0f} %")
+    to.print(table)
+    for c in found.unseen:
+        to.print(f"cannot be seen: {c.kind.replace('_', ' ')} at {c.where} ({c.driver.replace('_', ' ')})")
+    for a, b, rho in found.confused[:20]:
+        to.print(
+            f"look alike ({rho:+.3f}): {a.kind.replace('_', ' ')} at {a.where} ({a.driver.replace('_', ' ')}) and "
+            f"{b.kind.replace('_', ' ')} at {b.where} ({b.driver.replace('_', ' ')})"
+        )

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.engine import Columns, diagnose
+from twin.discovery.engine import Columns, diagnose, foresee
 from twin.network import TwinFileError
+
+HEATED = ("heat_source", "modules", "constant")
 
 
 def test_a_healthy_record_is_adequate(bench: Bench, healthy: Columns) -> None:
@@ -131,3 +133,17 @@ def test_the_document_keeps_the_contract(bench: Bench, healthy: Columns) -> None
     assert {"kind", "where", "driver", "change", "value", "unit", "interval90", "onset_s", "confidence", "z"} <= set(
         effect
     )
+
+
+def test_a_forecast_keeps_its_word(bench: Bench, healthy: Columns) -> None:
+    """An effect of four times the least size that was promised is found and named; one of a fifth of it is not."""
+    plan = foresee(bench.network, bench.record(), healthy)
+    least = next(s.least for s in plan.seen if (s.candidate.kind, s.candidate.where, s.candidate.driver) == HEATED)
+    for share, seen in ((4.0, True), (0.2, False)):
+        record = bench.record(changed=bench.with_values(modules_power__power=share * least))
+        found = diagnose(bench.network, record, healthy)
+        assert (found.verdict != "adequate") == seen
+        if seen:
+            assert found.effects[0].where == "modules"
+    alike = {(a.kind, b.kind) for a, b, _ in plan.confused}
+    assert any("actuator" in pair for pair in alike)  # heater power and its gain, fan and fins

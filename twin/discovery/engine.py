@@ -14,7 +14,7 @@ from twin.discovery import noise as noises
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Diagnosis, Rung, SensorError
 from twin.discovery.fitting import Fit, fit
-from twin.discovery.forecast import from_the_start
+from twin.discovery.forecast import Forecast, forecast, from_the_start
 from twin.discovery.grid import Grid, bridged, filled, on_grid
 from twin.discovery.laws import Book, Law
 from twin.discovery.members import Members, members
@@ -238,6 +238,17 @@ def _members(
         }
 
     return members(network, means(record, grid), grid, means(healthy, known), known, edges)
+
+
+def foresee(network: Network, record: Columns, healthy: Columns | None = None) -> Forecast:
+    """What a record with these inputs could show; of its readings only the first ones are looked at.
+
+    Raises:
+        TwinFileError: as `diagnose`.
+    """
+    grid = on_grid(network, record.time_s, record.inputs, record.measured)
+    known = basis(network, healthy, grid)
+    return forecast(known.probe, known.book, known.noise, known.prior, grid)
 
 
 @dataclass

@@ -19,7 +19,7 @@ from twin.discovery.model import Model
 from twin.discovery.probe import Run
 from twin.discovery.readings import Stuck
 from twin.discovery.search import Entry
-from twin.discovery.shapes import Shape
+from twin.discovery.words import amount, clock, sentence, summarise, when
 from twin.network import Array, Network
 
 if TYPE_CHECKING:
@@ -239,7 +239,7 @@ def _single(
         onset_s=start + odd.shape.onset_s, onset_interval90_s=(start + odd.shape.onset_s,) * 2, shape=odd.shape.name,
         confidence=odd.share, z=odd.z,
         evidence=f"it carries {100.0 * odd.share:.0f} % of what differs among the thermometers of {one.sensor}",
-        says=f"{odd.column} reads {amount(odd.size, 'K')} off {_when(odd.shape, start)}",
+        says=f"{odd.column} reads {amount(odd.size, 'K')} off {when(odd.shape, start)}",
     )  # fmt: skip
     if here:
         return "effect found", tuple(fault if i == here[0] else e for i, e in enumerate(effects))
@@ -327,51 +327,6 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
         growth_s=entry.shape.growth_s,
         says=sentence(entry, start, grown),
     )
-
-
-def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0) -> str:
-    """The effect in plain words; `grown` is the share of its size that it has reached."""
-    c = entry.candidate
-    who = {"loop": "The loop", "modules": "The modules"}.get(c.where)
-    if who is None:
-        who = c.where if c.kind == "sensor" else f"The {c.where.replace('_', ' ')}"
-    says = c.says
-    if who == "The modules":
-        says = _plural(says)
-    text = f"{who} {says.format(value=amount(entry.size * grown, c.unit))}"
-    when = _when(entry.shape, start)
-    if entry.shape.name == "ramp":
-        until = f" for {clock(entry.shape.growth_s)}" if grown >= 1.0 else ""
-        return f"{text} by the end, having grown steadily {when}{until}"
-    if entry.shape.name == "saturating":
-        return f"{text} by the end, growing {when} with a time constant of {clock(entry.shape.growth_s)}"
-    return f"{text}, {when}"
-
-
-def _when(shape: Shape, start: float) -> str:
-    return f"since {clock(start + shape.onset_s)}" if shape.onset_s > 0.0 else "from the beginning of the record"
-
-
-def _plural(says: str) -> str:
-    first, _, rest = says.partition(" ")
-    verb = {"has": "have", "is": "are", "exchanges": "exchange", "loses": "lose", "takes": "take", "gives": "give"}
-    return f"{verb.get(first, first.removesuffix('s'))} {rest}"
-
-
-def amount(value: float, unit: str) -> str:
-    """A size as an operator reads it."""
-    if unit.startswith("of the"):
-        return f"{100.0 * value:.3g} % {unit}"
-    if unit == "W/W":
-        return f"{100.0 * value:.3g} %"
-    return f"{value:.3g}" if unit == "1" else f"{value:.3g} {unit}"
-
-
-def clock(seconds: float) -> str:
-    minutes = round(seconds / 60.0)
-    if minutes < 60:
-        return f"{minutes} min"
-    return f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 def _others(finding: Finding) -> tuple[tuple[Alternative, ...], tuple[Alternative, ...]]:
@@ -516,39 +471,3 @@ def blind_spots(finding: Finding) -> tuple[str, ...]:
 
 def _name(e: Entry) -> str:
     return f"{e.candidate.kind.replace('_', ' ')} at {e.candidate.where} ({e.driver.replace('_', ' ')})"
-
-
-def summarise(
-    verdict: Verdict,
-    effects: tuple[Effect, ...],
-    errors: dict[str, SensorError],
-    others: tuple[Alternative, ...],
-    description: dict[str, Any],
-    scanned: list[Entry],
-) -> str:
-    """The verdict in plain words."""
-    if verdict == "adequate":
-        best = scanned[0].z if scanned else 0.0
-        return f"The twin is adequate: nothing in this record asks for an effect that it lacks (best score {best:.1f})."
-    worst = max(errors, key=lambda n: errors[n].before / errors[n].noise) if errors else ""
-    fit_text = ""
-    if worst:
-        e = errors[worst]
-        fit_text = (
-            f" On the part that the fit never saw, {worst} is off by {e.stale:.2g} K, by {e.before:.2g} K when "
-            f"re-tuned, by {e.after:.2g} K with the new term, at a noise of {e.noise:.2g} K."
-        )
-    if verdict == "unexplained":
-        if not effects:
-            return "The twin does not fit this record and no single place explains it." + fit_text
-        u = effects[0]
-        return (
-            f"Something at {u.where} is not in the catalogue: {u.value:.3g} {u.unit} on average "
-            f"({u.interval90[0]:.3g} to {u.interval90[1]:.3g}) since {clock(u.onset_s)}, following "
-            f"{u.driver.replace('_', ' ')}. No known effect explains it, so nothing is adopted."
-        )
-    said = ". ".join(e.says for e in effects)
-    if verdict == "ambiguous":
-        names = ", ".join(f"{a.kind.replace('_', ' ')} at {a.where}" for a in others)
-        return f"{said}; but this record cannot tell that from {names}." + fit_text
-    return said + "." + fit_text
