@@ -69,11 +69,12 @@ def _finish(
 
 
 def _typed(name: str) -> str:
-    """The command as it was typed, without where its results go."""
+    """The command as it was typed, without the folders that it writes to."""
     if Path(sys.argv[0]).name not in ("hil", "__main__.py"):
         return f"hil bench {name}"
     words = sys.argv[1:]
-    kept = [w for i, w in enumerate(words) if not w.startswith("--out") and (i == 0 or words[i - 1] != "--out")]
+    places = ("--out", "--work")
+    kept = [w for i, w in enumerate(words) if not w.startswith(places) and (i == 0 or words[i - 1] not in places)]
     return " ".join(["hil", *kept])
 
 
