@@ -148,19 +148,19 @@ def commission(
 
     stale = np.where(weight > 0.0, free_run(start, state0) - y, np.nan)
     residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
-    inflation = _inflation(residual[:split], network.sigma)
+    widened = inflation(residual[:split], network.sigma)
     # Residuals that are not white are worth fewer samples than there are. Without this, model error would
     # drive a parameter that the record cannot tell to a bound.
-    tempered = Prior(prior.mean, prior.precision * inflation)
+    tempered = Prior(prior.mean, prior.precision * widened)
     best = descend(kernel, scaling, network.values, data, best.values, best.state, tempered)
     residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
-    covariance = np.asarray(np.linalg.inv(best.normal / inflation + prior.precision), dtype=np.float64)
+    covariance = np.asarray(np.linalg.inv(best.normal / widened + prior.precision), dtype=np.float64)
     spread = np.sqrt(np.diag(covariance)[: len(ids)])
     told = spread / scaling.prior_sd() < CANNOT_TELL
     low, high = (scaling.to_values(scaling.to_z(best.values) + s * SE90 * spread) for s in (-1.0, 1.0))
     names = network.sensor_names
     errors = [dict(zip(names, rmse(r), strict=True)) for r in (stale[split:], residual[split:], residual[:split])]
-    notes = _notes(network, ids, (agree, len(fits)), best, told, u[:split], inflation)
+    notes = _notes(network, ids, (agree, len(fits)), best, told, u[:split], widened)
     values = dict(zip(ids, best.values.tolist(), strict=True))
     revision = Revision(
         number=network.revision.number + 1,
@@ -205,7 +205,7 @@ def _before_any_input_moves(network: Network, inputs: Array) -> int:
     return int(np.argmax(moved)) if moved.any() else len(first)
 
 
-def _inflation(residual: Array, sigma: Array) -> float:
+def inflation(residual: Array, sigma: Array) -> float:
     """How many declared-noise samples one sample of these residuals is worth, at least 1.
 
     The product of reduced chi-square and autocorrelation time (initial positive sequence, Geyer 1992), the
@@ -238,7 +238,7 @@ def _notes(
     best: Fit,
     told: np.ndarray,
     inputs: Array,
-    inflation: float,
+    widened: float,
 ) -> list[str]:
     notes = []
     if agree[0] < agree[1]:
@@ -252,6 +252,6 @@ def _notes(
     bound = [name for name, hit in zip(ids, best.at_bound, strict=True) if hit]
     if bound:
         notes.append(f"{', '.join(bound)} ended on a bound; the model may lack an effect")
-    if inflation > 100.0:
-        notes.append(f"residuals are far from white (intervals widened {np.sqrt(inflation):.0f} times)")
+    if widened > 100.0:
+        notes.append(f"residuals are far from white (intervals widened {np.sqrt(widened):.0f} times)")
     return notes

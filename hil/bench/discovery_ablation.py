@@ -18,10 +18,10 @@ import numpy as np
 from hil.bench.discovery_score import family, same_driver
 from hil.bench.discovery_worker import Request, serve
 from twin.discovery.contest import Contest
-from twin.discovery.engine import HELD_OUT, THRESHOLD, basis
+from twin.discovery.engine import HELD_OUT, basis
 from twin.discovery.grid import on_grid
 from twin.discovery.laws import Book, Law
-from twin.discovery.search import Entry, scan
+from twin.discovery.search import THRESHOLD, Entry, scan
 from twin.network import Array, Network
 
 STIFF = 1e12

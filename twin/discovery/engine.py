@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.commission import _inflation as inflation
-from twin.commission import weak_prior
+from twin.commission import inflation, weak_prior
 from twin.discovery import noise as noises
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Diagnosis, Rung, SensorError
@@ -21,13 +20,11 @@ from twin.discovery.members import Members, members
 from twin.discovery.model import Model
 from twin.discovery.probe import Probe, Run, posterior
 from twin.discovery.readings import Stuck, stuck
-from twin.discovery.search import Entry, Structure, possible, refine, scan, structure_of, together
+from twin.discovery.search import THRESHOLD, Entry, Structure, possible, refine, scan, structure_of, together
 from twin.discovery.verdict import Finding, Ranked, conclude, enough, piled_up, rank, width
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
 
-THRESHOLD = 6.0
-"""Score below which nothing is claimed."""
 HELD_OUT = 0.25
 WIDEN = 4.0
 """Factor on the variance that commissioning quotes for the tunables: what it quotes is of one record."""
@@ -73,7 +70,6 @@ class Basis:
     book: Book
     noise: noises.Noise
     prior: Prior
-    source: str
     warnings: tuple[str, ...]
     structure: Mapping[str, Structure] = field(default_factory=dict)
 
@@ -104,7 +100,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         known_structure = structure_of(Contest(probe, grid, state, run, learned, known), book.laws(grid, run))
         if learned.step_s != record.step_s:
             learned = learned.at_step(record.step_s)
-        return Basis(probe, book, learned, known, "the healthy record", (), known_structure)
+        return Basis(probe, book, learned, known, (), known_structure)
     state, _, residual, good = _free_run(probe, record)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)
     learned = noises.learn(residual, record.sigma, record.step_s)
@@ -112,9 +108,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         "no healthy record was given: the noise floor is taken from this record itself, so small effects are not seen "
         "and parameters are trusted less; give --healthy for a sharper answer"
     )
-    return Basis(
-        probe, book, _from_itself(probe, book, record, state, learned, prior), prior, "the record itself", (warning,)
-    )
+    return Basis(probe, book, _from_itself(probe, book, record, state, learned, prior), prior, (warning,))
 
 
 def _from_itself(probe: Probe, book: Book, grid: Grid, state: Array, noise: noises.Noise, prior: Prior) -> noises.Noise:
@@ -193,7 +187,6 @@ def diagnose(
         network=network,
         known=known,
         whole=whole.contest,
-        entries=whole.entries,
         grid=grid,
         split=split,
         errors=_errors(finding, network, record, grid, split),
@@ -341,7 +334,6 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
         scanned=tuple(part.entries),
         start=ladder[0].chi * contest.count,
         count=contest.count,
-        left_z=ladder[-1].best_z,
         ladder=tuple(ladder),
         contest=contest,
         state=part.state,

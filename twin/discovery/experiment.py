@@ -109,18 +109,3 @@ def _library(columns: tuple[str, ...], grid: Grid, seed: int) -> dict[str, list[
             (5.0 * 3600.0, {**top}),
         ]  # fmt: skip
     return out
-
-
-def as_columns(experiment: Experiment, step_s: float = 600.0) -> dict[str, Array]:
-    """Time and inputs of an experiment as columns of a load profile, one row a change."""
-    times = sorted({t for t, _ in experiment.steps} | {HOURS * 3600.0})
-    columns = sorted({c for _, values in experiment.steps for c in values})
-    out: dict[str, Array] = {"time_s": np.array(times)}
-    for column in columns:
-        held, row = 0.0, []
-        changes = dict(experiment.steps)
-        for t in times:
-            held = changes.get(t, {}).get(column, held)
-            row.append(held)
-        out[column] = np.array(row)
-    return out

@@ -15,13 +15,12 @@ from twin.discovery.grid import Grid
 from twin.discovery.laws import Book
 from twin.discovery.noise import Noise
 from twin.discovery.probe import Probe
-from twin.discovery.search import Entry
+from twin.discovery.search import THRESHOLD, Entry
 from twin.discovery.shapes import Shape
 from twin.elements.base import Candidate
 from twin.gauss_newton import Prior
 from twin.network import Array
 
-SEEN = 6.0
 CONFUSED = 0.98
 
 
@@ -68,7 +67,7 @@ def forecast(probe: Probe, book: Book, noise: Noise, prior: Prior, grid: Grid, s
     seen, unseen = [], [c for c in book.candidates if c.id not in {law.candidate.id for law in found}]
     for law, n, b in zip(found, norm, bare, strict=True):
         c = law.candidate
-        least = SEEN / n if n > 0.0 else np.inf
+        least = THRESHOLD / n if n > 0.0 else np.inf
         if least > max(abs(c.lower), abs(c.upper)):
             unseen.append(c)
         else:

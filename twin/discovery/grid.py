@@ -41,11 +41,6 @@ class Grid:
         rows = slice(first, last)
         return Grid(self.time[rows], self.inputs[rows], self.measured[rows], self.sigma, self.step_s)
 
-    def present(self) -> np.ndarray:
-        """(m,) bool: sensors with readings in at least a tenth of the bins."""
-        share: np.ndarray = np.isfinite(self.measured).mean(axis=0) > 0.1
-        return share
-
 
 def on_grid(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike) -> Grid:
     """Means over bins of 10 s, or of the record's own step where that is longer.

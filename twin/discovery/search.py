@@ -15,6 +15,8 @@ from twin.discovery.shapes import Shape, family
 from twin.elements.base import Candidate
 from twin.network import Array
 
+THRESHOLD = 6.0
+"""Score below which nothing is claimed."""
 BEYOND = 6.0
 """Score that the difference to a healthy record must have."""
 STRUCTURE = 0.25
@@ -197,12 +199,11 @@ def _less_given(contest: Contest, p: Array, given: Array | None) -> tuple[Array,
     return gram - cross @ inverse @ cross.T, score - cross @ inverse @ (flat @ contest.score)
 
 
-def refine(contest: Contest, entry: Entry, others: tuple[Entry, ...] = ()) -> Entry:
+def refine(contest: Contest, entry: Entry) -> Entry:
     """The entry with its onset (and growth) moved to where its gain is greatest."""
     edges_s = contest.edges * contest.grid.step_s
     p = contest.vector(entry.law)
-    given = np.stack([o.vector for o in others]) if others else None
-    gram, score = _less_given(contest, p, given)
+    gram, score = contest.small(p)
     best = entry
     reach = contest.step_s
     while reach >= 30.0:
@@ -227,33 +228,6 @@ def _better(contest: Contest, entry: Entry, shape: Shape, p: Array, gram: Array,
     bare = top**2 / bottom
     gain = bare if entry.gain == entry.bare_gain else entry.gain
     return Entry(entry.law, shape, p * course, top / bottom, bottom**-0.5, gain, bare_gain=bare)
-
-
-def onset_interval(contest: Contest, entry: Entry, others: tuple[Entry, ...], drop: float) -> tuple[float, float]:
-    """Onsets, s, at which the gain is less than `drop` below the best."""
-    edges_s = contest.edges * contest.grid.step_s
-    p = contest.vector(entry.law)
-    given = np.stack([o.vector for o in others]) if others else None
-    gram, score = _less_given(contest, p, given)
-
-    def gain(onset: float) -> float:
-        course = replace(entry.shape, onset_s=onset).block_means(edges_s)
-        return float((score @ course) ** 2 / max(float(course @ gram @ course), _TINY))
-
-    best = gain(entry.shape.onset_s)
-    ends = []
-    for direction in (-1.0, 1.0):
-        inside, step = entry.shape.onset_s, 30.0
-        while 0.0 <= inside + direction * step <= edges_s[-1] * LAST_SHARE:
-            if gain(inside + direction * step) < best - drop:
-                if step <= 30.0:
-                    break
-                step *= 0.5
-                continue
-            inside += direction * step
-            step = min(step * 1.5, 3600.0)
-        ends.append(inside)
-    return ends[0], ends[1]
 
 
 def together(contest: Contest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry, ...], Estimate]:

@@ -85,7 +85,6 @@ class Finding:
     scanned: tuple[Entry, ...]
     start: float
     count: int
-    left_z: float
     ladder: tuple[Rung, ...]
     contest: Contest
     state: Array
@@ -146,7 +145,6 @@ def conclude(
     network: Network,
     known: Basis,
     whole: Contest,
-    entries: list[Entry],
     grid: Grid,
     split: int,
     errors: dict[str, SensorError],
@@ -165,12 +163,18 @@ def conclude(
     alternatives: tuple[Alternative, ...] = ()
     description: dict[str, Any] = {}
     bigger: Network | None = None
-    sites = _sites(known, whole, entries)
-    found: tuple[Course, ...] = courses(whole, sites) if sites else ()
+    found = courses(whole, _sites(known, whole))
     # What the twin's structure seems to be in the healthy record too is no reason to call it wrong now.
     structural = max((e.bare_gain for e in finding.scanned), default=0.0)
+    quiet = enough(finding.start / scale, 0.0, finding.contest)
     if finding.fit is None and enough((finding.start - structural) / scale, 0.0, finding.contest):
         verdict = "adequate"
+        if not quiet:
+            notes = (
+                *notes,
+                f"the twin leaves {finding.start / scale:.2f} of misfit where noise alone leaves "
+                f"{finding.contest.expected:.2f}, as its own structure may; a small effect could hide behind that",
+            )
     elif finding.fit is None or not good:
         verdict = "unexplained"
         if found:
@@ -196,7 +200,7 @@ def conclude(
     readings = _run(finding, after, network, grid)
     return Diagnosis(
         verdict=verdict,
-        summary=summarise(verdict, effects, errors, others, description, entries),
+        summary=summarise(verdict, effects, errors, others, description, finding),
         effects=effects,
         indistinguishable=others,
         alternatives=alternatives,
@@ -336,6 +340,7 @@ def _others(finding: Finding) -> tuple[tuple[Alternative, ...], tuple[Alternativ
     same: dict[tuple[str, str, str], Alternative] = {}
     out: dict[tuple[str, str, str], Alternative] = {}
     taken = {e.label for e in first.entries}
+    best = max(finding.start - first.fit.total, 0.0) / max(finding.start, 1e-9)
     for r in finding.ranked[1:]:
         last = r.entries[-1]
         label = last.label
@@ -349,7 +354,7 @@ def _others(finding: Finding) -> tuple[tuple[Alternative, ...], tuple[Alternativ
     for e in finding.scanned:
         if e.label in taken or e.label in same or e.label in out or len(out) >= 12:
             continue
-        share, best = e.gain / max(finding.start, 1e-9), finding.scanned[0].gain / max(finding.start, 1e-9)
+        share = e.gain / max(finding.start, 1e-9)
         why = f"explains {100.0 * share:.0f} % of the mismatch, the answer {100.0 * best:.0f} %"
         out[e.label] = Alternative(*e.label, confidence=0.0, why_not=why)
     return tuple(same.values()), tuple(out.values())
@@ -364,7 +369,7 @@ def _near_misses(finding: Finding) -> tuple[Alternative, ...]:
     return tuple(out.values())
 
 
-def _sites(known: Basis, contest: Contest, entries: list[Entry]) -> dict[str, tuple[Array, float, str]]:
+def _sites(known: Basis, contest: Contest) -> dict[str, tuple[Array, float, str]]:
     """Places where an unknown may act, each as a vector of one unit."""
     probe = known.probe
     out: dict[str, tuple[Array, float, str]] = {}

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
-from twin.discovery.search import Entry
+from twin.discovery.search import THRESHOLD, Entry
 from twin.discovery.shapes import Shape
+
+if TYPE_CHECKING:
+    from twin.discovery.verdict import Finding
 
 
 def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0) -> str:
@@ -60,15 +63,19 @@ def summarise(
     errors: dict[str, SensorError],
     others: tuple[Alternative, ...],
     description: dict[str, Any],
-    scanned: list[Entry],
+    finding: Finding,
 ) -> str:
     """The verdict in plain words."""
     if verdict == "adequate":
-        best = scanned[0].z if scanned else 0.0
-        return f"The twin is adequate: nothing in this record asks for an effect that it lacks (best score {best:.1f})."
+        best = finding.ladder[0].best_z
+        tried = ", which a fit did not confirm" if best >= THRESHOLD else ""
+        return (
+            "The twin is adequate: nothing in this record asks for an effect that it lacks "
+            f"(best score {best:.1f}{tried})."
+        )
     worst = max(errors, key=lambda n: errors[n].before / errors[n].noise) if errors else ""
     fit_text = ""
-    if worst:
+    if worst and finding.fit is not None:
         e = errors[worst]
         fit_text = (
             f" On the part that the fit never saw, {worst} is off by {e.stale:.2g} K, by {e.before:.2g} K when "
@@ -77,9 +84,10 @@ def summarise(
     if verdict == "unexplained":
         if not effects:
             return "The twin does not fit this record and no single place explains it." + fit_text
-        u = effects[0]
+        u = next((e for e in effects if e.kind == "unknown"), effects[0])
+        beside = "".join(f"{e.says}. " for e in effects if e is not u and e.says)
         return (
-            f"Something at {u.where} is not in the catalogue: {u.value:.3g} {u.unit} on average "
+            f"{beside}Something at {u.where} is not in the catalogue: {u.value:.3g} {u.unit} on average "
             f"({u.interval90[0]:.3g} to {u.interval90[1]:.3g}) since {clock(u.onset_s)}, following "
             f"{u.driver.replace('_', ' ')}. No known effect explains it, so nothing is adopted."
         )
