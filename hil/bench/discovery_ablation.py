@@ -21,7 +21,8 @@ from twin.discovery.contest import Contest
 from twin.discovery.engine import HELD_OUT, basis
 from twin.discovery.grid import on_grid
 from twin.discovery.laws import Book, Law
-from twin.discovery.search import THRESHOLD, Entry, scan
+from twin.discovery.null import FALSE_ALARMS, null_scores
+from twin.discovery.search import Entry, scan
 from twin.network import Array, Network
 
 STIFF = 1e12
@@ -51,13 +52,13 @@ def answer(request: Request) -> Request:
         contest = Contest(known.probe, grid, state, run, known.noise, prior)
         said[name] = [_row(e) for e in scan(contest, found)[:NEAR]]
         if name == "linear":
+            said["threshold"] = null_scores(contest, found).quantile(FALSE_ALARMS)
             forecasts = [
                 forecast(contest, found, network, table, label)
                 for table, label in zip(request["effects"], request["labels"], strict=False)
             ]
             said["z_truth"] = [f[0] for f in forecasts]
             said["sizes"] = [f[1] for f in forecasts]
-    said["threshold"] = THRESHOLD
     return said
 
 

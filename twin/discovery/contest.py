@@ -25,6 +25,7 @@ from twin.network import Array
 
 MOST_BLOCKS = 240
 LEAST_BLOCK_BINS = 6
+FORGOTTEN = 0.05
 ANCHOR = 6
 """Blocks on either side of a gap that the line across it rests on."""
 
@@ -53,19 +54,23 @@ class Contest:
     """The quadratic form of one record.
 
     Args:
-        noise: what a healthy residual looks like. prior: of [tunables z, initial state].
+        noise: what a healthy residual looks like; it is scaled to how much this run moves.
+        prior: of [tunables z, initial state].
 
     Attributes:
         edges, hours: block borders, bins, and their beginnings, h from the record's. b, sites: numbers of blocks and of
             places, which are the k nodes and then the m sensors.
         total: weighted squares of the run last looked at, and of how far its tunables have moved.
         expected: misfit per block and sensor where there is nothing but noise.
+        slopes: (b * m, q + k) whitened, of tunables and initial state. residual: (b * m,) whitened, of that run.
+        memory: blocks until what a block of heat did to the readings has gone by nineteen parts in twenty.
         gram: (sites * b, sites * b). score: (sites * b,). misfit: those squares less what
             tunables and initial state can still take up, to first order.
     """
 
     def __init__(self, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: Prior) -> None:
-        self.probe, self.grid, self.noise, self.prior = probe, grid, noise, prior
+        self.probe, self.grid, self.prior = probe, grid, prior
+        self.noise = noise.where_moved(run.readings, grid.step_s)
         self.edges = block_edges(len(grid.time))
         self.b, self.k, self.m = len(self.edges) - 1, probe.k, probe.m
         self.sites = self.k + self.m
@@ -73,13 +78,15 @@ class Contest:
         self.present = np.isfinite(grid.measured)
         self.known = np.add.reduceat(self.present, self.edges[:-1], axis=0) >= 0.3 * np.diff(self.edges)[:, None]
         heat = probe.blocks(grid, state, self.edges)
-        self._j = self.features(probe.sensitivities(grid, state))
+        after = np.abs(heat[:, :, 0, :]).sum(axis=(1, 2))
+        self.memory = int(np.flatnonzero(after > FORGOTTEN * after.max())[-1]) + 1
+        self.slopes = self.features(probe.sensitivities(grid, state))
         onto = np.eye(self.b * self.m).reshape(self.b, self.m, self.b, self.m)
         # Columns go place by place, blocks within a place.
         columns = np.concatenate([heat, onto], axis=3).transpose(0, 1, 3, 2).reshape(self.b, self.m, -1)
         self._columns = self._white(filled(columns, self.known, ANCHOR)).reshape(self.b * self.m, -1)
-        self._normal = self._j.T @ self._j + prior.precision
-        cross = self._j.T @ self._columns
+        self._normal = self.slopes.T @ self.slopes + prior.precision
+        cross = self.slopes.T @ self._columns
         self._taken = np.linalg.solve(self._normal, cross)
         self.gram = self._columns.T @ self._columns - cross.T @ self._taken
         self.count = int(self.known.sum())
@@ -112,7 +119,7 @@ class Contest:
 
     def left_over(self, vectors: Array, sizes: Array, moved: Array) -> Array:
         """Block means (b, m) of the residual after effects of these sizes and a move of the tunables, in K."""
-        left = self._residual - self._j @ moved
+        left = self.residual - self.slopes @ moved
         for vector, size in zip(vectors, sizes, strict=True):
             left = left - self._columns @ vector.ravel() * size
         return self.noise.colour(left.reshape(self.b, self.m), self.step_s)
@@ -125,8 +132,8 @@ class Contest:
     def look_at(self, run: Run, moved: Array | None = None) -> None:
         """Take the residual of a run, whose tunables and state stand `moved` (q + k,) away from the prior's mean."""
         residual = self.features(self.grid.measured - run.readings)
-        self._residual = residual
-        pull = self._j.T @ residual
+        self.residual = residual
+        pull = self.slopes.T @ residual
         if moved is not None:
             pull = pull - self.prior.precision @ moved
         self._shift = np.linalg.solve(self._normal, pull)
@@ -154,16 +161,22 @@ class Contest:
             p[self.k :] = self._means(law.reading).T
         return p
 
-    def small(self, p: Array) -> tuple[Array, Array]:
-        """Gram matrix (b, b) and score (b,) of one law's blocks, p (sites, b)."""
+    def noise_scores(self, rng: np.random.Generator, draws: int) -> Array:
+        """Scores (sites * b, draws) of records that hold nothing but the noise assumed."""
+        white = rng.normal(0.0, 1.0, (self.b * self.m, draws))
+        scores: Array = self._columns.T @ white - self._taken.T @ (self.slopes.T @ white)
+        return scores
+
+    def small(self, p: Array, scores: Array | None = None) -> tuple[Array, Array]:
+        """Gram matrix (b, b) and score (b,) of one law's blocks, p (sites, b); of `scores` (sites * b, d): (b, d)."""
         active = np.flatnonzero(np.abs(p).max(axis=1) > 0.0)
         columns = (active[:, None] * self.b + np.arange(self.b)).ravel()
         weight = p[active].ravel()
         inner = self.gram[np.ix_(columns, columns)] * np.outer(weight, weight)
-        shape = (len(active), self.b, len(active), self.b)
-        return inner.reshape(shape).sum(axis=(0, 2)), (self.score[columns] * weight).reshape(len(active), -1).sum(
-            axis=0
-        )
+        gram = inner.reshape(len(active), self.b, len(active), self.b).sum(axis=(0, 2))
+        given = self.score[:, None] if scores is None else scores
+        score = (given[columns] * weight[:, None]).reshape(len(active), self.b, -1).sum(axis=0)
+        return gram, score[:, 0] if scores is None else score
 
     def joint(self, vectors: Array) -> tuple[Array, Array]:
         """Gram matrix (e, e) and score (e,) of e effects, `vectors` (e, sites, b)."""
@@ -183,6 +196,11 @@ class Contest:
         """Squared norms (e,) of signatures `flat` (e, sites * b) before the tunables have taken their part."""
         squared: Array = ((self._columns @ flat.T) ** 2).sum(axis=0)
         return squared
+
+    def signatures(self, vectors: Array) -> Array:
+        """Whitened (b * m, e) of effects at size 1, `vectors` (e, sites, b), tunables not projected out."""
+        found: Array = self._columns @ vectors.reshape(len(vectors), -1).T
+        return found
 
     def moved(self, vectors: Array, sizes: Array) -> Array:
         """Change of [tunables z, initial state] (q + k,) that goes with effects of these sizes."""

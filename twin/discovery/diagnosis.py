@@ -33,6 +33,7 @@ class Effect:
     evidence: str
     growth_s: float = 0.0
     says: str = ""
+    family_wise: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,19 @@ class Course:
 
 
 @dataclass(frozen=True)
+class Fold:
+    """A block left out: `gain` is the fall of its weighted squares that the effects bring, whose sizes the rest gave.
+
+    `rows` is its number of block means; `first_s`, `last_s` are of the record.
+    """
+
+    first_s: float
+    last_s: float
+    rows: int
+    gain: float
+
+
+@dataclass(frozen=True)
 class Rung:
     """One step of the ladder: what the twin held, the misfit left (chi per block and sensor), the best next score."""
 
@@ -102,7 +116,8 @@ class Diagnosis:
         summary: the verdict in plain words. courses: unknown power and offset per site. hours, residual: block means
             (b,), (b, m) of measured minus the twin as it was; residual_after likewise with the effects; band: (m,) sd
             of a healthy residual.
-        noise_source: where the noise floor comes from. warnings: a sentence each.
+        warnings: a sentence each. folds: blocks of time left out, and what the effects gain there.
+        threshold: score that the best of a record of noise reaches once in a hundred.
     """
 
     verdict: Verdict
@@ -125,6 +140,8 @@ class Diagnosis:
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     description: Mapping[str, Any] = field(default_factory=dict)
+    folds: tuple[Fold, ...] = ()
+    threshold: float = float("nan")
 
     def document(self) -> dict[str, Any]:
         """The contract's ``diagnosis.json``."""
@@ -156,6 +173,10 @@ class Diagnosis:
             "blind_spots": list(self.blind_spots),
             "next_experiment": self.next_experiment,
             "ladder": [{"twin": r.what, "misfit": _round(r.chi), "best_next_z": _round(r.best_z)} for r in self.ladder],
+            "threshold": _round(self.threshold),
+            "left_out": [
+                {"first_s": _round(f.first_s), "last_s": _round(f.last_s), "gain": _round(f.gain)} for f in self.folds
+            ],
             "description": dict(self.description),
             "warnings": list(self.warnings),
             "notes": list(self.notes),
@@ -167,7 +188,8 @@ def _effect(e: Effect) -> dict[str, Any]:
         "kind": e.kind, "where": e.where, "driver": e.driver, "change": e.change, "value": _round(e.value),
         "unit": e.unit, "interval90": [_round(x) for x in e.interval90], "onset_s": _round(e.onset_s),
         "onset_interval90_s": [_round(x) for x in e.onset_interval90_s], "shape": e.shape,
-        "confidence": _round(e.confidence), "z": _round(e.z), "evidence": e.evidence, "says": e.says,
+        "confidence": _round(e.confidence), "z": _round(e.z),
+        "p_family_wise": _round(e.family_wise), "evidence": e.evidence, "says": e.says,
     }  # fmt: skip
 
 

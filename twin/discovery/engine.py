@@ -11,17 +11,20 @@ from numpy.typing import ArrayLike
 from twin.commission import inflation, weak_prior
 from twin.discovery import noise as noises
 from twin.discovery.contest import Contest
-from twin.discovery.diagnosis import Diagnosis, Rung, SensorError
+from twin.discovery.diagnosis import Diagnosis, Fold, Rung, SensorError
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.forecast import Forecast, forecast, from_the_start
 from twin.discovery.grid import Grid, bridged, filled, on_grid
 from twin.discovery.laws import Book, Law
 from twin.discovery.members import Members, members
 from twin.discovery.model import Model
+from twin.discovery.null import FALSE_ALARMS, Null, null_scores
 from twin.discovery.probe import Probe, Run, posterior
+from twin.discovery.ranking import Finding, Ranked, enough, piled_up, rank, width
 from twin.discovery.readings import Stuck, stuck
-from twin.discovery.search import THRESHOLD, Entry, Structure, possible, refine, scan, structure_of, together
-from twin.discovery.verdict import Finding, Ranked, conclude, enough, piled_up, rank, width
+from twin.discovery.search import Entry, Structure, possible, refine, scan, structure_of, together
+from twin.discovery.validation import validate
+from twin.discovery.verdict import conclude
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
 
@@ -29,7 +32,7 @@ HELD_OUT = 0.25
 WIDEN = 4.0
 """Factor on the variance that commissioning quotes for the tunables: what it quotes is of one record."""
 FINALISTS = 8
-SECOND_SHARE = 0.1
+SECOND_SHARE = 0.02
 """A further effect must win this share of the first one's gain: a large effect is never of quite the form assumed."""
 UNHEALTHY = 6.0
 """Times the noise of a bin that a healthy record's residual may reach."""
@@ -96,7 +99,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
                 f"(noise {raw[worst]:.2f} K); commission the twin on this record first, or give one that is healthy"
             )
         known = posterior(network, probe, grid, state, inflation(np.where(good, residual, np.nan), grid.sigma), WIDEN)
-        learned = noises.learn(residual, grid.sigma, grid.step_s)
+        learned = noises.learn(residual, grid.sigma, grid.step_s, run.readings)
         known_structure = structure_of(Contest(probe, grid, state, run, learned, known), book.laws(grid, run))
         if learned.step_s != record.step_s:
             learned = learned.at_step(record.step_s)
@@ -167,16 +170,22 @@ def diagnose(
     train = _Part.of(known, grid.part(0, split))
     whole = _Part.of(known, grid)
     notes: list[str] = []
-    if train.best_z < THRESHOLD <= whole.best_z:
+    finding: Finding | None = None
+    if not _begins_late(whole, train, split):
+        finding = _search(train, say)
+    if finding is None or (finding.fit is None and whole.best_z >= whole.threshold):
         top = whole.entries[0]
         onset = int(top.shape.onset_s / grid.step_s)
-        split = min(max(split, (onset + bins) // 2), bins - 6)
-        notes.append(
-            f"something changed at {top.shape.onset_s / 3600.0:.1f} h, inside the part that was to be kept out of the "
-            f"fit; the fit was given the record up to {split * grid.step_s / 3600.0:.1f} h"
-        )
-        train = _Part.of(known, grid.part(0, split))
-    finding = _search(train, say)
+        later = min(max(split, (onset + bins) // 2), bins - 6)
+        if later > split:
+            split = later
+            notes.append(
+                f"something changed at {top.shape.onset_s / 3600.0:.1f} h, inside the part that was to be kept out of "
+                f"the fit; the fit was given the record up to {split * grid.step_s / 3600.0:.1f} h"
+            )
+            train = _Part.of(known, grid.part(0, split))
+            finding = None
+    finding = finding or _search(train, say)
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
         finding = _weighed(finding, [_Part.of(known, on_grid(network, r.time_s, r.inputs, r.measured)) for r in more])
@@ -194,6 +203,14 @@ def diagnose(
         single=single,
         still=still,
     )
+
+
+def _begins_late(whole: _Part, train: _Part, split: int) -> bool:
+    """Whether what stands out in the whole record begins in the part that no fit was to see."""
+    if not whole.entries or whole.best_z < whole.threshold:
+        return False
+    late = whole.entries[0].shape.onset_s > split * whole.grid.step_s
+    return train.best_z < train.threshold or (late and whole.best_z > 1.5 * train.best_z)
 
 
 def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[Stuck, ...]]:
@@ -255,19 +272,24 @@ class _Part:
     contest: Contest
     laws: list[Law]
     entries: list[Entry]
+    null: Null
 
     @classmethod
     def of(cls, known: Basis, grid: Grid) -> _Part:
         state, run, _, _ = _free_run(known.probe, grid)
         contest = Contest(known.probe, grid, state, run, known.noise, known.prior)
         found = known.book.laws(grid, run)
-        entries = [refine(contest, e) for e in scan(contest, found, None, known.structure)[: 4 * FINALISTS]]
+        entries = [refine(contest, e) for e in _varied(scan(contest, found, None, known.structure))]
         entries.sort(key=lambda e: -e.gain)
-        return cls(known, grid, state, run, contest, found, entries)
+        return cls(known, grid, state, run, contest, found, entries, null_scores(contest, found))
 
     @property
     def best_z(self) -> float:
         return self.entries[0].z if self.entries else 0.0
+
+    @property
+    def threshold(self) -> float:
+        return self.null.quantile(FALSE_ALARMS)
 
     def reset(self) -> None:
         self.contest.look_at(self.run)
@@ -275,7 +297,7 @@ class _Part:
 
 def _search(part: _Part, say: Callable[[str], None]) -> Finding:
     """Add effects one by one, each the best of the finalists after a joint fit, until nothing more is to be gained."""
-    network, contest = part.basis.probe.network, part.contest
+    network, contest, threshold = part.basis.probe.network, part.contest, part.threshold
     ids = part.basis.probe.scaling.ids
     start_chi = contest.misfit / max(contest.count, 1)
     ladder = [Rung("as commissioned", start_chi, part.best_z)]
@@ -287,7 +309,7 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
     best: Fit | None = None
     ranked: tuple[Ranked, ...] = ()
     entries, first_gain = part.entries, 0.0
-    while entries and entries[0].z >= THRESHOLD and len(chosen) < MOST_EFFECTS:
+    while entries and entries[0].z >= threshold and len(chosen) < MOST_EFFECTS:
         small = SECOND_SHARE * first_gain
         if best is not None and entries[0].gain < small and enough(best.chi, start_chi, contest):
             break
@@ -298,16 +320,20 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
         if len(chosen) == 1:
             groups += _pairs(part)
         say(f"fitting {len(groups)} hypotheses")
-        trials = []
-        for group in groups:
-            part.reset()
-            trials.append((fit(contest, Model.of(network, group, ids), part.state), group))
-        order = rank(trials, contest, ladder[0].chi * contest.count)
+        start = ladder[0].chi * contest.count
+        trials = _fitted(part, groups)
+        if not chosen and start - min(f.total for f, _ in trials) < threshold**2:
+            # A law at measured temperatures may promise what its element does not keep, and hide what would.
+            others = [e for e in part.entries if e.z >= threshold and all(e is not f for f in finalists)]
+            more = _finalists(others, ())
+            say(f"fitting {len(more)} more")
+            trials += _fitted(part, [(e,) for e in more])
+        order = rank(trials, contest, start)
         winner = order[0].fit
-        if best is None and ladder[0].chi * contest.count - winner.total < THRESHOLD**2:
+        if best is None and start - winner.total < threshold**2:
             break
         if best is not None:
-            need = THRESHOLD**2 if not enough(best.chi, start_chi, contest) else max(THRESHOLD**2, small)
+            need = threshold**2 if not enough(best.chi, start_chi, contest) else max(threshold**2, small)
             if best.total - winner.total < need:
                 break
         best, ranked, chosen = winner, order, winner.entries
@@ -316,7 +342,7 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
         part.reset()
         again = fit(contest, Model.of(network, chosen, ids), part.state, rounds=2)
         given = np.stack([e.placed(contest) for e in again.entries])
-        entries = scan(contest, part.laws, given, part.basis.structure)[: 4 * FINALISTS]
+        entries = _varied(scan(contest, part.laws, given, part.basis.structure))
         entries.sort(key=lambda e: -e.gain)
         ladder.append(
             Rung(
@@ -325,6 +351,10 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
                 entries[0].z if entries else 0.0,
             )
         )
+    folds: tuple[Fold, ...] = ()
+    if best is not None:
+        say("leaving out blocks of time")
+        folds = validate(contest, Model.of(network, best.entries, ids), best)
     part.reset()
     return Finding(
         entries=chosen,
@@ -337,7 +367,19 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
         ladder=tuple(ladder),
         contest=contest,
         state=part.state,
+        null=part.null,
+        folds=folds,
     )
+
+
+def _fitted(part: _Part, groups: list[tuple[Entry, ...]]) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """Each group of effects fitted, from the commissioned values."""
+    network, ids = part.basis.probe.network, part.basis.probe.scaling.ids
+    trials = []
+    for group in groups:
+        part.reset()
+        trials.append((fit(part.contest, Model.of(network, group, ids), part.state), group))
+    return trials
 
 
 def _weighed(finding: Finding, parts: list[_Part]) -> Finding:
@@ -384,6 +426,14 @@ def _pairs(part: _Part) -> list[tuple[Entry, ...]]:
                 found.append((fitted.gain, pair))
     found.sort(key=lambda f: -f[0])
     return [pair for _, pair in found[:3]]
+
+
+def _varied(entries: list[Entry]) -> list[Entry]:
+    """The best entries of a scan, one of each candidate and shape."""
+    best: dict[tuple[str, str], Entry] = {}
+    for entry in entries:
+        best.setdefault((entry.candidate.id, entry.shape.name), entry)
+    return list(best.values())[: 5 * FINALISTS]
 
 
 def _finalists(entries: list[Entry], chosen: tuple[Entry, ...]) -> list[Entry]:

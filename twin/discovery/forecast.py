@@ -14,8 +14,9 @@ from twin.discovery.contest import Contest
 from twin.discovery.grid import Grid
 from twin.discovery.laws import Book
 from twin.discovery.noise import Noise
+from twin.discovery.null import FALSE_ALARMS, null_scores
 from twin.discovery.probe import Probe
-from twin.discovery.search import THRESHOLD, Entry
+from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
 from twin.elements.base import Candidate
 from twin.gauss_newton import Prior
@@ -64,10 +65,11 @@ def forecast(probe: Probe, book: Book, noise: Noise, prior: Prior, grid: Grid, s
     gram = flat @ contest.gram @ flat.T
     norm = np.sqrt(np.maximum(np.diag(gram), 0.0))
     bare = np.sqrt(np.maximum(contest.bare(flat), 1e-30))
+    threshold = null_scores(contest, found).quantile(FALSE_ALARMS)
     seen, unseen = [], [c for c in book.candidates if c.id not in {law.candidate.id for law in found}]
     for law, n, b in zip(found, norm, bare, strict=True):
         c = law.candidate
-        least = THRESHOLD / n if n > 0.0 else np.inf
+        least = threshold / n if n > 0.0 else np.inf
         if least > max(abs(c.lower), abs(c.upper)):
             unseen.append(c)
         else:

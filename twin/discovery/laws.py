@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from twin.discovery.catalogue import catalogue, extended, sized
 from twin.discovery.formulas import Formulas, follow
@@ -19,6 +20,7 @@ from twin.elements.flow import Flow
 from twin.network import Array, Network
 
 LEAST_W = 1e-9
+SMOOTH_S = 3600.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +35,12 @@ class Law:
 def temperatures(network: Network, grid: Grid, run: Run) -> Array:
     """Node temperatures (n, k), degC: measured where a sensor is, with gaps closed; the twin's elsewhere."""
     known = run.temperatures.copy()
+    window = max(round(SMOOTH_S / grid.step_s), 1)
     for j, sensor in enumerate(network.sensors):
         k = network.nodes.index(sensor.node)
         off = (grid.measured[:, j] - run.readings[:, j])[:, None]
-        known[:, k] = run.temperatures[:, k] + filled(off, np.isfinite(off))[:, 0]
+        slow = uniform_filter1d(filled(off, np.isfinite(off))[:, 0], window, mode="nearest")
+        known[:, k] = run.temperatures[:, k] + slow
     return known
 
 

@@ -19,6 +19,8 @@ EDGES_S = (3600.0, 1200.0, 420.0, 120.0, 40.0)
 """Periods, s, between the bands."""
 CAUTION = (4.0, 2.0, 1.5, 1.2, 1.1, 1.1)
 """Factor on the variance of each band: a healthy record of ten hours tells little about the longest periods."""
+LEAST_SHARE, MOST_SHARE = 0.04, 16.0
+"""Limits to the variance that structure is thought to leave, as a multiple of what it left in the healthy record."""
 SHRINK = 0.3
 """Share of each covariance's off-diagonal that is given up."""
 
@@ -26,11 +28,35 @@ SHRINK = 0.3
 @dataclass(frozen=True)
 class Noise:
     """Whitening by band for m sensors: `roots` (bands, m, m) with roots @ roots' = covariance^-1 of one bin of
-    `step_s`; `sd` (bands, m), K."""
+    `step_s`; `sd` (bands, m), K; `white` (m,), K, of a bin, what the thermometers alone make; `moves` (bands,), K^2,
+    power of the twin's own readings while it was learned, or None where it holds for that record alone."""
 
     roots: Array
     sd: Array
     step_s: float
+    white: Array
+    moves: Array | None = None
+
+    def where_moved(self, readings: Array, step_s: float) -> Noise:
+        """The noise to expect in a record in which the twin's readings (n, m) are these.
+
+        What a lumped twin leaves of a rig that is not is a share of what moves: measured on a distributed plant, its
+        standard deviation follows that of the twin's readings, band by band, within a few per cent. So the part that
+        is not the thermometers' own grows and shrinks with it. The slowest band, of too few coefficients, only grows.
+        """
+        if self.moves is None:
+            return self
+        now = power(readings, step_s) * step_s
+        ratio = np.clip(now / np.maximum(self.moves * self.step_s, 1e-12), LEAST_SHARE, MOST_SHARE)
+        ratio[0] = max(ratio[0], 1.0)
+        roots, sd = self.roots.copy(), self.sd.copy()
+        floor = np.diag(self.white**2)
+        for b in range(len(ratio)):
+            inverse = np.linalg.inv(self.roots[b])
+            values, vectors = np.linalg.eigh(inverse.T @ inverse - CAUTION[b] * floor)
+            structure = vectors * np.maximum(values, 0.0) @ vectors.T
+            roots[b], sd[b] = _root(CAUTION[b] * floor + ratio[b] * structure)
+        return Noise(roots, sd, self.step_s, self.white)
 
     def whiten(self, values: Array, step_s: float | None = None) -> Array:
         """(n, m, ...) in time to (n, m, ...) whitened cosine coefficients.
@@ -65,7 +91,8 @@ class Noise:
     def at_step(self, step_s: float) -> Noise:
         """The same noise of means over bins of another length."""
         share = np.sqrt(step_s / self.step_s)
-        return Noise(self.roots * share, self.sd / share, step_s)
+        moves = None if self.moves is None else self.moves / share**2
+        return Noise(self.roots * share, self.sd / share, step_s, self.white / share, moves)
 
 
 def bands(n: int, step_s: float) -> np.ndarray:
@@ -75,12 +102,21 @@ def bands(n: int, step_s: float) -> np.ndarray:
     return band
 
 
-def learn(residual: Array, sigma: Array, step_s: float, lost: Array | None = None) -> Noise:
+def power(readings: Array, step_s: float) -> Array:
+    """Mean square (bands,) of the cosine coefficients of readings (n, m) in each band, K^2; 0 for an empty band."""
+    c = dct(readings - readings.mean(axis=0), type=2, norm="ortho", axis=0)
+    band = bands(len(c), step_s)
+    squares = np.bincount(band, (c**2).mean(axis=1), len(EDGES_S) + 1)
+    found: Array = squares / np.maximum(np.bincount(band, minlength=len(EDGES_S) + 1), 1)
+    return found
+
+
+def learn(residual: Array, sigma: Array, step_s: float, readings: Array | None = None) -> Noise:
     """Noise from a healthy residual (n, m) without NaN.
 
     Args:
         sigma: (m,) K, white noise of a bin, the least that any band is given.
-        lost: (bands,) degrees of freedom that fitting took out of each band, over all sensors.
+        readings: (n, m) degC, the twin's own, where the noise is to serve records that move more or less.
     """
     n, m = residual.shape
     c = dct(residual, type=2, norm="ortho", axis=0)
@@ -90,20 +126,20 @@ def learn(residual: Array, sigma: Array, step_s: float, lost: Array | None = Non
     below: Array | None = None
     for b in range(len(EDGES_S), -1, -1):
         rows = c[band == b]
-        if len(rows) >= 2 * m:
-            taken = 0.0 if lost is None else lost[b] / m
-            covariance = rows.T @ rows / max(len(rows) - taken, 0.5 * len(rows))
-        else:
-            covariance = floor if below is None else below
-        below = covariance
-        covariance = covariance * np.where(np.eye(m) > 0, 1.0, 1.0 - SHRINK)
+        few = floor if below is None else below
+        below = rows.T @ rows / len(rows) if len(rows) >= 2 * m else few
+        covariance = below * np.where(np.eye(m) > 0, 1.0, 1.0 - SHRINK)
         # The white noise is known; a band quieter than that is chance.
         short = np.maximum(np.diag(floor) - np.diag(covariance), 0.0)
-        covariance = (covariance + np.diag(short)) * CAUTION[b]
-        values, vectors = np.linalg.eigh(covariance)
-        roots[b] = vectors / np.sqrt(np.maximum(values, 1e-12))
-        sd[b] = np.sqrt(np.diag(covariance))
-    return Noise(roots, sd, step_s)
+        roots[b], sd[b] = _root((covariance + np.diag(short)) * CAUTION[b])
+    return Noise(roots, sd, step_s, sigma, None if readings is None else power(readings, step_s))
+
+
+def _root(covariance: Array) -> tuple[Array, Array]:
+    """(m, m) by which to whiten, and standard deviations (m,)."""
+    values, vectors = np.linalg.eigh(covariance)
+    root: Array = vectors / np.sqrt(np.maximum(values, 1e-12))
+    return root, np.sqrt(np.diag(covariance))
 
 
 def learn_blocks(left: Array, sigma: Array, block_s: float, step_s: float, before: Noise) -> Noise:
@@ -116,4 +152,4 @@ def learn_blocks(left: Array, sigma: Array, block_s: float, step_s: float, befor
     slow = np.unique(bands(len(left), block_s))
     roots, sd = before.roots.copy(), before.sd.copy()
     roots[slow], sd[slow] = learned.roots[slow] / share, learned.sd[slow] * share
-    return Noise(roots, sd, step_s)
+    return Noise(roots, sd, step_s, sigma)

@@ -15,8 +15,6 @@ from twin.discovery.shapes import Shape, family
 from twin.elements.base import Candidate
 from twin.network import Array
 
-THRESHOLD = 6.0
-"""Score below which nothing is claimed."""
 BEYOND = 6.0
 """Score that the difference to a healthy record must have."""
 STRUCTURE = 0.25
@@ -96,16 +94,14 @@ def allowed(candidate: Candidate, size: float) -> bool:
     return candidate.lower <= size <= candidate.upper
 
 
-def scan(
-    contest: Contest, laws: list[Law], given: Array | None = None, structure: Mapping[str, Structure] = NO_STRUCTURE
-) -> list[Entry]:
-    """Best onset of each law in each of its shapes, by falling gain.
+def courses_of(contest: Contest) -> tuple[Array, Array]:
+    """Courses over the blocks, steps (b, i) and growths (b, j), from every onset looked at."""
+    _, steps, _, grown = _courses(contest)
+    return steps, grown
 
-    Args:
-        given: vectors (e, sites, b) of effects that are already known; their sizes are fitted along.
-        structure: what the same laws seem to be in a healthy record, by candidate. The twin is lumped and the rig is
-            not; of an effect that is there from the beginning only the difference to that counts.
-    """
+
+def _courses(contest: Contest) -> tuple[Array, Array, list[Shape], Array]:
+    """Onsets, s, of steps, their courses, shapes that grow and their courses."""
     edges_s = contest.edges * contest.grid.step_s
     onsets = edges_s[: max(int(contest.b * LAST_SHARE), 1)]
     steps = np.stack([Shape("step", float(t)).block_means(edges_s) for t in onsets], axis=1)
@@ -116,7 +112,20 @@ def scan(
         for growth in family(name, float(edges_s[-1]))
         for t in onsets[::3]
     ]
-    courses = np.stack([shape.block_means(edges_s) for shape in grown], axis=1)
+    return onsets, steps, grown, np.stack([shape.block_means(edges_s) for shape in grown], axis=1)
+
+
+def scan(
+    contest: Contest, laws: list[Law], given: Array | None = None, structure: Mapping[str, Structure] = NO_STRUCTURE
+) -> list[Entry]:
+    """Best onset of each law in each of its shapes, by falling gain.
+
+    Args:
+        given: vectors (e, sites, b) of effects that are already known; their sizes are fitted along.
+        structure: what the same laws seem to be in a healthy record, by candidate. The twin is lumped and the rig is
+            not; of an effect that is there from the beginning only the difference to that counts.
+    """
+    onsets, steps, grown, courses = _courses(contest)
     soon = np.array([shape.onset_s <= EARLY_S and shape.growth_s <= 4.0 * EARLY_S for shape in grown])
     found: list[Entry] = []
     for law in laws:

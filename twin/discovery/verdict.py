@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from twin.discovery.contest import Contest
-from twin.discovery.diagnosis import Alternative, Course, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
+from twin.discovery.diagnosis import Alternative, Course, Diagnosis, Effect, Moved, SensorError, Verdict
 from twin.discovery.experiment import propose
 from twin.discovery.fitting import Fit
 from twin.discovery.grid import Grid, centred
@@ -17,8 +17,10 @@ from twin.discovery.localise import courses, describe
 from twin.discovery.members import Members, odd_one
 from twin.discovery.model import Model
 from twin.discovery.probe import Run
+from twin.discovery.ranking import Finding, Ranked, enough, piled_up, width
 from twin.discovery.readings import Stuck
 from twin.discovery.search import Entry
+from twin.discovery.validation import holds
 from twin.discovery.words import amount, clock, sentence, summarise, when
 from twin.network import Array, Network
 
@@ -27,116 +29,7 @@ if TYPE_CHECKING:
 
 SURE = 0.8
 """Share of the weight that one kind at one place must have to be named alone."""
-LEFT = 1.3
-"""Misfit that a twin with the right effects may leave, over what noise alone leaves."""
-LEFT_SHARE = 0.03
-"""Or this share of the misfit that it began with: no effect is of quite the form assumed."""
 SE90 = 1.6449
-_TYPICALS = 20.0
-_PRIOR = {
-    "heat_source": 1.0, "heat_loss": 1.0, "heat_rejection": 1.0, "flow": 0.7, "thermal_mass": 0.7, "sensor": 0.7,
-    "coupling": 0.4, "delay": 0.5, "actuator": 0.3,
-}  # fmt: skip
-_MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
-"""What an actuator moves: a pump that turns slower is a flow that is less."""
-_RARE = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
-
-
-def enough(chi: float, start: float, contest: Contest) -> bool:
-    """Whether a misfit per block and sensor is as small as can be asked, for a twin that began with `start`."""
-    return chi <= max(LEFT * contest.expected, LEFT_SHARE * start)
-
-
-def piled_up(entries: tuple[Entry, ...]) -> bool:
-    """Whether effects share a place: they then stand for one of a form that no candidate has."""
-    named = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
-    places = [_MOVED_BY.get(name, name) for name in named]
-    same = [tuple(e.candidate.changes) for e in entries]
-    return len(set(places)) < len(places) or len(set(same)) < len(same)
-
-
-def width(gain: float) -> float:
-    """How much worse, in weighted squares, an explanation may be and still not be excluded; it grows with the gain,
-    since at a large one the form assumed decides and not the noise."""
-    return max(10.0, 0.003 * gain)
-
-
-@dataclass(frozen=True)
-class Ranked:
-    """A set of effects, fitted: `cost` is -2 log posterior up to a constant, `weight` its share."""
-
-    fit: Fit
-    cost: float
-    weight: float
-
-    @property
-    def entries(self) -> tuple[Entry, ...]:
-        return self.fit.entries
-
-
-@dataclass(frozen=True)
-class Finding:
-    """What the search ended with; `fit` is None where nothing passed the threshold."""
-
-    entries: tuple[Entry, ...]
-    fit: Fit | None
-    retuned: Fit
-    ranked: tuple[Ranked, ...]
-    scanned: tuple[Entry, ...]
-    start: float
-    count: int
-    ladder: tuple[Rung, ...]
-    contest: Contest
-    state: Array
-
-
-def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest, start: float) -> tuple[Ranked, ...]:
-    """Fits by posterior cost; weights are tempered by `width`. `start` is the misfit without any effect."""
-    costs = []
-    for fitted, _ in trials:
-        cost = fitted.total
-        for e in fitted.entries:
-            free = 1.0 + (e.shape.onset_s > 0.0) + (e.shape.name != "step")
-            cost += free * math.log(contest.count) - 2.0 * math.log(plausibility(e))
-            cost += min((e.size / (_TYPICALS * e.candidate.typical)) ** 2, 20.0)
-        costs.append(cost)
-    limit = width(max(start - min(f.total for f, _ in trials), 0.0))
-    for i, (fitted, _) in enumerate(trials):
-        if any(costs[k] < costs[i] + limit for k in _without_growth(fitted.entries, trials)):
-            # What is as well explained by something that is simply there has no need to grow.
-            costs[i] += limit
-    least = min(costs)
-    temper = limit / 10.0
-    raw = [math.exp(-0.5 * (c - least) / temper) * _prior(f.entries) for c, (f, _) in zip(costs, trials, strict=True)]
-    total = sum(raw)
-    order = sorted(range(len(costs)), key=lambda i: -raw[i])
-    return tuple(Ranked(trials[i][0], costs[i], raw[i] / total) for i in order)
-
-
-def _without_growth(entries: tuple[Entry, ...], trials: list[tuple[Fit, tuple[Entry, ...]]]) -> list[int]:
-    """Trials with the same candidates, the last of which comes in at once where here it grows."""
-    last = entries[-1]
-    if last.shape.name == "step":
-        return []
-    return [
-        k
-        for k, (other, _) in enumerate(trials)
-        if other.entries[-1].shape.name == "step"
-        and other.entries[-1].candidate.id == last.candidate.id
-        and len(other.entries) == len(entries)
-    ]
-
-
-def _prior(entries: tuple[Entry, ...]) -> float:
-    return math.prod(plausibility(e) for e in entries)
-
-
-def plausibility(entry: Entry) -> float:
-    """How likely such an effect is before any data, relative to a constant heat source."""
-    value = _PRIOR.get(entry.candidate.kind, 0.5) * _RARE.get(entry.candidate.driver, 1.0)
-    if entry.shape.name != "step" and entry.candidate.kind == "actuator":
-        value *= 0.2
-    return value * (0.5 if entry.shape.name == "saturating" else 1.0)
 
 
 def conclude(
@@ -157,6 +50,7 @@ def conclude(
     scale = finding.count
     left = finding.retuned.chi if finding.fit is None else finding.fit.chi
     good = enough(left, finding.start / scale, finding.contest) and not piled_up(finding.entries)
+    good = good and holds(finding.folds)
     verdict: Verdict
     effects: tuple[Effect, ...] = ()
     others: tuple[Alternative, ...] = ()
@@ -213,12 +107,14 @@ def conclude(
         hours=whole.hours + start / 3600.0,
         residual=whole.block_means(grid.measured - _stale(known, grid).readings),
         residual_after=whole.block_means(grid.measured - readings),
-        band=known.noise.sd[0] * math.sqrt(grid.step_s / whole.step_s),
+        band=whole.noise.sd[0] * math.sqrt(grid.step_s / whole.step_s),
         network=bigger,
         next_experiment=_experiment(finding, known, grid) if verdict == "ambiguous" else None,
         warnings=known.warnings,
         notes=notes,
         description=description,
+        folds=finding.folds,
+        threshold=finding.threshold,
     )
 
 
@@ -327,6 +223,7 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
         shape=entry.shape.name,
         confidence=sure.get((c.kind, c.where), 1.0),
         z=math.sqrt(gain),
+        family_wise=finding.null.family_wise(math.sqrt(gain)),
         evidence=f"{sentence(entry, start, grown)}; with it {100.0 * share:.1f} % of the mismatch is gone",
         growth_s=entry.shape.growth_s,
         says=sentence(entry, start, grown),

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
-from twin.discovery.search import THRESHOLD, Entry
+from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
 
 if TYPE_CHECKING:
-    from twin.discovery.verdict import Finding
+    from twin.discovery.ranking import Finding
 
 
 def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0) -> str:
@@ -68,10 +68,10 @@ def summarise(
     """The verdict in plain words."""
     if verdict == "adequate":
         best = finding.ladder[0].best_z
-        tried = ", which a fit did not confirm" if best >= THRESHOLD else ""
+        tried = ", which a fit did not confirm" if best >= finding.threshold else ""
         return (
             "The twin is adequate: nothing in this record asks for an effect that it lacks "
-            f"(best score {best:.1f}{tried})."
+            f"(best score {best:.1f}{tried}; noise alone reaches {finding.threshold:.1f} in one record of a hundred)."
         )
     worst = max(errors, key=lambda n: errors[n].before / errors[n].noise) if errors else ""
     fit_text = ""

@@ -1,0 +1,76 @@
+"""The noise that goes with what moves, the threshold against chance, and blocks of time left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.discovery.conftest import Bench
+from twin.discovery.diagnosis import Fold
+from twin.discovery.engine import Columns, diagnose
+from twin.discovery.noise import CAUTION, bands, learn
+from twin.discovery.null import FALSE_ALARMS, Null
+from twin.discovery.validation import holds
+
+SIGMA, STEP_S = np.array([0.02, 0.03]), 10.0
+
+
+def _moving(n: int, size: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Readings (n, 2) that move by `size`, and a residual with a twentieth of that beside the white noise."""
+    rng = np.random.default_rng(seed)
+    steps = np.repeat(rng.normal(0.0, 1.0, (n // 30 + 1, 2)), 30, axis=0)[:n]
+    slow = np.cumsum(steps - steps.mean(axis=0), axis=0) / 30.0
+    readings = 30.0 + size * slow
+    return readings, 0.05 * (readings - readings.mean(axis=0)) + rng.normal(0.0, SIGMA, (n, 2))
+
+
+@pytest.mark.parametrize("size", [0.25, 1.0, 3.0])
+def test_structure_is_expected_to_follow_what_moves(size: float) -> None:
+    readings, residual = _moving(3600, 1.0, 1)
+    learned = learn(residual, SIGMA, STEP_S, readings)
+    now, left = _moving(5000, size, 2)
+    expected = learned.where_moved(now, STEP_S)
+    white = expected.whiten(left)
+    band = bands(len(white), STEP_S)
+    for b in range(1, 5):
+        power = CAUTION[b] * float((white[band == b] ** 2).mean())
+        assert 0.4 < power < 2.5, (b, power)
+
+
+def test_what_hardly_moves_still_has_the_noise_of_its_thermometers() -> None:
+    readings, residual = _moving(3600, 1.0, 1)
+    expected = learn(residual, SIGMA, STEP_S, readings).where_moved(np.full((3600, 2), 30.0), STEP_S)
+    assert (expected.sd >= SIGMA - 1e-12).all()
+    # Without the readings there is nothing to go by.
+    bare = learn(residual, SIGMA, STEP_S)
+    assert bare.where_moved(readings, STEP_S) is bare
+
+
+def test_the_threshold_is_what_noise_seldom_reaches() -> None:
+    null = Null(np.sort(np.random.default_rng(0).gumbel(3.5, 0.3, 400)))
+    assert null.quantile(0.05) < null.quantile(0.01) < null.quantile(0.001)
+    assert null.family_wise(null.quantile(0.01)) == pytest.approx(0.01, rel=1e-6)
+    assert null.quantile(0.01) == pytest.approx(3.5 - 0.3 * np.log(-np.log(0.99)), abs=0.15)
+
+
+def test_a_finding_says_how_seldom_chance_would_make_it(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(changed=bench.with_values(modules_power__power=120.0), onset_h=5.0)
+    (effect,) = diagnose(bench.network, record, healthy).effects
+    assert 0.0 <= effect.family_wise < 1e-6 < FALSE_ALARMS
+
+
+def test_blocks_left_out_speak_for_what_is_there_and_against_what_is_not(bench: Bench, healthy: Columns) -> None:
+    heated = bench.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 150.0})
+    real = diagnose(bench.network, bench.record(24.0, changed=heated, onset_h=4.0), healthy)
+    assert holds(real.folds) and all(f.gain > 0.0 for f in real.folds)
+    again = bench.record(24.0, changed=heated, onset_h=13.0, until_h=16.0)
+    first = bench.record(24.0, changed=heated, onset_h=4.0, until_h=9.0)
+    comes_and_goes = replace(first, measured=first.measured + again.measured - bench.record(24.0).measured)
+    assert not holds(diagnose(bench.network, comes_and_goes, healthy).folds)
+
+
+def test_a_block_that_says_nothing_is_not_asked() -> None:
+    assert holds(()) and holds((Fold(0.0, 1.0, 10, 0.5),))
+    assert holds((Fold(0.0, 1.0, 10, 0.5), Fold(1.0, 2.0, 10, 40.0)))
+    assert not holds((Fold(0.0, 1.0, 10, -30.0), Fold(1.0, 2.0, 10, 40.0)))
+    assert not holds(tuple(Fold(0.0, 1.0, 10, g) for g in (-9.0, 40.0, 40.0, 4.0)))
