@@ -58,17 +58,8 @@ def conclude(
     description: dict[str, Any] = {}
     bigger: Network | None = None
     found = courses(whole, _sites(known, whole))
-    # What the twin's structure seems to be in the healthy record too is no reason to call it wrong now.
-    structural = max((e.bare_gain for e in finding.scanned), default=0.0)
-    quiet = enough(finding.start / scale, 0.0, finding.contest)
-    if finding.fit is None and enough((finding.start - structural) / scale, 0.0, finding.contest):
+    if finding.fit is None and enough(finding.start / scale, 0.0, finding.contest):
         verdict = "adequate"
-        if not quiet:
-            notes = (
-                *notes,
-                f"the twin leaves {finding.start / scale:.2f} of misfit where noise alone leaves "
-                f"{finding.contest.expected:.2f}, as its own structure may; a small effect could hide behind that",
-            )
     elif finding.fit is None or not good:
         verdict = "unexplained"
         if found:

@@ -12,6 +12,8 @@
 A radiator that draws in its own warm air sees the room warmer by `recirculation` times the heat that it rejects:
 UA and eps C_min are then divided by 1 + recirculation * themselves.
 
+The share of the full flow is that of the pump's speed, times the factor of the flow path that the node stands on.
+
 T is the temperature of the node, which the water leaves with. "outlet" is the (hA)_r of Energies 2026, 19, 2452 when
 UA_still = flow_exponent = 0 and the fan is constant; `flow_exponent` then also holds what the lumped outlet
 temperature hides of the drop along the core. The other two take the water as it arrives, T_in, and C_w = m cp
@@ -105,6 +107,8 @@ class Radiator(Element):
         turning = (pump, f"log(max({n.input(self.pump)}, {LEAST_PERCENT}) * 0.01)")
         room, here = n.input(self.ambient), n.temperature(self.node)
         law = f"{n.par('UA_100')} * exp({n.par('fan_exponent')} * {fan} + {n.par('flow_exponent')} * {pump})"
+        if self.node in n.streams and n.constant("flow_exponent") != 0.0:
+            law += f" * exp({n.par('flow_exponent')} * log({Names(n.streams[self.node].flow).par('factor')}))"
         recirculation, bare = n.par("recirculation"), n.local("bare")
 
         def behind_itself(conductance: str) -> str:
