@@ -21,6 +21,7 @@ from twin.discovery.model import Model
 from twin.discovery.probe import Probe, Run, posterior
 from twin.discovery.readings import Stuck, stuck
 from twin.discovery.search import THRESHOLD, Entry, Structure, possible, refine, scan, structure_of, together
+from twin.discovery.thermometers import explained_by_one
 from twin.discovery.verdict import Finding, Ranked, conclude, enough, piled_up, rank, width
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
@@ -182,7 +183,7 @@ def diagnose(
         finding = _weighed(finding, [_Part.of(known, on_grid(network, r.time_s, r.inputs, r.measured)) for r in more])
     say("judging")
     single = _members(network, record, grid, healthy, whole.contest.edges)
-    return conclude(
+    found = conclude(
         finding,
         network=network,
         known=known,
@@ -193,6 +194,9 @@ def diagnose(
         notes=tuple(notes),
         single=single,
         still=still,
+    )
+    return explained_by_one(
+        found, network, record, single, lambda r: diagnose(network, r, healthy, more=more, say=say, held_out=held_out)
     )
 
 

@@ -14,12 +14,14 @@ from twin.discovery.experiment import propose
 from twin.discovery.fitting import Fit
 from twin.discovery.grid import Grid, centred
 from twin.discovery.localise import courses, describe
-from twin.discovery.members import Members, odd_one
+from twin.discovery.members import Members
 from twin.discovery.model import Model
 from twin.discovery.probe import Run
 from twin.discovery.readings import Stuck
 from twin.discovery.search import Entry
-from twin.discovery.words import amount, clock, sentence, summarise, when
+from twin.discovery.thermometers import SE90, standing
+from twin.discovery.thermometers import single as single_one
+from twin.discovery.words import sentence, summarise
 from twin.network import Array, Network
 
 if TYPE_CHECKING:
@@ -31,7 +33,6 @@ LEFT = 1.3
 """Misfit that a twin with the right effects may leave, over what noise alone leaves."""
 LEFT_SHARE = 0.03
 """Or this share of the misfit that it began with: no effect is of quite the form assumed."""
-SE90 = 1.6449
 _TYPICALS = 20.0
 _PRIOR = {
     "heat_source": 1.0, "heat_loss": 1.0, "heat_rejection": 1.0, "flow": 0.7, "thermal_mass": 0.7, "sensor": 0.7,
@@ -192,9 +193,9 @@ def conclude(
         others, alternatives = _others(finding)
         bigger = _bigger(finding, network)
     for one in single:
-        verdict, effects = _single(one, network, verdict, effects, finding, start)
+        verdict, effects = single_one(one, network, verdict, effects, finding, start)
     for span in still:
-        effects = (_standing(span), *effects)
+        effects = (standing(span), *effects)
         verdict = "effect found" if verdict == "adequate" else verdict
     after = finding.fit or finding.retuned
     readings = _run(finding, after, network, grid)
@@ -220,44 +221,6 @@ def conclude(
         notes=notes,
         description=description,
     )
-
-
-def _single(
-    one: Members, network: Network, verdict: Verdict, effects: tuple[Effect, ...], finding: Finding, start: float
-) -> tuple[Verdict, tuple[Effect, ...]]:
-    """Say which thermometer or place of several it is, where one differs from the others."""
-    node = next(s.node for s in network.sensors if s.name == one.sensor)
-    here = [i for i, e in enumerate(effects) if e.where in (node, one.sensor)]
-    shapes = tuple(e.shape for e in finding.entries) if here and finding.entries else ()
-    odd = odd_one(one, shapes) or (odd_one(one) if not here else None)
-    if odd is None:
-        return verdict, effects
-    if here and effects[here[0]].kind not in ("unknown", "sensor"):
-        old = effects[here[0]]
-        changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
-        return verdict, tuple(changed if i == here[0] else e for i, e in enumerate(effects))
-    spread = SE90 * odd.sd
-    fault = Effect(
-        kind="sensor", where=odd.column, driver="constant" if odd.shape.name == "step" else "elapsed_time",
-        change="new", value=odd.size, unit="K", interval90=(odd.size - spread, odd.size + spread),
-        onset_s=start + odd.shape.onset_s, onset_interval90_s=(start + odd.shape.onset_s,) * 2, shape=odd.shape.name,
-        confidence=odd.share, z=odd.z,
-        evidence=f"it carries {100.0 * odd.share:.0f} % of what differs among the thermometers of {one.sensor}",
-        says=f"{odd.column} reads {amount(odd.size, 'K')} off {when(odd.shape, start)}",
-    )  # fmt: skip
-    if here:
-        return "effect found", tuple(fault if i == here[0] else e for i, e in enumerate(effects))
-    return ("effect found" if verdict == "adequate" else verdict), (*effects, fault)
-
-
-def _standing(span: Stuck) -> Effect:
-    """A thermometer that shows one value and nothing else."""
-    says = f"{span.column} stands still at {span.value:.2f} degC from {clock(span.first_s)} to {clock(span.last_s)}"
-    return Effect(
-        kind="sensor", where=span.column, driver="constant", change="new", value=span.value, unit="degC",
-        interval90=(span.value, span.value), onset_s=span.first_s, onset_interval90_s=(span.first_s, span.first_s),
-        shape="step", confidence=1.0, z=100.0, evidence="a noisy reading does not repeat itself for so long", says=says,
-    )  # fmt: skip
 
 
 def _experiment(finding: Finding, known: Basis, grid: Grid) -> dict[str, Any]:
