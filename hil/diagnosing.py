@@ -19,12 +19,10 @@ from numpy.typing import NDArray
 
 from drivers.rigfile import file_sha256
 from hil import __version__
-from hil.atomic import replacing
 from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
 from hil.record import Record, read_record
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.engine import Columns
-from twin.discovery.experiment import HOURS
 from twin.network import InputSpec, Network, Revision
 from twin.revisions import save_revision
 
@@ -151,27 +149,6 @@ def provenance(files: dict[str, Path | None]) -> dict[str, object]:
         "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "host": platform.node(),
     }
-
-
-def write_experiment(diagnosis: Diagnosis, out: Path) -> Path | None:
-    """Write the next experiment as a load profile, `experiment.csv`; None where there is none."""
-    plan = diagnosis.next_experiment
-    if not plan or not plan.get("possible"):
-        return None
-    columns = sorted({c for step in plan["steps"] for c in step if c != "time_s"})
-    held: dict[str, float] = {}
-    rows = []
-    for step in plan["steps"]:
-        held |= {c: float(v) for c, v in step.items() if c != "time_s"}
-        rows.append((float(step["time_s"]), *(held.get(c, 0.0) for c in columns)))
-    end = 3600.0 * HOURS
-    rows.append((end, *rows[-1][1:]))
-    path = out / "experiment.csv"
-    text = [f"# {plan['name']}: {plan['why']}", ",".join(("time_s", *columns))]
-    text += [",".join(f"{value:.6g}" for value in row) for row in rows]
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join(text) + "\n", encoding="utf-8")
-    return path
 
 
 def write(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict[str, object]) -> Path:

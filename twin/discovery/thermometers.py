@@ -60,7 +60,11 @@ def _fault(one: Members, odd: Odd, start: float) -> Effect:
 
 
 def explained_by_one(
-    found: Diagnosis, network: Network, record: Columns, groups: tuple[Members, ...], again: Callable[[Columns], Diagnosis]
+    found: Diagnosis,
+    network: Network,
+    record: Columns,
+    groups: tuple[Members, ...],
+    again: Callable[[Columns], Diagnosis],
 ) -> Diagnosis:
     """An unexplained finding looked at without the thermometer that stands out; unchanged where there is none.
 

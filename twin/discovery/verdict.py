@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Alternative, Course, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
-from twin.discovery.experiment import propose
+from twin.discovery.equivalence import remaining, width
+from twin.discovery.experiment import Limits, plan
 from twin.discovery.fitting import Fit
 from twin.discovery.grid import Grid, centred
 from twin.discovery.localise import courses, describe
@@ -54,12 +55,6 @@ def piled_up(entries: tuple[Entry, ...]) -> bool:
     places = [_MOVED_BY.get(name, name) for name in named]
     same = [tuple(e.candidate.changes) for e in entries]
     return len(set(places)) < len(places) or len(set(same)) < len(same)
-
-
-def width(gain: float) -> float:
-    """How much worse, in weighted squares, an explanation may be and still not be excluded; it grows with the gain,
-    since at a large one the form assumed decides and not the noise."""
-    return max(10.0, 0.003 * gain)
 
 
 @dataclass(frozen=True)
@@ -152,6 +147,7 @@ def conclude(
     notes: tuple[str, ...],
     single: tuple[Members, ...] = (),
     still: tuple[Stuck, ...] = (),
+    limits: Limits | None = None,
 ) -> Diagnosis:
     """The verdict with everything that supports it."""
     start = float(grid.time[0])
@@ -190,7 +186,7 @@ def conclude(
             _effect(e, finding, sure if i == len(finding.entries) - 1 else {}, start)
             for i, e in enumerate(finding.fit.entries)
         )
-        others, alternatives = _others(finding)
+        others, alternatives = _others(finding, verdict)
         bigger = _bigger(finding, network)
     for one in single:
         verdict, effects = single_one(one, network, verdict, effects, finding, start)
@@ -216,35 +212,11 @@ def conclude(
         residual_after=whole.block_means(grid.measured - readings),
         band=known.noise.sd[0] * math.sqrt(grid.step_s / whole.step_s),
         network=bigger,
-        next_experiment=_experiment(finding, known, grid) if verdict == "ambiguous" else None,
+        next_experiment=plan(finding, known, grid, limits, verdict == "ambiguous") if bigger is not None else None,
         warnings=known.warnings,
         notes=notes,
         description=description,
     )
-
-
-def _experiment(finding: Finding, known: Basis, grid: Grid) -> dict[str, Any]:
-    """The experiment that would tell the remaining causes apart, or why there is none."""
-    limit = width(max(finding.start - finding.ranked[0].fit.total, 0.0))
-    best, labels = [], set()
-    for r in finding.ranked:
-        e = r.entries[-1]
-        if (e.candidate.kind, e.candidate.where) not in labels and r.cost - finding.ranked[0].cost < limit:
-            labels.add((e.candidate.kind, e.candidate.where))
-            best.append(e)
-    if len(best) < 2:
-        return {"possible": False, "why": "only one cause is left in the set"}
-    found = propose(known.probe, known.book, known.noise, known.prior, grid, tuple(best[:4]))
-    if found is None:
-        return {
-            "possible": False,
-            "why": "no sequence of load, pump and fan within the limits separates them: measure one of them by other "
-            "means (flow by bucket and stopwatch, power by a second meter, thermometers swapped)",
-        }  # fmt: skip
-    return {
-        "possible": True, "name": found.name, "why": found.why, "expected_difference": found.difference,
-        "steps": [{"time_s": t, **values} for t, values in found.steps],
-    }  # fmt: skip
 
 
 def _stale(known: Basis, grid: Grid) -> Run:
@@ -296,22 +268,17 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
     )
 
 
-def _others(finding: Finding) -> tuple[tuple[Alternative, ...], tuple[Alternative, ...]]:
-    """What cannot be told from the winner, and what was ruled out."""
+def _others(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...], tuple[Alternative, ...]]:
+    """What cannot be told from the winner (of an ambiguous finding with the winner itself), and what was ruled out."""
     first = finding.ranked[0]
-    limit = width(max(finding.start - first.fit.total, 0.0))
-    same: dict[tuple[str, str, str], Alternative] = {}
+    left = remaining(finding)[0 if verdict == "ambiguous" else 1 :]
+    same = {r.entries[-1].label: Alternative(*r.entries[-1].label, confidence=r.weight) for r in left}
     out: dict[tuple[str, str, str], Alternative] = {}
     taken = {e.label for e in first.entries}
     best = max(finding.start - first.fit.total, 0.0) / max(finding.start, 1e-9)
     for r in finding.ranked[1:]:
-        last = r.entries[-1]
-        label = last.label
-        if label in taken or label in same:
-            continue
-        if r.cost - first.cost < limit and r.weight > 0.003:
-            same[label] = Alternative(*label, confidence=r.weight)
-        elif label not in out:
+        label = r.entries[-1].label
+        if label not in taken and label not in same and label not in out:
             why = f"leaves {r.fit.chi:.2f} of misfit where the answer leaves {first.fit.chi:.2f}"
             out[label] = Alternative(*label, confidence=r.weight, why_not=why)
     for e in finding.scanned:

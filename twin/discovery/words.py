@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
+from twin.discovery.equivalence import OPEN
 from twin.discovery.search import THRESHOLD, Entry
 from twin.discovery.shapes import Shape
 
@@ -92,7 +93,14 @@ def summarise(
             f"{u.driver.replace('_', ' ')}. No known effect explains it, so nothing is adopted."
         )
     said = ". ".join(e.says for e in effects)
-    if verdict == "ambiguous":
-        names = ", ".join(f"{a.kind.replace('_', ' ')} at {a.where}" for a in others)
+    named = {(e.kind, e.where) for e in effects}
+    places = dict.fromkeys((a.kind, a.where) for a in others if (a.kind, a.where) not in named)
+    names = ", ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in places)
+    if verdict == "ambiguous" and names:
         return f"{said}; but this record cannot tell that from {names}." + fit_text
+    followed = {e.driver for e in effects}
+    drivers = [a.driver for a in others if (a.kind, a.where) in named and a.confidence > OPEN]
+    drivers = [d.replace("_", " ") for d in dict.fromkeys(drivers) if d not in followed]
+    if drivers:
+        return f"{said}; whether it follows {' or '.join(drivers)} instead this record cannot tell." + fit_text
     return said + "." + fit_text
