@@ -71,13 +71,15 @@ class Columns:
 
 @dataclass(frozen=True)
 class Basis:
-    """What is known before the record is looked at."""
+    """What is known before the record is looked at; `tried` (2, c) are the lowest and highest inputs, but for short
+    moments, of the healthy record, or of the record where there is none."""
 
     probe: Probe
     book: Book
     noise: noises.Noise
     prior: Prior
     warnings: tuple[str, ...]
+    tried: Array
     structure: Mapping[str, Structure] = field(default_factory=dict)
 
 
@@ -107,7 +109,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         known_structure = structure_of(Contest(probe, grid, state, run, learned, known), book.laws(grid, run))
         if learned.step_s != record.step_s:
             learned = learned.at_step(record.step_s)
-        return Basis(probe, book, learned, known, (), known_structure)
+        return Basis(probe, book, learned, known, (), _tried(grid), known_structure)
     state, _, residual, good = _free_run(probe, record)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)
     learned = noises.learn(residual, record.sigma, record.step_s)
@@ -115,7 +117,13 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         "no healthy record was given: the noise floor is taken from this record itself, so small effects are not seen "
         "and parameters are trusted less; give --healthy for a sharper answer"
     )
-    return Basis(probe, book, _from_itself(probe, book, record, state, learned, prior), prior, (warning,))
+    own = _from_itself(probe, book, record, state, learned, prior)
+    return Basis(probe, book, own, prior, (warning,), _tried(record))
+
+
+def _tried(grid: Grid) -> Array:
+    tried: Array = np.percentile(grid.inputs, (2.0, 98.0), axis=0)
+    return tried
 
 
 def _from_itself(probe: Probe, book: Book, grid: Grid, state: Array, noise: noises.Noise, prior: Prior) -> noises.Noise:

@@ -20,10 +20,13 @@ if TYPE_CHECKING:
 
 MARGIN_K = 3.0
 """What a planned reading stays below an alarm limit; and how much hotter than ever it may become without one."""
+BEYOND = 0.25
+"""Share of the range that the twin has been tried in by which a plan may leave it: a twin far outside the loads that it
+was commissioned on is wrong by more than the causes differ."""
+LEAST_RANGE = {"W": (0.5, 1.1), "pct": (0.7, 1.2)}
+"""Range of a column that has never been varied, in multiples of its value, by its unit."""
 LEAST_PERCENT = 30.0
-"""A pump or fan is not planned to turn more slowly than this, unless the record itself has done so."""
-MOST_POWER = 1.2
-"""Times the largest power of the record that a plan may ask for, where the rig's limit allows it."""
+"""A pump or fan is not planned to turn more slowly than this, unless it has done so before."""
 MOST_CAUSES = 8
 SETTLED = 1.5
 """Times the width of the set that a planned record is to push the wrong cause out of it by."""
@@ -39,26 +42,37 @@ class Limits:
     rig: str = ""
 
 
-def levels_of(network: Network, grid: Grid, limits: Limits | None = None) -> Levels:
-    """Low, middle and high of everything that is driven, within the limits, or within what the record has seen."""
+def levels_of(network: Network, grid: Grid, tried: Array, limits: Limits | None = None) -> Levels:
+    """Low, middle and high of everything that is driven: about where the twin has been tried, within the limits.
+
+    Args:
+        tried: (2, c) lowest and highest inputs of the record that the twin was commissioned on.
+    """
     driven: dict[str, tuple[float, ...]] = {}
     for j, column in enumerate(network.input_columns):
-        seen_low, seen_high = float(np.min(grid.inputs[:, j])), float(np.max(grid.inputs[:, j]))
-        if limits is not None and column not in limits.driven:
+        unit = column.rsplit("_", 1)[-1]
+        known = column in limits.driven if limits is not None else column.startswith(("heater", "pump", "fan"))
+        if not known or unit not in LEAST_RANGE:
             continue
-        if limits is None and not column.startswith(("heater", "pump", "fan")):
-            continue
-        low, high = limits.driven[column] if limits is not None else (network.inputs[column].lower, seen_high)
-        if column.endswith("_pct"):
-            low = max(low, min(LEAST_PERCENT, seen_low))
-            if limits is None and seen_high - seen_low < 5.0:
-                low = max(low, 0.5 * seen_high)
+        here = np.percentile(grid.inputs[:, j], (2.0, 98.0))
+        seen = (float(min(here[0], tried[0, j])), float(max(here[1], tried[1, j])))
+        beyond = BEYOND * (seen[1] - seen[0])
+        low, high = (seen[k] * LEAST_RANGE[unit][k] for k in (0, 1))
+        low, high = min(seen[0] - beyond, low), max(seen[1] + beyond, high)
+        if seen[1] - seen[0] > 0.2 * seen[1]:
+            low, high = seen[0] - beyond, seen[1] + beyond
+        if unit == "pct":
+            low, high = max(low, min(LEAST_PERCENT, seen[0])), min(high, 100.0)
+        if limits is not None:
+            low, high = max(low, limits.driven[column][0]), min(high, limits.driven[column][1])
         else:
-            low, high = max(low, 0.0), min(high, MOST_POWER * seen_high) if limits is not None else high
+            low, high = max(low, network.inputs[column].lower), min(high, seen[1])
         if high > low:
-            driven[column] = tuple(float(f"{x:.4g}") for x in (low, 0.5 * (low + high), high))
-    seen = float(np.nanmax(grid.measured)) + MARGIN_K
-    return Levels(driven, seen if limits is None or not np.isfinite(limits.hottest_C) else limits.hottest_C - MARGIN_K)
+            driven[column] = tuple(float(f"{x:.3g}") for x in (low, 0.5 * (low + high), high))
+    hottest = float(np.nanmax(grid.measured)) + MARGIN_K
+    if limits is not None and np.isfinite(limits.hottest_C):
+        hottest = limits.hottest_C - MARGIN_K
+    return Levels(driven, hottest)
 
 
 def plan(
@@ -68,7 +82,7 @@ def plan(
     causes = open_questions(finding, ambiguous)[:MOST_CAUSES]
     if not causes:
         return None
-    levels = levels_of(known.probe.network, grid, limits)
+    levels = levels_of(known.probe.network, grid, known.tried, limits)
     names = [said(r.entries[-1]) for r in causes]
     if not levels.driven:
         return _impossible(causes, "this rig drives nothing that the twin knows of")

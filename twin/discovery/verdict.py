@@ -59,7 +59,7 @@ def piled_up(entries: tuple[Entry, ...]) -> bool:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A set of effects, fitted: `cost` is -2 log posterior up to a constant, `weight` its share."""
+    """A set of effects, fitted: `cost` is -2 log likelihood and complexity up to a constant, `weight` its share."""
 
     fit: Fit
     cost: float
@@ -87,13 +87,16 @@ class Finding:
 
 
 def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest, start: float) -> tuple[Ranked, ...]:
-    """Fits by posterior cost; weights are tempered by `width`. `start` is the misfit without any effect."""
+    """Fits by cost; weights are tempered by `width`. `start` is the misfit without any effect.
+
+    What is plausible beforehand counts once, in the weights, and never in the cost: the cost says what data tell.
+    """
     costs = []
     for fitted, _ in trials:
         cost = fitted.total
         for e in fitted.entries:
             free = 1.0 + (e.shape.onset_s > 0.0) + (e.shape.name != "step")
-            cost += free * math.log(contest.count) - 2.0 * math.log(plausibility(e))
+            cost += free * math.log(contest.count)
             cost += min((e.size / (_TYPICALS * e.candidate.typical)) ** 2, 20.0)
         costs.append(cost)
     limit = width(max(start - min(f.total for f, _ in trials), 0.0))
@@ -211,7 +214,7 @@ def conclude(
         residual=whole.block_means(grid.measured - _stale(known, grid).readings),
         residual_after=whole.block_means(grid.measured - readings),
         band=known.noise.sd[0] * math.sqrt(grid.step_s / whole.step_s),
-        network=bigger,
+        network=bigger if verdict == "effect found" else None,
         next_experiment=plan(finding, known, grid, limits, verdict == "ambiguous") if bigger is not None else None,
         warnings=known.warnings,
         notes=notes,
@@ -230,12 +233,14 @@ def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
 
 
 def _groups(ranked: tuple[Ranked, ...]) -> dict[tuple[str, str], float]:
-    """Weight of each kind and place, of the effect added last."""
-    out: dict[tuple[str, str], float] = {}
+    """Share of each kind and place, of the effect added last: of the likeliest thing that it could follow, since to be
+    able to follow many things makes a cause no likelier."""
+    best: dict[tuple[str, str], float] = {}
     for r in ranked:
         last = r.entries[-1].candidate
-        out[last.kind, last.where] = out.get((last.kind, last.where), 0.0) + r.weight
-    return out
+        best[last.kind, last.where] = max(best.get((last.kind, last.where), 0.0), r.weight)
+    total = sum(best.values())
+    return {place: weight / total for place, weight in best.items()}
 
 
 def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], start: float) -> Effect:
@@ -280,6 +285,8 @@ def _others(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...]
         label = r.entries[-1].label
         if label not in taken and label not in same and label not in out:
             why = f"leaves {r.fit.chi:.2f} of misfit where the answer leaves {first.fit.chi:.2f}"
+            if abs(r.fit.chi - first.fit.chi) < 0.02 * first.fit.chi:
+                why = f"fits worse by {r.cost - first.cost:.0f} in weighted squares"
             out[label] = Alternative(*label, confidence=r.weight, why_not=why)
     for e in finding.scanned:
         if e.label in taken or e.label in same or e.label in out or len(out) >= 12:

@@ -1,4 +1,8 @@
-"""Hypotheses weighed by records made later: each must explain them too, at about the size that it had."""
+"""Hypotheses weighed by records made later: each must explain them too, at about the size that it had.
+
+Where even the best leaves more than noise, its misfit stands for the variance (quasi-likelihood; McCullagh & Nelder,
+Generalized Linear Models, 2nd ed., sec. 9.2).
+"""
 
 from __future__ import annotations
 
@@ -51,28 +55,31 @@ def weigh(
     Args:
         span_s: length of the first record, at whose end the effects have the sizes that they go on with.
     """
-    out = []
-    for hypothesis in ranked:
-        total, chis = hypothesis.fit.total, []
-        for part in parts:
-            laws = {law.candidate.id: law for law in part.laws}
+    totals = [hypothesis.fit.total for hypothesis in ranked]
+    chis: list[list[float]] = [[] for _ in ranked]
+    for part in parts:
+        laws = {law.candidate.id: law for law in part.laws}
+        costs = []
+        for i, hypothesis in enumerate(ranked):
             # An effect that does nothing in a later record leaves the twin as it is there.
             before = [e for e in hypothesis.entries if e.candidate.id in laws]
+            grown = [e.size * e.shape.mean(span_s - 1.0, span_s) for e in before]
             entries = tuple(
-                from_the_start(
-                    replace(e, law=laws[e.candidate.id]), e.size * e.shape.mean(span_s - 1.0, span_s)
-                ).refreshed(part.contest)
-                for e in before
+                from_the_start(replace(e, law=laws[e.candidate.id]), size).refreshed(part.contest)
+                for e, size in zip(before, grown, strict=True)
             )
             part.reset()
             fitted = fit(part.contest, Model.of(network, entries, ids), part.state)
-            total += fitted.total + sum(
-                _apart(a, a.size * a.shape.mean(span_s - 1.0, span_s), b)
-                for a, b in zip(before, fitted.entries, strict=True)
-            )
-            chis.append(fitted.chi)
-        out.append(Weighed(replace(hypothesis.fit, total=total), tuple(chis)))
-    return out
+            sizes = zip(before, grown, fitted.entries, strict=True)
+            costs.append(fitted.total + sum(_apart(e, size, later) for e, size, later in sizes))
+            chis[i].append(fitted.chi)
+        # What even the best leaves over noise is the twin's own error: differences count by as much less.
+        excess = max(min(chi[-1] for chi in chis) / part.contest.expected, 1.0)
+        totals = [total + cost / excess for total, cost in zip(totals, costs, strict=True)]
+    return [
+        Weighed(replace(hypothesis.fit, total=total), tuple(chi))
+        for hypothesis, total, chi in zip(ranked, totals, chis, strict=True)
+    ]
 
 
 def _apart(first: Entry, grown: float, later: Entry) -> float:
