@@ -239,6 +239,10 @@ def _lists(d: dict[str, Any]) -> str:
     if d["description"]:
         rows = [[key.replace("_", " "), _said(value)] for key, value in d["description"].items()]
         parts.append(f"<h3>The unknown in numbers</h3>{_table(['', ''], rows)}")
+    if curve := d.get("empirical"):
+        rows = [[_number(x, ".4g"), _number(q, ".4g")] for x, q in curve["curve"]]
+        said = f"<p class=note>Offered, not adopted: {html.escape(curve['says'])}. As a twin: empirical.toml.</p>"
+        parts.append(f"<h3>A curve instead of a cause</h3>{said}{_table([curve['follows'], 'W'], rows, 2)}")
     if d["blind_spots"]:
         items = "".join(f"<li>{html.escape(text)}</li>" for text in d["blind_spots"])
         parts.append(f"<h3>Blind spots of this record</h3><ul>{items}</ul>")

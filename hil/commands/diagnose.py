@@ -32,6 +32,7 @@ STEPS = 4.0
 @click.option("--clock", help="Time of day at 0 s of the record, like 08:00, where the record does not tell.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")
 @click.option("--dry", is_flag=True, help="Propose only: no revision of the twin, no files.")
+@click.option("--empirical", is_flag=True, help="Where nothing explains RECORD: adopt the curve that is offered.")
 @click.option("--review", is_flag=True, help="Also write diagnosis.rrd, and open it where there is a display.")
 @click.option("--forecast", is_flag=True, help="Only say what effects the inputs of RECORD could show.")
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
@@ -44,6 +45,7 @@ def command(
     clock: str | None,
     out: Path | None,
     dry: bool,
+    empirical: bool,
     review: bool,
     forecast: bool,
     as_json: bool,
@@ -68,6 +70,7 @@ def command(
         subject_of,
         with_clock,
         write,
+        write_proposal,
     )
     from hil.experiment_file import limits_of, rig_of, write_experiment
     from hil.terminal import Steps, console, invocation
@@ -102,18 +105,24 @@ def command(
             diagnosis = diagnose(told, record, good, more=later, say=say, limits=limits)
         except TwinFileError as error:
             raise TwinFileError(f"{subject.record}: {error}") from None
-    revision = None if dry else revise(diagnosis, network, subject.twin, subject.record)
+    if empirical and diagnosis.verdict == "unexplained" and diagnosis.empirical is None:
+        raise TwinFileError(
+            f"{subject.record}: no curve of anything in it foretells what is unexplained; none to adopt"
+        )
+    curve = empirical and diagnosis.empirical is not None
+    revision = None if dry else revise(diagnosis, network, subject.twin, subject.record, empirical=curve)
     extra: dict[str, object] = {
         "record": str(subject.record), "twin": str(subject.twin), "revision": str(revision) if revision else None,
         "healthy": str(healthy) if healthy else None, "seconds": round(time.monotonic() - began, 2),
     }  # fmt: skip
-    planned = None
+    planned = proposal = None
     if not dry:
         files = {"record": subject.record, "twin": subject.twin, "healthy record": healthy}
         files |= {f"later record {number}": path for number, path in enumerate(more, start=1)}
         extra["provenance"] = provenance(files)
         shown = write(diagnosis, told.sensor_names, subject.out, extra)
         extra["page"] = str(shown)
+        proposal = write_proposal(diagnosis, network, subject.record, subject.out)
         planned = write_experiment(diagnosis, subject.out, allowed)
     if as_json:
         click.echo(json.dumps({**diagnosis.document(), **extra}, indent=1))
@@ -126,6 +135,12 @@ def command(
                 f" --healthy {healthy}" if healthy else ""
             )
             to.print(f"then:   {again} --with <the new run>/record.parquet", soft_wrap=True)
+        if diagnosis.empirical is not None:
+            to.print(
+                f"offered, {'and adopted' if revision else 'not adopted'}: {diagnosis.empirical.says}", soft_wrap=True
+            )
+            if proposal and not revision:
+                to.print(f"look at {proposal}; the same again with --empirical adopts it", soft_wrap=True)
         if revision:
             to.print(f"revision of the twin: {revision}", soft_wrap=True)
         if not dry:

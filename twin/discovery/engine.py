@@ -206,6 +206,7 @@ def diagnose(
         network=network,
         known=known,
         whole=whole.contest,
+        laws=whole.laws,
         grid=grid,
         split=split,
         errors=_errors(finding, network, record, grid, split),

@@ -69,8 +69,8 @@ def explained_by_one(
     """An unexplained finding looked at without the thermometer that stands out; unchanged where there is none.
 
     Args:
-        again: diagnoses a record anew. Only if what is left of the record without that thermometer's error is
-            explained, the thermometer is the answer, or a part of it.
+        again: diagnoses a record anew. Only if the twin is adequate without that thermometer's error, the thermometer
+            is the answer: a place that is hotter than others of its kind makes its thermometer stand out too.
     """
     if found.verdict != "unexplained":
         return found
@@ -83,17 +83,11 @@ def explained_by_one(
         measured[:, j] -= _share_of(group, fault.where, record.time_s)
         rest = {name: each for name, each in record.members.items() if name != group.sensor}
         left = again(replace(record, measured=measured, members=rest))
-        if left.verdict == "unexplained":
+        if left.verdict != "adequate":
             return found
-        note = f"without the error of {fault.where} the rest of the record is {_said(left)}"
         stuck_ones = tuple(e for e in found.effects if e.kind == "sensor" and e is not fault)
-        others = (*stuck_ones, *(e for e in left.effects if e.where != fault.where))
-        verdict: Verdict = "ambiguous" if left.verdict == "ambiguous" else "effect found"
-        rest_says = f" {left.summary}" if others else f" Without it the twin is adequate: {_leaves(left)}."
-        return replace(
-            left, verdict=verdict, effects=(fault, *others), summary=f"{fault.says}.{rest_says}",
-            notes=(*left.notes, note),
-        )  # fmt: skip
+        said = f"{fault.says}. Without that the twin is adequate: {_leaves(left)}."
+        return replace(left, verdict="effect found", effects=(*stuck_ones, fault), summary=said)
     return found
 
 
@@ -105,10 +99,6 @@ def _share_of(group: Members, column: str, time_s: Array) -> Array:
     block = np.searchsorted(group.edges_s, time_s - time_s[0], side="right") - 1
     found: Array = off[np.clip(block, 0, len(off) - 1)]
     return found
-
-
-def _said(left: Diagnosis) -> str:
-    return "as the twin says" if left.verdict == "adequate" else "explained by the other effects"
 
 
 def _leaves(left: Diagnosis) -> str:

@@ -8,18 +8,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from twin.discovery.blind_spots import alike_here, always_alike, twins_of
 from twin.discovery.contest import Contest
-from twin.discovery.diagnosis import Alternative, Course, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
+from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
+from twin.discovery.empirical import Empirical, offer
 from twin.discovery.equivalence import remaining, width
 from twin.discovery.experiment import Limits, plan
 from twin.discovery.fitting import Fit
 from twin.discovery.grid import Grid, centred
+from twin.discovery.laws import Law
+from twin.discovery.lint import lint
 from twin.discovery.localise import courses, describe
 from twin.discovery.members import Members
 from twin.discovery.model import Model
 from twin.discovery.probe import Run
 from twin.discovery.readings import Stuck
 from twin.discovery.search import Entry
+from twin.discovery.sites import drivers_of, signatures, sites_of, unknown
 from twin.discovery.thermometers import SE90, standing
 from twin.discovery.thermometers import single as single_one
 from twin.discovery.words import sentence, summarise
@@ -144,6 +149,7 @@ def conclude(
     network: Network,
     known: Basis,
     whole: Contest,
+    laws: list[Law],
     grid: Grid,
     split: int,
     errors: dict[str, SensorError],
@@ -163,7 +169,9 @@ def conclude(
     alternatives: tuple[Alternative, ...] = ()
     description: dict[str, Any] = {}
     bigger: Network | None = None
-    found = courses(whole, _sites(known, whole))
+    empirical: Empirical | None = None
+    groups = lint(network)
+    found = courses(whole, sites_of(network, whole, laws))
     # What the twin's structure seems to be in the healthy record too is no reason to call it wrong now.
     structural = max((e.bare_gain for e in finding.scanned), default=0.0)
     quiet = enough(finding.start / scale, 0.0, finding.contest)
@@ -178,8 +186,11 @@ def conclude(
     elif finding.fit is None or not good:
         verdict = "unexplained"
         if found:
-            description = describe(found[0], _drivers(network, grid, whole), whole.step_s / 3600.0)
-        effects = _unknown(found, description, start)
+            description = describe(found[0], drivers_of(network, grid, whole), whole.step_s / 3600.0) | signatures(
+                found
+            )
+            empirical = offer(finding, known, grid, split, found, errors)
+        effects = unknown(found, description, start)
         alternatives = _near_misses(finding)
     else:
         sure = _groups(finding.ranked)
@@ -190,6 +201,7 @@ def conclude(
             for i, e in enumerate(finding.fit.entries)
         )
         others, alternatives = _others(finding, verdict)
+        others = (*others, *twins_of(finding, groups, others))
         bigger = _bigger(finding, network)
     for one in single:
         verdict, effects = single_one(one, network, verdict, effects, finding, start)
@@ -207,7 +219,7 @@ def conclude(
         held_out_s=(float(grid.time[split]), float(grid.time[-1])),
         errors=errors,
         moved=_moved(finding, known),
-        blind_spots=blind_spots(finding),
+        blind_spots=(*always_alike(finding, groups), *alike_here(finding)),
         ladder=finding.ladder,
         courses=found,
         hours=whole.hours + start / 3600.0,
@@ -219,6 +231,7 @@ def conclude(
         warnings=known.warnings,
         notes=notes,
         description=description,
+        empirical=empirical,
     )
 
 
@@ -306,56 +319,6 @@ def _near_misses(finding: Finding) -> tuple[Alternative, ...]:
     return tuple(out.values())
 
 
-def _sites(known: Basis, contest: Contest) -> dict[str, tuple[Array, float, str]]:
-    """Places where an unknown may act, each as a vector of one unit."""
-    probe = known.probe
-    out: dict[str, tuple[Array, float, str]] = {}
-    for k, node in enumerate(probe.network.nodes):
-        p = np.zeros((contest.sites, contest.b))
-        p[k] = 1.0
-        out[node] = (p, 20.0, "W")
-    for j, name in enumerate(probe.network.sensor_names):
-        p = np.zeros((contest.sites, contest.b))
-        p[contest.k + j] = 1.0
-        out[name] = (p, 0.2, "K")
-    return out
-
-
-def _drivers(network: Network, grid: Grid, contest: Contest) -> dict[str, Array]:
-    names = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
-    out = {}
-    means = contest.block_means(grid.inputs)
-    for j, column in enumerate(network.input_columns):
-        out[names.get(column, "temperature" if column.endswith("_C") else column)] = means[:, j]
-    out["elapsed_time"] = contest.hours
-    return out
-
-
-def _unknown(found: tuple[Course, ...], description: dict[str, Any], start: float) -> tuple[Effect, ...]:
-    if not found or not description:
-        return ()
-    best = found[0]
-    low, high = description["range"]
-    second = found[1].log_evidence if len(found) > 1 else best.log_evidence - 100.0
-    return (
-        Effect(
-            kind="unknown",
-            where=best.site,
-            driver=str(description["driver"]),
-            change="new",
-            value=float(description["mean"]),
-            unit=best.unit,
-            interval90=(float(low), float(high)),
-            onset_s=start + float(description["onset_s"]),
-            onset_interval90_s=(start + float(description["onset_s"]),) * 2,
-            shape="unknown",
-            confidence=float(1.0 / (1.0 + math.exp(min(max(second - best.log_evidence, -50.0), 50.0) / 10.0))),
-            z=float(np.sqrt(max(best.log_evidence, 0.0) * 2.0)),
-            evidence=f"an unknown at {best.site} explains the record better than at any other place",
-        ),
-    )
-
-
 def _bigger(finding: Finding, network: Network) -> Network:
     """The twin with its effects at full size and its re-tuned parameters."""
     assert finding.fit is not None
@@ -391,25 +354,3 @@ def _moved(finding: Finding, known: Basis) -> tuple[Moved, ...]:
             )
         )  # fmt: skip
     return tuple(out)
-
-
-def blind_spots(finding: Finding) -> tuple[str, ...]:
-    """Pairs that this record cannot tell apart although the physics differ."""
-    contest = finding.contest
-    entries = list({e.candidate.id: e for e in finding.scanned}.values())[:24]
-    if len(entries) < 2:
-        return ()
-    gram, _ = contest.joint(np.stack([e.vector for e in entries]))
-    norm = np.sqrt(np.maximum(np.diag(gram), 1e-30))
-    rho = gram / np.outer(norm, norm)
-    out = []
-    for i in range(len(entries)):
-        for j in range(i + 1, len(entries)):
-            a, b = entries[i], entries[j]
-            if abs(rho[i, j]) > 0.999 and a.label != b.label:
-                out.append(f"{_name(a)} and {_name(b)} cannot be told apart on this record")
-    return tuple(dict.fromkeys(out))[:8]
-
-
-def _name(e: Entry) -> str:
-    return f"{e.candidate.kind.replace('_', ' ')} at {e.candidate.where} ({e.driver.replace('_', ' ')})"

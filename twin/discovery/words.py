@@ -8,6 +8,7 @@ from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
 from twin.discovery.equivalence import OPEN
 from twin.discovery.search import THRESHOLD, Entry
 from twin.discovery.shapes import Shape
+from twin.discovery.sites import spoken
 
 if TYPE_CHECKING:
     from twin.discovery.verdict import Finding
@@ -87,10 +88,11 @@ def summarise(
             return "The twin does not fit this record and no single place explains it." + fit_text
         u = next((e for e in effects if e.kind == "unknown"), effects[0])
         beside = "".join(f"{e.says}. " for e in effects if e is not u and e.says)
+        low, high = (amount(x, u.unit) for x in u.interval90)
         return (
-            f"{beside}Something at {u.where} is not in the catalogue: {u.value:.3g} {u.unit} on average "
-            f"({u.interval90[0]:.3g} to {u.interval90[1]:.3g}) since {clock(u.onset_s)}, following "
-            f"{u.driver.replace('_', ' ')}. No known effect explains it, so nothing is adopted."
+            f"{beside}Something at {u.where} is not in the catalogue: {amount(u.value, u.unit)} on average "
+            f"({low} to {high}) since {clock(u.onset_s)}, following {u.driver.replace('_', ' ')}.{spoken(description)} "
+            "No known effect explains it, so nothing is adopted."
         )
     said = ". ".join(e.says for e in effects)
     named = {(e.kind, e.where) for e in effects}
