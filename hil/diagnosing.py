@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 
 from drivers.rigfile import file_sha256
 from hil import __version__
-from hil.atomic import replacing
 from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
 from hil.record import Record, read_record
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.engine import Columns
-from twin.discovery.experiment import HOURS
 from twin.network import InputSpec, Network, Revision
 from twin.revisions import save_revision
+from twin.twinfile import save
 
 CLOCK = "time_of_day_h"
+PROPOSAL = "empirical.toml"
 
 
 class DiagnosingError(ValueError):
@@ -113,28 +113,70 @@ def read_columns(network: Network, path: Path, hour_at_0: float | None) -> tuple
     return columns_of(network, record, hour), record.messages
 
 
-def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path) -> Path | None:
-    """Save the twin with its new effects beside the old one; None where there is nothing to add."""
-    bigger = diagnosis.network
-    if bigger is None:
+def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path, *, empirical: bool = False) -> Path | None:
+    """Save the twin with its new effects beside the old one; None where there is nothing to add.
+
+    Args:
+        empirical: adopt the curve that is offered where nothing explains the record.
+    """
+    bigger = _curved(diagnosis, network, record) if empirical else _grown(diagnosis, network, record)
+    return save_revision(bigger, twin) if bigger is not None else None
+
+
+def write_proposal(diagnosis: Diagnosis, network: Network, record: Path, out: Path) -> Path | None:
+    """Write the twin with the curve that is offered, `empirical.toml`, into the folder; None where none is."""
+    bigger = _curved(diagnosis, network, record)
+    path = out / PROPOSAL
+    path.unlink(missing_ok=True)
+    return save(bigger, path) if bigger is not None else None
+
+
+def _grown(diagnosis: Diagnosis, network: Network, record: Path) -> Network | None:
+    if diagnosis.network is None:
         return None
+    effects = tuple(
+        f"{e.kind} at {e.where}, {e.driver}, {e.value:.4g} {e.unit}, {e.shape} since {e.onset_s:.0f} s"
+        for e in diagnosis.effects
+    )
+    before = {name: float(e.before) for name, e in diagnosis.errors.items()}
+    after = {name: float(e.after) for name, e in diagnosis.errors.items()}
+    return _stamped(diagnosis, diagnosis.network, network, record, effects, diagnosis.summary, before, after)
+
+
+def _curved(diagnosis: Diagnosis, network: Network, record: Path) -> Network | None:
+    curve = diagnosis.empirical
+    if curve is None:
+        return None
+    effects = (f"heat of unknown origin at {curve.node}, a curve of {curve.variable}",)
+    before = {name: b for name, (b, _) in curve.errors.items()}
+    after = {name: a for name, (_, a) in curve.errors.items()}
+    return _stamped(diagnosis, curve.network, network, record, effects, curve.says, before, after)
+
+
+def _stamped(
+    diagnosis: Diagnosis,
+    bigger: Network,
+    network: Network,
+    record: Path,
+    effects: tuple[str, ...],
+    evidence: str,
+    before: dict[str, float],
+    after: dict[str, float],
+) -> Network:
+    """The bigger network with its evidence, and without a time of day that nothing in it follows."""
     used = {column for element in bigger.elements for column in element.inputs()}
     inputs = {c: s for c, s in bigger.inputs.items() if c in used or (c in network.inputs and c != CLOCK)}
     revision = Revision(
         number=network.revision.number + 1,
         made_by=f"hil diagnose {record.name}",
         window_s=(0.0, diagnosis.held_out_s[0]),
-        error_before_K={name: float(e.before) for name, e in diagnosis.errors.items()},
-        error_after_K={name: float(e.after) for name, e in diagnosis.errors.items()},
+        error_before_K=before,
+        error_after_K=after,
         held_out_s=diagnosis.held_out_s,
-        effects=tuple(
-            f"{e.kind} at {e.where}, {e.driver}, {e.value:.4g} {e.unit}, {e.shape} since {e.onset_s:.0f} s"
-            for e in diagnosis.effects
-        ),
-        evidence=diagnosis.summary,
+        effects=effects,
+        evidence=evidence,
     )
-    saved = dataclasses.replace(bigger, inputs=MappingProxyType(inputs), revision=revision)
-    return save_revision(saved, twin)
+    return dataclasses.replace(bigger, inputs=MappingProxyType(inputs), revision=revision)
 
 
 def provenance(files: dict[str, Path | None]) -> dict[str, object]:
@@ -151,27 +193,6 @@ def provenance(files: dict[str, Path | None]) -> dict[str, object]:
         "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "host": platform.node(),
     }
-
-
-def write_experiment(diagnosis: Diagnosis, out: Path) -> Path | None:
-    """Write the next experiment as a load profile, `experiment.csv`; None where there is none."""
-    plan = diagnosis.next_experiment
-    if not plan or not plan.get("possible"):
-        return None
-    columns = sorted({c for step in plan["steps"] for c in step if c != "time_s"})
-    held: dict[str, float] = {}
-    rows = []
-    for step in plan["steps"]:
-        held |= {c: float(v) for c, v in step.items() if c != "time_s"}
-        rows.append((float(step["time_s"]), *(held.get(c, 0.0) for c in columns)))
-    end = 3600.0 * HOURS
-    rows.append((end, *rows[-1][1:]))
-    path = out / "experiment.csv"
-    text = [f"# {plan['name']}: {plan['why']}", ",".join(("time_s", *columns))]
-    text += [",".join(f"{value:.6g}" for value in row) for row in rows]
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join(text) + "\n", encoding="utf-8")
-    return path
 
 
 def write(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict[str, object]) -> Path:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.atomic import replacing
-from hil.diagnosis_pictures import after_label, pictures, plain
+from hil.diagnosis_pictures import after_label, beside_answer, pictures, plain
 from hil.diagnosis_store import PAGE, Findings, read_findings
 
 _STYLE = """
@@ -97,7 +97,7 @@ def _residual_note(d: dict[str, Any]) -> str:
 
 
 def _others_note(d: dict[str, Any]) -> str:
-    if d["indistinguishable"]:
+    if beside_answer(d):
         told = (
             "Orange explanations fit as well: what this record cannot tell from the answer. Grey ones were ruled out. "
         )
@@ -193,7 +193,7 @@ def _effects(d: dict[str, Any]) -> str:
 
 
 def _alternatives(d: dict[str, Any]) -> str:
-    rows = [[plain(a), _share(a), "this record cannot tell it from the answer"] for a in d["indistinguishable"]]
+    rows = [[plain(a), _share(a), "this record cannot tell it from the answer"] for a in beside_answer(d)]
     rows += [[plain(a), _share(a), a["why_not"]] for a in d["alternatives"]]
     return f"<h3>Other explanations</h3>{_table(['explanation', 'confidence', 'why not'], rows)}" if rows else ""
 
@@ -239,6 +239,10 @@ def _lists(d: dict[str, Any]) -> str:
     if d["description"]:
         rows = [[key.replace("_", " "), _said(value)] for key, value in d["description"].items()]
         parts.append(f"<h3>The unknown in numbers</h3>{_table(['', ''], rows)}")
+    if curve := d.get("empirical"):
+        rows = [[_number(x, ".4g"), _number(q, ".4g")] for x, q in curve["curve"]]
+        said = f"<p class=note>Offered, not adopted: {html.escape(curve['says'])}. As a twin: empirical.toml.</p>"
+        parts.append(f"<h3>A curve instead of a cause</h3>{said}{_table([curve['follows'], 'W'], rows, 2)}")
     if d["blind_spots"]:
         items = "".join(f"<li>{html.escape(text)}</li>" for text in d["blind_spots"])
         parts.append(f"<h3>Blind spots of this record</h3><ul>{items}</ul>")
@@ -256,7 +260,7 @@ def _experiment(d: dict[str, Any]) -> str:
     rows = [[_hours(step["time_s"]), *(_said(step.get(column, "")) for column in columns)] for step in steps]
     table = _table(["from", *columns], rows, len(columns)) if rows else ""
     beside = "<p class=note>As a load profile: experiment.csv beside this page.</p>" if rows else ""
-    rest = [[k.replace("_", " "), _said(v)] for k, v in plan.items() if k not in ("why", "steps", "possible")]
+    rest = [[k.replace("_", " "), _said(v)] for k, v in plan.items() if v and k not in ("why", "steps", "possible")]
     return f"<h2>Next experiment</h2>{why}{table}{beside}{_table(['', ''], rest) if rest else ''}"
 
 
@@ -264,7 +268,7 @@ def _said(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key.replace('_', ' ')} {_said(cell)}" for key, cell in value.items())
     if isinstance(value, list):
-        return " to ".join(_said(cell) for cell in value)
+        return (", " if any(isinstance(cell, str) for cell in value) else " to ").join(_said(cell) for cell in value)
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

@@ -235,13 +235,19 @@ def _bars(axes: Axes, places: np.ndarray, values: list[float | None], colours: l
         axes.annotate(text, (x, place), xytext=(4, 0), textcoords="offset points", va="center", fontsize=9)
 
 
+def beside_answer(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """What cannot be told from the answer, without the answer itself, which an ambiguous finding lists too."""
+    said = {(e["kind"], e["where"], e["driver"]) for e in document["effects"]}
+    return [a for a in document["indistinguishable"] if (a["kind"], a["where"], a["driver"]) not in said]
+
+
 def _others(findings: Findings) -> Figure | None:
     document = findings.document
     rows: list[tuple[str, float, str, str]] = []
     for e in document["effects"]:
         said = "the answer" if document["verdict"] != "unexplained" else "where it enters; no effect is of this form"
         rows.append((plain(e), float(e["confidence"] or 0.0), said, BLUE))
-    for a in document["indistinguishable"]:
+    for a in beside_answer(document):
         rows.append((plain(a), float(a["confidence"] or 0.0), "this record cannot tell it from the answer", ORANGE))
     for a in document["alternatives"][: max(_MOST_OTHERS - len(rows), 3)]:
         rows.append((plain(a), float(a["confidence"] or 0.0), a["why_not"], GREY))

@@ -101,7 +101,9 @@ def found_of(diagnosis: Diagnosis, until_s: float) -> Found:
     )
     said = ". ".join(e.says for e in diagnosis.effects if e.says)
     if diagnosis.verdict == "ambiguous":
-        others = ", ".join(f"{a.kind.replace('_', ' ')} at {a.where}" for a in diagnosis.indistinguishable)
+        named = {(e.kind, e.where) for e in diagnosis.effects}
+        left = dict.fromkeys((a.kind, a.where) for a in diagnosis.indistinguishable if (a.kind, a.where) not in named)
+        others = ", ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in left)
         said = f"{said}; the record so far cannot tell that from {others}" if others else said
     if diagnosis.verdict in ("adequate", "unexplained") or not said:
         said = diagnosis.summary.rstrip(".")
@@ -152,11 +154,14 @@ class _Worker:
 
     def __init__(self, config: LiveConfig) -> None:
         from hil.diagnosing import read_columns
+        from hil.experiment_file import limits_of, rig_of
         from twin.twinfile import load
 
         self._config = config
         self._network = load(config.twin)
         self._healthy = read_columns(self._network, config.healthy, None)[0] if config.healthy else None
+        rig = rig_of(config.journal.parent)
+        self._limits = limits_of(rig) if rig is not None else None
         self._blocks: list[Samples] = []
         self._adopted: Found | None = None
         self._revision: Path | None = None
@@ -171,7 +176,7 @@ class _Worker:
             record = self._read()
             if record is None:
                 return Reply(problem="there are no samples yet")
-            diagnosis = diagnose(self._network, record, self._healthy)
+            diagnosis = diagnose(self._network, record, self._healthy, limits=self._limits)
         except (TwinFileError, RecordError) as error:
             return Reply(problem=str(error))
         found = found_of(diagnosis, float(record.time_s[-1]))
@@ -211,7 +216,8 @@ class _Worker:
         return (self._revision.name if self._revision else ""), ""
 
     def _write(self, diagnosis: Diagnosis, out: Path) -> Path:
-        from hil.diagnosing import provenance, write, write_experiment
+        from hil.diagnosing import provenance, write
+        from hil.experiment_file import rig_of, write_experiment
 
         run = self._config.journal.parent
         extra: dict[str, object] = {
@@ -222,7 +228,7 @@ class _Worker:
             "provenance": provenance({"twin": self._config.twin, "healthy record": self._config.healthy}),
         }
         page = write(diagnosis, self._network.sensor_names, out, extra)
-        write_experiment(diagnosis, out)
+        write_experiment(diagnosis, out, rig_of(run))
         return page
 
 

@@ -328,6 +328,18 @@ def _cache_root() -> Path | None:
     return None
 
 
+def cache_folder(name: str) -> Path | None:
+    """A folder of that name in the cache, beside the kernels, or None where nothing can be kept."""
+    root = _cache_root()
+    if root is None:
+        return None
+    try:
+        (root / name).mkdir(exist_ok=True, mode=0o700)
+    except OSError:
+        return None
+    return root / name
+
+
 @contextlib.contextmanager
 def _locked(path: Path) -> Iterator[None]:
     with path.open("w") as handle:

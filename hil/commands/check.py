@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("file", type=INPUT_FILE)
 @click.option("--rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig that a profile is meant for.")
+@click.option("--catalogue", is_flag=True, help="Of a twin: which effects no record of its rig could tell apart.")
 @click.option("--picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw a twin's network: .svg or .png.")
-def command(file: Path, rig: Path, picture: Path | None) -> None:
+def command(file: Path, rig: Path, catalogue: bool, picture: Path | None) -> None:
     """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
 
     \b
@@ -27,13 +28,18 @@ def command(file: Path, rig: Path, picture: Path | None) -> None:
       hil check profiles/rigs/virtual.toml
       hil check my_load.csv --rig my_rig.toml
       hil check profiles/twins/loop_six.toml --picture network.svg
+      hil check my_twin.toml --catalogue
     """
     from hil.terminal import console
 
     checker = _checker(file)
     if picture is not None and checker is not _twin:
         raise click.UsageError(f"--picture draws twins, and {file} is none")
+    if catalogue and checker is not _twin:
+        raise click.UsageError(f"--catalogue lists what a twin may lack, and {file} is none")
     checker(file, rig, console())
+    if catalogue:
+        _catalogue(file, console())
     if picture is not None:
         from twin.drawing import draw
         from twin.twinfile import load
@@ -114,6 +120,22 @@ def _twin(file: Path, _: Path, out: Console) -> None:
     if revision.number:
         out.print(f"revision {revision.number}, made by {revision.made_by}, parent {revision.parent[:12]}")
     out.print(f"{file}: no mistakes found", style="green")
+
+
+def _catalogue(file: Path, out: Console) -> None:
+    from twin.discovery.blind_spots import spoken
+    from twin.discovery.catalogue import catalogue
+    from twin.discovery.lint import lint
+    from twin.twinfile import load
+
+    network = load(file)
+    entries = {(c.kind, c.where, c.driver) for c in catalogue(network)}
+    out.print(f"{len(entries)} effects that the twin may lack are looked for in a diagnosis")
+    found = lint(network)
+    for group in found.groups:
+        out.print(f"no input separates: {'; '.join(spoken(x) for x in group)}", soft_wrap=True)
+    for label in found.unseen:
+        out.print(f"no input shows: {spoken(label)}", soft_wrap=True)
 
 
 def _effects(file: Path, _: Path, out: Console) -> None:

@@ -28,9 +28,11 @@ STEPS = 4.0
 @click.option("--twin", type=INPUT_FILE, help="Twin file; of a run, the one that it ran with.")
 @click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, the one it was commissioned on.")
 @click.option("--with", "more", type=INPUT_FILE, multiple=True, help="A later record of the rig; may be repeated.")
+@click.option("--rig", type=INPUT_FILE, help="Rig file whose limits a next experiment keeps; of a run, its own.")
 @click.option("--clock", help="Time of day at 0 s of the record, like 08:00, where the record does not tell.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")
 @click.option("--dry", is_flag=True, help="Propose only: no revision of the twin, no files.")
+@click.option("--empirical", is_flag=True, help="Where nothing explains RECORD: adopt the curve that is offered.")
 @click.option("--review", is_flag=True, help="Also write diagnosis.rrd, and open it where there is a display.")
 @click.option("--forecast", is_flag=True, help="Only say what effects the inputs of RECORD could show.")
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
@@ -39,9 +41,11 @@ def command(
     twin: Path | None,
     healthy: Path | None,
     more: tuple[Path, ...],
+    rig: Path | None,
     clock: str | None,
     out: Path | None,
     dry: bool,
+    empirical: bool,
     review: bool,
     forecast: bool,
     as_json: bool,
@@ -66,8 +70,9 @@ def command(
         subject_of,
         with_clock,
         write,
-        write_experiment,
+        write_proposal,
     )
+    from hil.experiment_file import limits_of, rig_of, write_experiment
     from hil.terminal import Steps, console, invocation
     from twin.discovery.engine import diagnose
     from twin.network import TwinFileError
@@ -80,6 +85,8 @@ def command(
     told = with_clock(network) if hour is not None else network
     record, messages = read_columns(told, subject.record, hour)
     good = read_columns(told, healthy, hour)[0] if healthy else None
+    allowed = rig or (rig_of(target) if target.is_dir() else None)
+    limits = limits_of(allowed) if allowed is not None else None
     later = tuple(read_columns(told, path, hour)[0] for path in more)
     if forecast:
         _forecast(console(), told, record, good, as_json)
@@ -95,22 +102,28 @@ def command(
             steps.update(min(float(stages), STEPS), what)
 
         try:
-            diagnosis = diagnose(told, record, good, more=later, say=say)
+            diagnosis = diagnose(told, record, good, more=later, say=say, limits=limits)
         except TwinFileError as error:
             raise TwinFileError(f"{subject.record}: {error}") from None
-    revision = None if dry else revise(diagnosis, network, subject.twin, subject.record)
+    if empirical and diagnosis.verdict == "unexplained" and diagnosis.empirical is None:
+        raise TwinFileError(
+            f"{subject.record}: no curve of anything in it foretells what is unexplained; none to adopt"
+        )
+    curve = empirical and diagnosis.empirical is not None
+    revision = None if dry else revise(diagnosis, network, subject.twin, subject.record, empirical=curve)
     extra: dict[str, object] = {
         "record": str(subject.record), "twin": str(subject.twin), "revision": str(revision) if revision else None,
         "healthy": str(healthy) if healthy else None, "seconds": round(time.monotonic() - began, 2),
     }  # fmt: skip
-    planned = None
+    planned = proposal = None
     if not dry:
         files = {"record": subject.record, "twin": subject.twin, "healthy record": healthy}
         files |= {f"later record {number}": path for number, path in enumerate(more, start=1)}
         extra["provenance"] = provenance(files)
         shown = write(diagnosis, told.sensor_names, subject.out, extra)
         extra["page"] = str(shown)
-        planned = write_experiment(diagnosis, subject.out)
+        proposal = write_proposal(diagnosis, network, subject.record, subject.out)
+        planned = write_experiment(diagnosis, subject.out, allowed)
     if as_json:
         click.echo(json.dumps({**diagnosis.document(), **extra}, indent=1))
     else:
@@ -118,6 +131,16 @@ def command(
         _show(to, diagnosis)
         if planned:
             to.print(f"run it: {invocation()} run {planned}", soft_wrap=True)
+            again = f"{invocation()} diagnose {target} --twin {subject.twin}" + (
+                f" --healthy {healthy}" if healthy else ""
+            )
+            to.print(f"then:   {again} --with <the new run>/record.parquet", soft_wrap=True)
+        if diagnosis.empirical is not None:
+            to.print(
+                f"offered, {'and adopted' if revision else 'not adopted'}: {diagnosis.empirical.says}", soft_wrap=True
+            )
+            if proposal and not revision:
+                to.print(f"look at {proposal}; the same again with --empirical adopts it", soft_wrap=True)
         if revision:
             to.print(f"revision of the twin: {revision}", soft_wrap=True)
         if not dry:
@@ -164,7 +187,10 @@ def _show(to: Console, d: Diagnosis) -> None:
         table = Table(title="Other explanations", title_justify="left")
         for heading in ("kind", "where", "driver", "why not"):
             table.add_column(heading)
+        said = {(e.kind, e.where, e.driver) for e in d.effects}
         for a in d.indistinguishable:
+            if (a.kind, a.where, a.driver) in said:
+                continue
             table.add_row(a.kind, a.where, a.driver, "this record cannot tell it from the answer", style="bold")
         for a in d.alternatives[:8]:
             table.add_row(a.kind, a.where, a.driver, a.why_not)
@@ -189,7 +215,10 @@ def _show(to: Console, d: Diagnosis) -> None:
             )  # fmt: skip
         to.print(table)
     if d.next_experiment:
-        to.print(f"next experiment: {d.next_experiment.get('name', '')} {d.next_experiment['why']}", soft_wrap=True)
+        to.print(f"next experiment: {d.next_experiment['why']}", soft_wrap=True)
+        for alike in d.next_experiment.get("stay_alike", ()):
+            measured = " or ".join(d.next_experiment["measure"])
+            to.print(f"no input separates {alike}; {measured} would", soft_wrap=True)
     for spot in d.blind_spots:
         to.print(f"blind spot: {spot}", soft_wrap=True)
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.diagnosis_pictures import after_label, plain, short
+from hil.diagnosis_pictures import after_label, beside_answer, plain, short
 from hil.diagnosis_store import Findings, Unknown, has_diagnosis, read_findings
 from hil.journal import Header
 from hil.review.collect import Batch, Estimates, Rows, States, Texts
@@ -60,8 +60,8 @@ def notes(findings: Findings) -> dict[str, str]:
     d = findings.document
     parts = [f"### {str(d['verdict']).capitalize()}", str(d["summary"])]
     parts += [f"*{text}*" for text in (*d["warnings"], *d["notes"])]
-    if d["indistinguishable"]:
-        parts.append("This record cannot tell it from: " + ", ".join(plain(a) for a in d["indistinguishable"]) + ".")
+    if others := beside_answer(d):
+        parts.append("This record cannot tell it from: " + ", ".join(plain(a) for a in others) + ".")
     parts.append(
         f"orange: as it was · blue: {after_label(d)} · thin lines: zero and ±2σ of a healthy residual · below, blue: "
         "the place that explains the record best, band ±1σ"

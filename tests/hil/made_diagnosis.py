@@ -35,7 +35,7 @@ def made(
         verdict=verdict,  # type: ignore[arg-type]
         summary=summary,
         effects=given,
-        indistinguishable=(Alternative("heat_source", "modules", "pump_speed", 0.2),),
+        indistinguishable=(Alternative("heat_source", "heater", "constant", 0.2),),
         alternatives=(Alternative("sensor", "T_tank_C", "constant", 1e-4, "explains 12 % of the mismatch"),),
         held_out_s=(27000.0, 36000.0),
         errors=errors

@@ -72,7 +72,7 @@ def test_only_news_is_told():
 
 def test_an_ambiguous_finding_names_what_it_may_be_as_well():
     assert found().sentence == SAYS
-    assert found_of(made("ambiguous"), 1.0).sentence.endswith("cannot tell that from heat source at modules")
+    assert found_of(made("ambiguous"), 1.0).sentence.endswith("cannot tell that from heat source at heater")
 
 
 def error(before: float, after: float) -> SensorError:

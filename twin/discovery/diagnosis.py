@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from twin.network import Array, Network
+
+if TYPE_CHECKING:
+    from twin.discovery.empirical import Empirical
 
 Verdict = Literal["adequate", "effect found", "ambiguous", "unexplained"]
 
@@ -76,7 +79,10 @@ class Moved:
 
 @dataclass(frozen=True)
 class Course:
-    """An unknown quantity at one site over time: `mean` and `sd` (b,) at `hours` (b,), in `unit`."""
+    """An unknown quantity at one site over time: `mean` and `sd` (b,) at `hours` (b,), in `unit`.
+
+    `signature` is what it acts as: energy, transport or sensor; `where` its place in a diagnosis's words.
+    """
 
     site: str
     unit: str
@@ -84,6 +90,8 @@ class Course:
     mean: Array
     sd: Array
     log_evidence: float
+    signature: str = "energy"
+    where: str = ""
 
 
 @dataclass(frozen=True)
@@ -116,7 +124,8 @@ class Diagnosis:
         summary: the verdict in plain words. courses: unknown power and offset per site. hours, residual: block means
             (b,), (b, m) of measured minus the twin as it was; residual_after likewise with the effects; band: (m,) sd
             of a healthy residual.
-        warnings: a sentence each. folds: blocks of time left out, and what the effects gain there.
+        empirical: a curve that is offered where nothing explains the record. warnings: a sentence each.
+        folds: blocks of time left out, and what the effects gain there.
         threshold: score that the best of a record of noise reaches once in a hundred.
     """
 
@@ -142,6 +151,7 @@ class Diagnosis:
     description: Mapping[str, Any] = field(default_factory=dict)
     folds: tuple[Fold, ...] = ()
     threshold: float = float("nan")
+    empirical: Empirical | None = None
 
     def document(self) -> dict[str, Any]:
         """The contract's ``diagnosis.json``."""
@@ -172,6 +182,7 @@ class Diagnosis:
             ],
             "blind_spots": list(self.blind_spots),
             "next_experiment": self.next_experiment,
+            "empirical": self.empirical.document() if self.empirical else None,
             "ladder": [{"twin": r.what, "misfit": _round(r.chi), "best_next_z": _round(r.best_z)} for r in self.ladder],
             "threshold": _round(self.threshold),
             "left_out": [

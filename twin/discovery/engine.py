@@ -12,19 +12,23 @@ from twin.commission import inflation, weak_prior
 from twin.discovery import noise as noises
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Diagnosis, Fold, Rung, SensorError
+from twin.discovery.equivalence import width
+from twin.discovery.experiment import Limits
 from twin.discovery.fitting import Fit, fit
-from twin.discovery.forecast import Forecast, forecast, from_the_start
+from twin.discovery.forecast import Forecast, forecast
 from twin.discovery.grid import Grid, bridged, filled, on_grid
 from twin.discovery.laws import Book, Law
 from twin.discovery.members import Members, members
 from twin.discovery.model import Model
 from twin.discovery.null import FALSE_ALARMS, Null, null_scores
 from twin.discovery.probe import Probe, Run, posterior
-from twin.discovery.ranking import Finding, Ranked, enough, piled_up, rank, width
+from twin.discovery.ranking import Finding, Ranked, enough, piled_up, rank
 from twin.discovery.readings import Stuck, stuck
 from twin.discovery.search import Entry, Structure, possible, refine, scan, structure_of, together
+from twin.discovery.thermometers import explained_by_one
 from twin.discovery.validation import validate
 from twin.discovery.verdict import conclude
+from twin.discovery.weighing import weigh
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
 
@@ -37,6 +41,9 @@ SECOND_SHARE = 0.02
 UNHEALTHY = 6.0
 """Times the noise of a bin that a healthy record's residual may reach."""
 MOST_EFFECTS = 3
+MORE_LEFT, MORE_SHARE = 4.0, 0.1
+"""Misfit that the answer may leave in a later record, over what noise alone leaves, or of what there was: its steps
+are harsher than those that the noise was learned from."""
 PAIRED = 8
 """Single effects that are tried as one of a pair."""
 
@@ -67,13 +74,15 @@ class Columns:
 
 @dataclass(frozen=True)
 class Basis:
-    """What is known before the record is looked at."""
+    """What is known before the record is looked at; `tried` (2, c) are the lowest and highest inputs, but for short
+    moments, of the healthy record, or of the record where there is none."""
 
     probe: Probe
     book: Book
     noise: noises.Noise
     prior: Prior
     warnings: tuple[str, ...]
+    tried: Array
     structure: Mapping[str, Structure] = field(default_factory=dict)
 
 
@@ -103,7 +112,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         known_structure = structure_of(Contest(probe, grid, state, run, learned, known), book.laws(grid, run))
         if learned.step_s != record.step_s:
             learned = learned.at_step(record.step_s)
-        return Basis(probe, book, learned, known, (), known_structure)
+        return Basis(probe, book, learned, known, (), _tried(grid), known_structure)
     state, _, residual, good = _free_run(probe, record)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)
     learned = noises.learn(residual, record.sigma, record.step_s)
@@ -111,7 +120,13 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         "no healthy record was given: the noise floor is taken from this record itself, so small effects are not seen "
         "and parameters are trusted less; give --healthy for a sharper answer"
     )
-    return Basis(probe, book, _from_itself(probe, book, record, state, learned, prior), prior, (warning,))
+    own = _from_itself(probe, book, record, state, learned, prior)
+    return Basis(probe, book, own, prior, (warning,), _tried(record))
+
+
+def _tried(grid: Grid) -> Array:
+    tried: Array = np.percentile(grid.inputs, (2.0, 98.0), axis=0)
+    return tried
 
 
 def _from_itself(probe: Probe, book: Book, grid: Grid, state: Array, noise: noises.Noise, prior: Prior) -> noises.Noise:
@@ -149,6 +164,7 @@ def diagnose(
     more: tuple[Columns, ...] = (),
     say: Callable[[str], None] = lambda _: None,
     held_out: float = HELD_OUT,
+    limits: Limits | None = None,
 ) -> Diagnosis:
     """Trace the residual of a record to an effect that the twin lacks, or say that there is none, or that none fits.
 
@@ -156,6 +172,7 @@ def diagnose(
         network: the commissioned twin. healthy: the record that it was commissioned on.
         more: records made later on the same rig, by which causes that this record cannot tell apart are weighed.
         say: called with what is being done. held_out: share of the record, at its end, that no fit sees.
+        limits: of the rig, for the next experiment; by default it stays within what the record has seen.
 
     Raises:
         TwinFileError: a record too short or without readings, a healthy record that is not healthy.
@@ -188,21 +205,30 @@ def diagnose(
     finding = finding or _search(train, say)
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
-        finding = _weighed(finding, [_Part.of(known, on_grid(network, r.time_s, r.inputs, r.measured)) for r in more])
+        further = [_Part.of(known, on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
+        finding, said = _weighed(finding, further)
+        notes += said
     say("judging")
     single = _members(network, record, grid, healthy, whole.contest.edges)
-    return conclude(
+    found = conclude(
         finding,
         network=network,
         known=known,
         whole=whole.contest,
+        laws=whole.laws,
         grid=grid,
         split=split,
         errors=_errors(finding, network, record, grid, split),
         notes=tuple(notes),
         single=single,
         still=still,
+        limits=limits,
     )
+
+    def again(other: Columns) -> Diagnosis:
+        return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
+
+    return explained_by_one(found, network, record, single, again)
 
 
 def _begins_late(whole: _Part, train: _Part, split: int) -> bool:
@@ -382,32 +408,24 @@ def _fitted(part: _Part, groups: list[tuple[Entry, ...]]) -> list[tuple[Fit, tup
     return trials
 
 
-def _weighed(finding: Finding, parts: list[_Part]) -> Finding:
-    """The finding with its hypotheses ranked by all records, each effect being there throughout the later ones."""
-    trials = []
-    span = finding.contest.grid.span_s
-    for ranked in finding.ranked:
-        total = ranked.fit.total
-        for part in parts:
-            laws_by = {law.candidate.id: law for law in part.laws}
-            if any(e.candidate.id not in laws_by for e in ranked.entries):
-                # The effect does nothing in this record: it is judged by the twin without it.
-                entries: tuple[Entry, ...] = ()
-            else:
-                entries = tuple(
-                    from_the_start(
-                        replace(e, law=laws_by[e.candidate.id]), e.size * e.shape.mean(span - 1.0, span)
-                    ).refreshed(part.contest)
-                    for e in ranked.entries
-                )
-            part.reset()
-            network, ids = part.basis.probe.network, part.basis.probe.scaling.ids
-            total += fit(part.contest, Model.of(network, entries, ids), part.state).total
-        trials.append((replace(ranked.fit, total=total), ranked.entries))
-    start = finding.start + sum(p.contest.misfit for p in parts)
-    order = rank(trials, finding.contest, start)
+def _weighed(finding: Finding, parts: list[_Part]) -> tuple[Finding, tuple[str, ...]]:
+    """The finding with its hypotheses ranked by all records, and what is to be said of the later ones."""
+    probe = parts[0].basis.probe
+    weighed = weigh(finding.ranked, parts, probe.network, probe.scaling.ids, finding.contest.grid.span_s)
+    for part in parts:
+        part.reset()
+    order = rank(
+        [(w.fit, w.fit.entries) for w in weighed], finding.contest, finding.start + sum(p.contest.misfit for p in parts)
+    )
     best = order[0]
-    return replace(finding, ranked=order, fit=best.fit, entries=best.entries)
+    chis = next(w.chis for w in weighed if w.fit is best.fit)
+    notes = [
+        f"with the answer, later record {number} still leaves {chi:.2f} of misfit where noise alone leaves "
+        f"{part.contest.expected:.2f}; there is more in it, so diagnose that record by itself"
+        for number, (chi, part) in enumerate(zip(chis, parts, strict=True), start=1)
+        if chi > max(MORE_LEFT * part.contest.expected, MORE_SHARE * part.contest.chi)
+    ]
+    return replace(finding, ranked=order, fit=best.fit, entries=best.entries), tuple(notes)
 
 
 def _pairs(part: _Part) -> list[tuple[Entry, ...]]:

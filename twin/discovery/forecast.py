@@ -16,8 +16,6 @@ from twin.discovery.laws import Book
 from twin.discovery.noise import Noise
 from twin.discovery.null import FALSE_ALARMS, null_scores
 from twin.discovery.probe import Probe
-from twin.discovery.search import Entry
-from twin.discovery.shapes import Shape
 from twin.elements.base import Candidate
 from twin.gauss_newton import Prior
 from twin.network import Array
@@ -85,30 +83,3 @@ def forecast(probe: Probe, book: Book, noise: Noise, prior: Prior, grid: Grid, s
                     confused.append((a, b, rho))
     confused.sort(key=lambda x: -abs(x[2]))
     return Forecast(tuple(seen), tuple(unseen), tuple(confused))
-
-
-def separation(
-    probe: Probe, book: Book, noise: Noise, prior: Prior, grid: Grid, entries: tuple[Entry, ...], state: Array
-) -> float:
-    """Least expected difference in weighted squares between two of the entries, each taken as true in turn, if the
-    record were to be made with the grid's inputs: z_i^2 (1 - rho_ij^2) (Atkinson & Fedorov, Biometrika 62 (1975) 57).
-    """
-    own, start = planned(probe, grid, state)
-    run = probe.run(own, start)
-    contest = Contest(probe, own, start, run, noise, prior)
-    by_id = {law.candidate.id: law for law in book.laws(own, run, tuple(e.candidate for e in entries))}
-    if any(e.candidate.id not in by_id for e in entries):
-        return 0.0
-    vectors = np.stack([contest.vector(by_id[e.candidate.id]) * e.size for e in entries])
-    gram, _ = contest.joint(vectors)
-    least = np.inf
-    for i in range(len(entries)):
-        for j in range(len(entries)):
-            if i != j and gram[j, j] > 0.0:
-                least = min(least, float(gram[i, i] - gram[i, j] ** 2 / gram[j, j]))
-    return max(least, 0.0) if np.isfinite(least) else 0.0
-
-
-def from_the_start(entry: Entry, size: float) -> Entry:
-    """The entry as something that is there all the time."""
-    return replace(entry, shape=Shape("step"), size=size)

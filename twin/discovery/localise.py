@@ -13,27 +13,24 @@ import numpy as np
 
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Course
+from twin.discovery.sites import Site
 from twin.network import Array
 
 WALK_PER_BLOCK = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Step of the walk from block to block, in typical sizes of the site, that are tried."""
 
 
-def courses(contest: Contest, sites: dict[str, tuple[Array, float, str]]) -> tuple[Course, ...]:
-    """Unknown courses at each site, the likeliest first.
-
-    Args:
-        sites: name -> (vector (sites, b) of one unit, typical size, unit).
-    """
+def courses(contest: Contest, sites: dict[str, Site]) -> tuple[Course, ...]:
+    """Unknown courses at each site, the likeliest first."""
     found = []
     difference = np.diff(np.eye(contest.b), axis=0)
-    for name, (vector, typical, unit) in sites.items():
-        gram, score = contest.small(vector)
+    for name, site in sites.items():
+        gram, score = contest.small(site.vector)
         best: Course | None = None
         for share in WALK_PER_BLOCK:
-            walk = share * typical
+            walk = share * site.typical
             precision = difference.T @ difference / walk**2
-            precision[0, 0] += (30.0 * typical) ** -2
+            precision[0, 0] += (30.0 * site.typical) ** -2
             lower = np.linalg.cholesky(gram + precision + 1e-12 * np.trace(gram) * np.eye(contest.b) / contest.b)
             mean = np.linalg.solve(lower.T, np.linalg.solve(lower, score))
             _, log_prior = np.linalg.slogdet(precision)
@@ -41,7 +38,7 @@ def courses(contest: Contest, sites: dict[str, tuple[Array, float, str]]) -> tup
             if best is None or evidence > best.log_evidence:
                 inverse = np.linalg.inv(lower)
                 sd = np.sqrt((inverse**2).sum(axis=0))
-                best = Course(name, unit, contest.hours, mean, sd, evidence)
+                best = Course(name, site.unit, contest.hours, mean, sd, evidence, site.signature, site.where)
         if best is not None:
             found.append(best)
     found.sort(key=lambda c: -c.log_evidence)

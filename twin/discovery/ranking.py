@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Fold, Rung
+from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit
 from twin.discovery.null import FALSE_ALARMS, Null
 from twin.discovery.search import Entry
@@ -39,15 +40,9 @@ def piled_up(entries: tuple[Entry, ...]) -> bool:
     return len(set(places)) < len(places) or len(set(same)) < len(same)
 
 
-def width(gain: float) -> float:
-    """How much worse, in weighted squares, an explanation may be and still not be excluded; it grows with the gain,
-    since at a large one the form assumed decides and not the noise."""
-    return max(10.0, 0.003 * gain)
-
-
 @dataclass(frozen=True)
 class Ranked:
-    """A set of effects, fitted: `cost` is -2 log posterior up to a constant, `weight` its share."""
+    """A set of effects, fitted: `cost` is -2 log likelihood and complexity up to a constant, `weight` its share."""
 
     fit: Fit
     cost: float
@@ -82,13 +77,16 @@ class Finding:
 
 
 def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest, start: float) -> tuple[Ranked, ...]:
-    """Fits by posterior cost; weights are tempered by `width`. `start` is the misfit without any effect."""
+    """Fits by cost; weights are tempered by `width`. `start` is the misfit without any effect.
+
+    What is plausible beforehand counts once, in the weights, and never in the cost: the cost says what data tell.
+    """
     costs = []
     for fitted, _ in trials:
         cost = fitted.total
         for e in fitted.entries:
             free = 1.0 + (e.shape.onset_s > 0.0) + (e.shape.name != "step")
-            cost += free * math.log(contest.count) - 2.0 * math.log(plausibility(e))
+            cost += free * math.log(contest.count)
             cost += min((e.size / (_TYPICALS * e.candidate.typical)) ** 2, 20.0)
         costs.append(cost)
     limit = width(max(start - min(f.total for f, _ in trials), 0.0))

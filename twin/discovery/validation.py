@@ -2,9 +2,10 @@
 time, with an embargo on either side for as long as the rig remembers.
 
 Everything is linear about the fit: for each block the tunables, the initial state and the sizes are solved from the
-other blocks, once with the effects and once without, and both predict the block; so does the twin as commissioned. The whitened residual is turned back
-from cosines into time, where a row belongs to a moment. Source: h-block cross-validation (Burman, Chow & Nolan,
-Biometrika 81 (1994) 351).
+other blocks, once with the effects and once without, and both predict the block; so does the twin as commissioned. The
+whitened residual is turned back from cosines into time, where a row belongs to a moment.
+
+Source: h-block cross-validation (Burman, Chow & Nolan, Biometrika 81 (1994) 351).
 """
 
 from __future__ import annotations

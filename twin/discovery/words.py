@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
+from twin.discovery.equivalence import OPEN
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
+from twin.discovery.sites import spoken
 
 if TYPE_CHECKING:
     from twin.discovery.ranking import Finding
@@ -86,13 +88,21 @@ def summarise(
             return "The twin does not fit this record and no single place explains it." + fit_text
         u = next((e for e in effects if e.kind == "unknown"), effects[0])
         beside = "".join(f"{e.says}. " for e in effects if e is not u and e.says)
+        low, high = (amount(x, u.unit) for x in u.interval90)
         return (
-            f"{beside}Something at {u.where} is not in the catalogue: {u.value:.3g} {u.unit} on average "
-            f"({u.interval90[0]:.3g} to {u.interval90[1]:.3g}) since {clock(u.onset_s)}, following "
-            f"{u.driver.replace('_', ' ')}. No known effect explains it, so nothing is adopted."
+            f"{beside}Something at {u.where} is not in the catalogue: {amount(u.value, u.unit)} on average "
+            f"({low} to {high}) since {clock(u.onset_s)}, following {u.driver.replace('_', ' ')}.{spoken(description)} "
+            "No known effect explains it, so nothing is adopted."
         )
     said = ". ".join(e.says for e in effects)
-    if verdict == "ambiguous":
-        names = ", ".join(f"{a.kind.replace('_', ' ')} at {a.where}" for a in others)
+    named = {(e.kind, e.where) for e in effects}
+    places = dict.fromkeys((a.kind, a.where) for a in others if (a.kind, a.where) not in named)
+    names = ", ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in places)
+    if verdict == "ambiguous" and names:
         return f"{said}; but this record cannot tell that from {names}." + fit_text
+    followed = {e.driver for e in effects}
+    drivers = [a.driver for a in others if (a.kind, a.where) in named and a.confidence > OPEN]
+    drivers = [d.replace("_", " ") for d in dict.fromkeys(drivers) if d not in followed]
+    if drivers:
+        return f"{said}; whether it follows {' or '.join(drivers)} instead this record cannot tell." + fit_text
     return said + "." + fit_text

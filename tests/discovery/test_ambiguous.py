@@ -1,0 +1,107 @@
+"""Two causes of one record: the set, the experiment that tells them apart, and the record of it that does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.discovery.conftest import Bench
+from tests.discovery.plans import inputs_of, run, steady
+from twin.discovery.engine import Columns, diagnose
+from twin.discovery.experiment import Limits
+from twin.kernel import Kernel
+from twin.network import Network
+
+RIG = Limits(
+    {"heater_power_W": (0.0, 1000.0), "pump_speed_pct": (0.0, 100.0), "fan_speed_pct": (0.0, 100.0)}, 75.0, "rig"
+)
+HEATED, GAINED = ("heat_source", "heater", "constant"), ("actuator", "heater_power", "constant")
+LOST, WARMED = ("heat_loss", "tank", "temperature_difference"), ("heat_source", "tank", "constant")
+PUMPED = ("heat_source", "tank", "pump_speed")
+
+
+def truths(bench: Bench) -> dict[tuple[str, str, str], Network]:
+    """Networks that have one cause each; in pairs they are the same at one load."""
+    source = {"kind": "heat_source", "node": "heater", "power": 40.0}
+    warm = {"kind": "heat_source", "node": "tank", "power": 18.0}
+    pumped = {
+        "kind": "heat_source", "node": "tank", "driver": "pump_speed_pct", "law": "cubed", "power_100": 60.0 / 0.85**3,
+    }  # fmt: skip
+    return {
+        HEATED: bench.with_element("more", source),
+        GAINED: bench.with_values(heater_power__factor=1.0 + 40.0 / 700.0),
+        WARMED: bench.with_element("more", warm),
+        LOST: bench.with_values(tank_loss__hA=0.8),
+        PUMPED: bench.with_element("more", pumped),
+    }
+
+
+@pytest.mark.parametrize(("truth", "twin_cause"), [(HEATED, GAINED), (GAINED, HEATED), (WARMED, LOST), (LOST, WARMED)])
+def test_causes_alike_at_one_load_are_a_set_and_the_planned_record_names_the_right_one(
+    bench: Bench, healthy: Columns, truth: tuple[str, str, str], twin_cause: tuple[str, str, str]
+) -> None:
+    network, changed = bench.network, truths(bench)[truth]
+    record = run(network, steady(8.0), changed, 3.0)
+    found = diagnose(network, record, healthy, limits=RIG)
+    assert found.verdict == "ambiguous"
+    said = {(a.kind, a.where, a.driver): a.confidence for a in found.indistinguishable}
+    assert said[truth] > 0.1 and said[twin_cause] > 0.1 and sum(said.values()) < 1.01
+    assert "cannot tell" in found.summary
+    plan = found.next_experiment
+    assert plan is not None and plan["possible"] and plan["expected_difference"] > plan["needed_difference"]
+    for step in plan["steps"]:
+        assert all(RIG.driven[c][0] <= v <= RIG.driven[c][1] for c, v in step.items() if c != "time_s")
+    later = run(network, plan["steps"], changed, seed=2)
+    settled = diagnose(network, record, healthy, more=(later,), limits=RIG)
+    assert settled.verdict == "effect found" and settled.next_experiment is None
+    assert [(e.kind, e.where, e.driver) for e in settled.effects] == [truth]
+
+
+def test_what_an_effect_follows_is_left_open_and_the_planned_record_tells(bench: Bench, healthy: Columns) -> None:
+    """Kind and place are sure, so the verdict stands; the pump never changed its speed, so what heats is open."""
+    network, changed = bench.network, truths(bench)[PUMPED]
+    record = run(network, steady(8.0), changed, 3.0)
+    found = diagnose(network, record, healthy, limits=RIG)
+    assert found.verdict == "effect found" and found.effects[0].where == "tank"
+    assert PUMPED in {(a.kind, a.where, a.driver) for a in found.indistinguishable}
+    assert "whether it follows" in found.summary and "pump speed" in found.summary
+    assert found.next_experiment is not None and found.next_experiment["possible"]
+    later = run(network, found.next_experiment["steps"], changed, seed=2)
+    settled = diagnose(network, record, healthy, more=(later,), limits=RIG)
+    (effect,) = settled.effects
+    assert (effect.kind, effect.where, effect.driver) == PUMPED
+    assert effect.value == pytest.approx(60.0 / 0.85**3, rel=0.05)
+
+
+def test_a_plan_keeps_every_cause_below_the_hottest_that_the_rig_allows(bench: Bench, healthy: Columns) -> None:
+    changed = truths(bench)[GAINED]
+    record = run(bench.network, steady(8.0), changed, 3.0)
+    cool = Limits(RIG.driven, float(record.measured.max()) + 3.2, "rig")
+    plans = [diagnose(bench.network, record, healthy, limits=x).next_experiment for x in (cool, RIG)]
+    hottest = []
+    for plan in plans:
+        assert plan is not None and plan["possible"]
+        t, u = inputs_of(bench.network, plan["steps"])
+        read = Kernel(changed, ()).trace(changed.values, np.array([37.0, 36.8, 34.5, 34.0]), t, u)[0][0]
+        hottest.append(float(read.max()))
+    assert hottest[0] < cool.hottest_C < hottest[1] < RIG.hottest_C
+
+
+def test_without_a_rig_file_a_plan_stays_about_where_the_twin_has_been(bench: Bench, healthy: Columns) -> None:
+    record = run(bench.network, steady(8.0), truths(bench)[HEATED], 3.0)
+    plan = diagnose(bench.network, record, healthy).next_experiment
+    assert plan is not None and plan["possible"]
+    for j, column in enumerate(bench.network.input_columns[:3]):
+        low, high = healthy.inputs[:, j].min(), healthy.inputs[:, j].max()
+        assert all(low - 0.5 * (high - low) <= step[column] <= high for step in plan["steps"])
+    assert plan["hottest_C"] < float(record.measured.max()) + 3.0
+
+
+def test_where_no_input_can_tell_the_measurement_that_can_is_named(bench: Bench, healthy: Columns) -> None:
+    """Fins that conduct less and a fan that turns slower than it says."""
+    record = run(bench.network, steady(8.0), bench.with_values(fins__UA_100=54.0), 3.0)
+    plan = diagnose(bench.network, record, healthy, limits=RIG).next_experiment
+    assert plan is not None
+    together = [names for names in plan["stay_alike"] if "heat rejection at radiator (constant)" in names]
+    assert together and "actuator at fan speed" in together[0]
+    assert any("tachometer" in text for text in plan["measure"])

@@ -1,0 +1,56 @@
+"""One thermometer of six: when it is the answer, and when it is only one thing among others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.discovery.conftest import Bench
+from twin.discovery.engine import Columns, diagnose
+from twin.network import Array
+
+SENSOR, COUNT = "T_modules_C", 6
+
+
+def with_six(bench: Bench, record: Columns, seed: int, fault: Callable[[Array], Array] | None = None) -> Columns:
+    """The record with the six thermometers behind the modules' reading; `fault` (K) is added to the third."""
+    j = bench.network.sensor_names.index(SENSOR)
+    mean = record.measured[:, j]
+    noise = np.random.default_rng(seed).normal(0.0, 0.05, (len(mean), COUNT))
+    along = (mean - record.inputs[:, 3])[:, None] * np.linspace(-0.02, 0.02, COUNT)
+    each = mean[:, None] + along + noise - noise.mean(axis=1, keepdims=True)
+    if fault is not None:
+        each[:, 2] += fault(record.time_s)
+    measured = record.measured.copy()
+    measured[:, j] = each.mean(axis=1)
+    return replace(record, measured=measured, members={SENSOR: each})
+
+
+def comes_and_goes(time_s: Array) -> Array:
+    hours = time_s / 3600.0
+    return np.where(((hours > 3) & (hours < 5)) | ((hours > 7) & (hours < 8)) | ((hours > 10) & (hours < 13)), 3.0, 0.0)
+
+
+def test_a_thermometer_that_explains_everything_is_the_answer(bench: Bench, healthy: Columns) -> None:
+    record = with_six(bench, bench.record(), 6, comes_and_goes)
+    found = diagnose(bench.network, record, with_six(bench, healthy, 5))
+    assert found.verdict == "effect found"
+    assert [(e.kind, e.where) for e in found.effects] == [("sensor", "T_pm3_C")]
+    assert "Without that the twin is adequate" in found.summary
+
+
+def test_a_thermometer_beside_something_else_does_not_explain_it_away(bench: Bench, healthy: Columns) -> None:
+    heated = bench.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 150.0})
+    record = bench.record(16.0, changed=heated, onset_h=4.0, until_h=9.0)
+    again = bench.record(16.0, changed=heated, onset_h=11.0, until_h=12.5)
+    both = replace(record, measured=record.measured + again.measured - bench.record(16.0).measured)
+    record = with_six(bench, both, 6, lambda t: np.where(t > 18000.0, 2.0, 0.0))
+    found = diagnose(bench.network, record, with_six(bench, healthy, 5))
+    assert found.verdict == "unexplained" and found.network is None
+    assert found.effects[0].kind == "unknown" and found.effects[0].where == "tank"
+    beside = next(e for e in found.effects if e.kind == "sensor")
+    assert beside.where == "T_pm3_C" and beside.value == pytest.approx(2.0, rel=0.1)
+    assert "T_pm3_C reads" in found.summary

@@ -1,0 +1,52 @@
+"""What no candidate can be: what it is like, and the curve that is offered for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.discovery.conftest import Bench
+from twin.discovery.engine import Columns, diagnose
+
+
+def test_water_that_flows_less_for_a_time_is_told_from_heat_and_from_readings(bench: Bench, healthy: Columns) -> None:
+    less = bench.record(14.0, changed=bench.with_values(circuit__factor=0.8), onset_h=4.0, until_h=8.0)
+    found = diagnose(bench.network, less, healthy)
+    assert found.verdict == "unexplained"
+    assert (found.effects[0].kind, found.effects[0].where) == ("unknown", "loop")
+    assert found.courses[0].site == "flow" and found.description["signature"] == "transport"
+    assert min(found.description["behind"].values()) > 1000.0
+    assert "like water that flows otherwise" in found.summary
+    during = (found.courses[0].hours > 4.5) & (found.courses[0].hours < 7.5)
+    assert found.courses[0].mean[during].mean() == pytest.approx(-0.2, rel=0.1)
+    assert found.empirical is None
+
+
+def test_a_reading_that_is_off_now_and_then_is_told_from_heat_and_from_flow(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(14.0)
+    hours, measured = record.time_s / 3600.0, record.measured.copy()
+    measured[((hours > 3) & (hours < 5)) | ((hours > 7) & (hours < 8)) | ((hours > 9) & (hours < 12)), 3] += 0.8
+    found = diagnose(bench.network, replace(record, measured=measured), healthy)
+    assert found.verdict == "unexplained" and found.effects[0].where == "T_tank_C"
+    assert found.description["signature"] == "sensor" and "a reading in error" in found.summary
+
+
+def test_a_curve_is_offered_for_heat_that_follows_something_in_an_odd_way(bench: Bench, healthy: Columns) -> None:
+    """Heat at middle speeds of the fan only: no law of the catalogue, but the fan foretells it."""
+    numbers = zip((50.0, 60.0, 70.0, 85.0, 100.0), (0.0, 40.0, 90.0, 40.0, 0.0), strict=True)
+    knots = {
+        f"{name}_{k + 1}": {"value": v} for k, pair in enumerate(numbers) for name, v in zip("xq", pair, strict=True)
+    }
+    odd = {"kind": "empirical_heat", "node": "tank", "driver": "fan_speed_pct", **knots}
+    found = diagnose(bench.network, bench.record(14.0, changed=bench.with_element("odd", odd)), healthy)
+    assert found.verdict == "unexplained" and found.network is None  # offered, not adopted
+    curve = found.empirical
+    assert curve is not None and (curve.node, curve.variable) == ("tank", "fan_speed_pct")
+    at = np.interp((50.0, 70.0, 100.0), curve.knots, curve.heats)
+    assert at == pytest.approx((0.0, 90.0, 0.0), abs=6.0)
+    for before, after in curve.errors.values():
+        assert after < 0.2 * before
+    assert curve.network.parameters["unexplained_at_tank.q_3"].value == curve.heats[2]
+    assert found.document()["empirical"]["follows"] == "fan_speed_pct"

@@ -1,0 +1,117 @@
+"""Thermometers that are at fault by themselves: one that stands still, one of several that differs from the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.discovery.diagnosis import Diagnosis, Effect, Verdict
+from twin.discovery.members import Members, Odd, odd_one
+from twin.discovery.readings import Stuck
+from twin.discovery.words import amount, clock, when
+from twin.network import Array, Network
+
+if TYPE_CHECKING:
+    from twin.discovery.engine import Columns
+    from twin.discovery.ranking import Finding
+
+SE90 = 1.6449
+
+
+def single(
+    one: Members, network: Network, verdict: Verdict, effects: tuple[Effect, ...], finding: Finding, start: float
+) -> tuple[Verdict, tuple[Effect, ...]]:
+    """Say which thermometer or place of several it is, where one differs from the others.
+
+    A mismatch that nothing explains stays unexplained, with the thermometer named beside it: whether the thermometer
+    is all there is to it, `explained_by_one` tells.
+    """
+    node = next(s.node for s in network.sensors if s.name == one.sensor)
+    here = [i for i, e in enumerate(effects) if e.where in (node, one.sensor)]
+    shapes = tuple(e.shape for e in finding.entries) if here and finding.entries else ()
+    odd = odd_one(one, shapes) or (odd_one(one) if not here or verdict == "unexplained" else None)
+    if odd is None:
+        return verdict, effects
+    if here and effects[here[0]].kind not in ("unknown", "sensor"):
+        old = effects[here[0]]
+        changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
+        return verdict, tuple(changed if i == here[0] else e for i, e in enumerate(effects))
+    fault = _fault(one, odd, start)
+    if verdict == "unexplained":
+        return verdict, (*effects, fault)
+    if here:
+        return "effect found", tuple(fault if i == here[0] else e for i, e in enumerate(effects))
+    return ("effect found" if verdict == "adequate" else verdict), (*effects, fault)
+
+
+def _fault(one: Members, odd: Odd, start: float) -> Effect:
+    spread = SE90 * odd.sd
+    return Effect(
+        kind="sensor", where=odd.column, driver="constant" if odd.shape.name == "step" else "elapsed_time",
+        change="new", value=odd.size, unit="K", interval90=(odd.size - spread, odd.size + spread),
+        onset_s=start + odd.shape.onset_s, onset_interval90_s=(start + odd.shape.onset_s,) * 2, shape=odd.shape.name,
+        confidence=odd.share, z=odd.z,
+        evidence=f"it carries {100.0 * odd.share:.0f} % of what differs among the thermometers of {one.sensor}",
+        says=f"{odd.column} reads {amount(odd.size, 'K')} off {when(odd.shape, start)}",
+    )  # fmt: skip
+
+
+def explained_by_one(
+    found: Diagnosis,
+    network: Network,
+    record: Columns,
+    groups: tuple[Members, ...],
+    again: Callable[[Columns], Diagnosis],
+) -> Diagnosis:
+    """An unexplained finding looked at without the thermometer that stands out; unchanged where there is none.
+
+    Args:
+        again: diagnoses a record anew. Only if the twin is adequate without that thermometer's error, the thermometer
+            is the answer: a place that is hotter than others of its kind makes its thermometer stand out too.
+    """
+    if found.verdict != "unexplained":
+        return found
+    for group in groups:
+        fault = next((e for e in found.effects if e.kind == "sensor" and e.where in group.columns), None)
+        if fault is None:
+            continue
+        j = network.sensor_names.index(group.sensor)
+        measured = record.measured.copy()
+        measured[:, j] -= _share_of(group, fault.where, record.time_s)
+        rest = {name: each for name, each in record.members.items() if name != group.sensor}
+        left = again(replace(record, measured=measured, members=rest))
+        if left.verdict != "adequate":
+            return found
+        stuck_ones = tuple(e for e in found.effects if e.kind == "sensor" and e is not fault)
+        said = f"{fault.says}. Without that the twin is adequate: {_leaves(left)}."
+        return replace(left, verdict="effect found", effects=(*stuck_ones, fault), summary=said)
+    return found
+
+
+def _share_of(group: Members, column: str, time_s: Array) -> Array:
+    """What one thermometer's error puts on the mean of its group (N,), K: block means, held."""
+    i, count = group.columns.index(column), len(group.columns)
+    # An error s moves the thermometer's own difference to the mean by s (1 - 1/c), and the mean by s/c.
+    off = np.nan_to_num(group.residual[:, i]) / (count - 1)
+    block = np.searchsorted(group.edges_s, time_s - time_s[0], side="right") - 1
+    found: Array = off[np.clip(block, 0, len(off) - 1)]
+    return found
+
+
+def _leaves(left: Diagnosis) -> str:
+    worst = max(left.errors, key=lambda n: left.errors[n].before / left.errors[n].noise)
+    e = left.errors[worst]
+    return f"at most {e.before:.2g} K on {worst} at a noise of {e.noise:.2g} K, on the part that no fit saw"
+
+
+def standing(span: Stuck) -> Effect:
+    """A thermometer that shows one value and nothing else."""
+    says = f"{span.column} stands still at {span.value:.2f} degC from {clock(span.first_s)} to {clock(span.last_s)}"
+    return Effect(
+        kind="sensor", where=span.column, driver="constant", change="new", value=span.value, unit="degC",
+        interval90=(span.value, span.value), onset_s=span.first_s, onset_interval90_s=(span.first_s, span.first_s),
+        shape="step", confidence=1.0, z=100.0, evidence="a noisy reading does not repeat itself for so long", says=says,
+    )  # fmt: skip
