@@ -1,7 +1,7 @@
 """Whether effects predict parts of the record that their sizes were not taken from: blocks of time, one left out at a
 time, with an embargo on either side for as long as the rig remembers.
 
-Everything is linear about the fit: for each block the tunables, the initial state and the sizes are solved from the
+Everything is linear about the fit: for each block the tunables and the sizes are solved from the
 other blocks, once with the effects and once without, and both predict the block; so does the twin as commissioned. The
 whitened residual is turned back from cosines into time, where a row belongs to a moment.
 
@@ -27,8 +27,8 @@ REACH = 20.0
 """Typical sizes within which a size is thought to lie before any data."""
 LOST_SHARE = 0.1
 """Of what the gaining blocks gain, what the losing ones may lose."""
-MUTE = 2.0
-"""Gain in weighted squares, either way, up to which a block has nothing to say."""
+MUTE, MUTE_SHARE = 6.0, 0.01
+"""Gain in weighted squares, and share of all gains, up to which a block has nothing to say."""
 
 
 def validate(contest: Contest, model: Model, fitted: Fit) -> tuple[Fold, ...]:
@@ -39,15 +39,18 @@ def validate(contest: Contest, model: Model, fitted: Fit) -> tuple[Fold, ...]:
     contest.look_at(Run(readings, readings), fitted.moved)
     b, m = contest.b, contest.m
     signatures = contest.signatures(np.stack([e.placed(contest) for e in fitted.entries]))
-    slopes = _in_time(contest.slopes, b, m)
+    # The initial state is told by the first readings alone: it stays as fitted, whichever block is left out.
+    q = contest.probe.q
+    slopes = _in_time(contest.slopes[:, :q], b, m)
+    prior = contest.prior.precision[:q, :q]
     effects = _in_time(signatures, b, m)
     left = _in_time(contest.residual[:, None], b, m)[:, :, 0]
     without = left + effects @ sizes
-    commissioned = without + slopes @ fitted.moved
+    commissioned = without + slopes @ fitted.moved[:q]
     both = np.concatenate([slopes, effects], axis=2)
     # A size that the other blocks say nothing of is nothing, not what the block itself would have it be.
     weak = np.diag([(REACH * e.candidate.typical) ** -2.0 for e in fitted.entries])
-    precision, moved = block_diag(contest.prior.precision, weak), np.concatenate([fitted.moved, sizes])
+    precision, moved = block_diag(prior, weak), np.concatenate([fitted.moved[:q], sizes])
     start = float(contest.grid.time[0])
     edges = np.linspace(0, b, BLOCKS + 1).round().astype(int)
     folds = []
@@ -58,7 +61,7 @@ def validate(contest: Contest, model: Model, fitted: Fit) -> tuple[Fold, ...]:
             continue
         inside = contest.known[first:last]
         rest = slice(first, last)
-        tuned = _predict(slopes, without, train & contest.known.T, rest, contest.prior.precision, fitted.moved)
+        tuned = _predict(slopes, without, train & contest.known.T, rest, prior, fitted.moved[:q])
         full = _predict(both, left, train & contest.known.T, rest, precision, moved)
         # Re-tuning may do worse elsewhere than leaving the twin alone; the effects have to beat the better of the two.
         bare = min(float((x[inside] ** 2).sum()) for x in (tuned, commissioned[rest]))
@@ -70,7 +73,8 @@ def validate(contest: Contest, model: Model, fitted: Fit) -> tuple[Fold, ...]:
 
 def holds(folds: tuple[Fold, ...]) -> bool:
     """Whether the effects predict: three in four of those that say anything gain, and the others lose little."""
-    speaking = [f.gain for f in folds if abs(f.gain) > MUTE]
+    least = max(MUTE, MUTE_SHARE * sum(abs(f.gain) for f in folds))
+    speaking = [f.gain for f in folds if abs(f.gain) > least]
     won, lost = sum(g for g in speaking if g > 0.0), -sum(g for g in speaking if g < 0.0)
     enough = sum(g > 0.0 for g in speaking) >= 0.75 * len(speaking) - 1e-9
     return not speaking or (enough and lost <= LOST_SHARE * won)
