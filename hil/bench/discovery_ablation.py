@@ -3,12 +3,15 @@
     python -m hil.bench.discovery_ablation
 
 `linear` is the contest alone, without the joint fit and its verdict; `raw` the same without projecting the tunables
-out of the signatures. The forecast is the score that the true effect would get at its true size.
+out of the signatures; `sindy` is pysindy on the same data, where it is installed.
+
+The forecast is the score that the true effect would get at its true size.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -59,6 +62,13 @@ def answer(request: Request) -> Request:
             ]
             said["z_truth"] = [f[0] for f in forecasts]
             said["sizes"] = [f[1] for f in forecasts]
+    if importlib.util.find_spec("pysindy"):
+        from hil.bench.peers.sindy_peer import contributions
+
+        calm = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
+        usual = contributions(network, calm, known.probe.run(calm, known.probe.first_state(calm)))
+        rows = contributions(network, grid, run)
+        said["sindy"] = [{**row, "z": row["z"] / max(usual[0]["z"], 1e-9)} for row in rows[:NEAR]]
     return said
 
 

@@ -145,6 +145,13 @@ def _risk(outcomes: Sequence[Outcome]) -> Table:
     return Table("risk", "Risk and coverage", columns, tuple(rows), (note,))
 
 
+METHODS = (
+    ("linear", "no joint fit, no verdict"),
+    ("raw", "nor tunables projected out"),
+    ("sindy", "pysindy on the heat that is missing"),
+)
+
+
 def _ablations(done: Sequence[Finished]) -> Table:
     tried = [f for f in done if f.ablation and not f.ablation.get("failed")]
     one = [f for f in tried if f.outcome.group == "one"]
@@ -157,7 +164,9 @@ def _ablations(done: Sequence[Finished]) -> Table:
         len(none), sum(f.outcome.alarmed for f in none), len(outside),
         sum(f.outcome.named and not f.outcome.in_words for f in outside),
     )]  # fmt: skip
-    for key, name in (("linear", "no joint fit, no verdict"), ("raw", "nor tunables projected out")):
+    for key, name in METHODS:
+        if not any(key in (f.ablation or {}) for f in tried):
+            continue
         right = [_first(f, key) for f in one]
         rows.append((
             name, len(one), sum(r[0] for r in right), sum(r[1] for r in right),
@@ -171,8 +180,8 @@ def _ablations(done: Sequence[Finished]) -> Table:
 
 def _seen(finished: Finished, key: str) -> bool:
     assert finished.ablation is not None
-    rows = finished.ablation[key]
-    return bool(rows) and rows[0]["z"] >= finished.ablation["threshold"]
+    rows = finished.ablation.get(key, ())
+    return bool(rows) and rows[0]["z"] >= (1.0 if key == "sindy" else finished.ablation["threshold"])
 
 
 def _first(finished: Finished, key: str) -> tuple[bool, bool]:
