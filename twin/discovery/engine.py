@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -190,7 +191,7 @@ def diagnose(
     finding: Finding | None = None
     if not _begins_late(whole, train, split):
         finding = _search(train, say)
-    if finding is None or (finding.fit is None and whole.best_z >= whole.threshold):
+    if finding is None or (finding.fit is None and whole.best_z >= train.threshold):
         top = whole.entries[0]
         onset = int(top.shape.onset_s / grid.step_s)
         later = min(max(split, (onset + bins) // 2), bins - 6)
@@ -233,7 +234,7 @@ def diagnose(
 
 def _begins_late(whole: _Part, train: _Part, split: int) -> bool:
     """Whether what stands out in the whole record begins in the part that no fit was to see."""
-    if not whole.entries or whole.best_z < whole.threshold:
+    if not whole.entries or whole.best_z < train.threshold:
         return False
     late = whole.entries[0].shape.onset_s > split * whole.grid.step_s
     return train.best_z < train.threshold or (late and whole.best_z > 1.5 * train.best_z)
@@ -298,7 +299,6 @@ class _Part:
     contest: Contest
     laws: list[Law]
     entries: list[Entry]
-    null: Null
 
     @classmethod
     def of(cls, known: Basis, grid: Grid) -> _Part:
@@ -307,11 +307,15 @@ class _Part:
         found = known.book.laws(grid, run)
         entries = [refine(contest, e) for e in _varied(scan(contest, found, None, known.structure))]
         entries.sort(key=lambda e: -e.gain)
-        return cls(known, grid, state, run, contest, found, entries, null_scores(contest, found))
+        return cls(known, grid, state, run, contest, found, entries)
 
     @property
     def best_z(self) -> float:
         return self.entries[0].z if self.entries else 0.0
+
+    @cached_property
+    def null(self) -> Null:
+        return null_scores(self.contest, self.laws)
 
     @property
     def threshold(self) -> float:
