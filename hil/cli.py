@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from typing import Any
 
 import click
 
 from hil import __version__
+
+# Our matrices are small: a second BLAS thread gains nothing, and beside other work (a rig being run) it waits for the
+# first one most of the time: a diagnosis took five times as long. Whoever sets the variable is obeyed.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 VERBS = {
     "bench": "Measure speed and fits, repeat the paper's experiments",

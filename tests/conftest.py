@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 import pytest_asyncio
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `hil` has it, and for the same reason
+
 PROJECT = Path(__file__).resolve().parents[1]
 
 
