@@ -15,7 +15,7 @@ from twin.discovery.diagnosis import Diagnosis, Rung, SensorError
 from twin.discovery.equivalence import width
 from twin.discovery.experiment import Limits
 from twin.discovery.fitting import Fit, fit
-from twin.discovery.forecast import Forecast, forecast
+from twin.discovery.forecast import Forecast, forecast, plan_of, too_little, unseen_kinds
 from twin.discovery.grid import Grid, bridged, filled, on_grid
 from twin.discovery.laws import Book, Law
 from twin.discovery.members import Members, members
@@ -199,6 +199,12 @@ def diagnose(
         later = [_Part.of(known, on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
         finding, said = _weighed(finding, later)
         notes += said
+    if finding.fit is None:
+        poor = too_little(whole.contest, whole.laws, known.book.candidates)
+        if poor:
+            raise TwinFileError(poor)
+        unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
+        notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
     say("judging")
     single = _members(network, record, grid, healthy, whole.contest.edges)
     found = conclude(
@@ -266,6 +272,20 @@ def foresee(network: Network, record: Columns, healthy: Columns | None = None) -
         TwinFileError: as `diagnose`.
     """
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
+    known = basis(network, healthy, grid)
+    return forecast(known.probe, known.book, known.noise, known.prior, grid)
+
+
+def foresee_plan(network: Network, time: Array, inputs: Array, healthy: Columns) -> Forecast:
+    """What a record of a planned profile could show.
+
+    Args:
+        time: (n,) s, evenly spaced. inputs: (n, c). healthy: the record that the twin was commissioned on, for noise.
+
+    Raises:
+        TwinFileError: as `basis`.
+    """
+    grid = plan_of(network, time, inputs)
     known = basis(network, healthy, grid)
     return forecast(known.probe, known.book, known.noise, known.prior, grid)
 
