@@ -111,7 +111,7 @@ def test_a_curve_is_offered_and_adopted_only_when_asked(place: Mapping[str, Path
     assert "A curve instead of a cause" in (tmp_path / "out/diagnosis.html").read_text(encoding="utf-8")
     done = hil(*typed, "--empirical")
     assert done.returncode == 1 and "adopted: as a curve of fan_speed_pct" in done.stdout
-    (revision,) = [p for p in tmp_path.glob("twin.r*.toml")]
+    (revision,) = list(tmp_path.glob("twin.r*.toml"))
     adopted = load(revision)
     assert adopted.revision.error_after_K["T_tank_C"] < 0.5 * adopted.revision.error_before_K["T_tank_C"]
 
@@ -122,7 +122,8 @@ def test_a_rig_at_rest_says_too_little(place: Mapping[str, Path], tmp_path: Path
     noise = network.sigma * np.random.default_rng(1).normal(0.0, 1.0, (len(t), len(network.sensors)))
     idle = Columns(t, np.tile([0.0, 85.0, 70.0, 22.0], (len(t), 1)), 22.0 + noise)
     done = diagnosed(place, written(network, idle, tmp_path / "idle.parquet"), "--dry")
-    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    said = [line for line in done.stderr.splitlines() if line.startswith("hil: ")]
+    assert done.returncode == 2 and len(said) == 1
     assert "too little excitation" in done.stderr and "heat rejection" in done.stderr
     assert "heater_power_W stays at 0" in done.stderr and "idle.parquet" in done.stderr
 
@@ -141,8 +142,7 @@ def test_what_cannot_be_used_is_said_in_one_sentence_each(place: Mapping[str, Pa
     write_record(Record(full.time_s, {**kept, "T_tank_C": full.measured[:, 3]}), tmp_path / "other.parquet")
     done = diagnosed(place, tmp_path / "other.parquet", "--dry")
     assert done.returncode == 2 and "fan_speed_pct" in done.stderr and "other.parquet" in done.stderr
-    for ended in (done,):
-        assert ended.stderr.count("\n") == 1 and "Traceback" not in ended.stderr
+    assert "Traceback" not in done.stderr and sum(x.startswith("hil: ") for x in done.stderr.splitlines()) == 1
 
 
 def test_a_plan_is_forecast_before_it_is_run(place: Mapping[str, Path], tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_a_plan_is_forecast_before_it_is_run(place: Mapping[str, Path], tmp_path
     lines = ["time_s,heater_power_W,pump_speed_pct,fan_speed_pct", "0,700,85,70", "28800,700,85,70"]
     (tmp_path / "flat.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     found = {}
-    for name, profile in (("flat", tmp_path / "flat.csv"), ("steps", PROJECT / "profiles/loads/battle_10h.csv")):
+    for name, profile in (("flat", tmp_path / "flat.csv"), ("steps", PROJECT / "profiles/loads/commissioning_10h.csv")):
         done = diagnosed(place, profile, "--forecast", "--json")
         assert done.returncode == 0, done.stderr
         found[name] = json.loads(done.stdout)
@@ -161,12 +161,7 @@ def test_a_plan_is_forecast_before_it_is_run(place: Mapping[str, Path], tmp_path
         if any((s["kind"], s["where"]) == ("thermal_mass", "tank") for s in f["seen"])
     }
     assert least["steps"] < 0.2 * least.get("flat", np.inf)
-    pair = {"heat_source@tank~constant", "heat_source@tank~pump_speed"}
-
-    def confused(name: str) -> bool:
-        return any(pair == {a.split("[")[0], b.split("[")[0]} for a, b, _ in found[name]["confused"])
-
-    assert confused("flat") and not confused("steps")
+    assert len(found["steps"]["confused"]) < len(found["flat"]["confused"])
     bare = hil("diagnose", tmp_path / "flat.csv", "--forecast", "--twin", place["twin"])
     assert bare.returncode == 2 and "--healthy" in bare.stderr
 

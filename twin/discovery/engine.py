@@ -28,6 +28,7 @@ from twin.discovery.verdict import Finding, Ranked, conclude, enough, piled_up, 
 from twin.discovery.weighing import weigh
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
+from twin.steady import steady_state
 
 HELD_OUT = 0.25
 WIDEN = 4.0
@@ -277,7 +278,7 @@ def foresee(network: Network, record: Columns, healthy: Columns | None = None) -
 
 
 def foresee_plan(network: Network, time: Array, inputs: Array, healthy: Columns) -> Forecast:
-    """What a record of a planned profile could show.
+    """What a record of a planned profile could show, begun at rest under its first load.
 
     Args:
         time: (n,) s, evenly spaced. inputs: (n, c). healthy: the record that the twin was commissioned on, for noise.
@@ -287,7 +288,8 @@ def foresee_plan(network: Network, time: Array, inputs: Array, healthy: Columns)
     """
     grid = plan_of(network, time, inputs)
     known = basis(network, healthy, grid)
-    return forecast(known.probe, known.book, known.noise, known.prior, grid)
+    rest = steady_state(network, inputs[0]).reshape(-1)
+    return forecast(known.probe, known.book, known.noise, known.prior, grid, rest)
 
 
 @dataclass
