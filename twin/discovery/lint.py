@@ -30,7 +30,7 @@ ALIKE = 0.999
 HOURS, ONSET = 8.0, 0.25
 REST, AT_REST = (0.45, 0.78), 0.05
 """Part of the run in which heaters rest, and their power then."""
-FORM = 3
+FORM = 4
 """Of the cached files; to be raised whenever what is cached, or how it is found, changes."""
 LARGE = 5.0
 """Typical sizes that an effect of which nothing can be seen would have to exceed."""
@@ -105,7 +105,7 @@ def examine(network: Network) -> Lint:
                 break
         else:
             groups.append([i])
-    named = [tuple(dict.fromkeys(labels[i] for i in g)) for g in groups]
+    named = [tuple(dict.fromkeys(labels[i] for i in sorted(g))) for g in groups]
     seen = {labels[i] for i in range(len(laws)) if visible[i]}
     every = dict.fromkeys((c.kind, c.where, c.driver) for c in book.candidates)
     return Lint(tuple(g for g in named if len(g) > 1), tuple(x for x in every if x not in seen))
