@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from twin.discovery.diagnosis import Diagnosis
-    from twin.discovery.engine import Columns
-    from twin.network import Network
 
 STEPS = 4.0
 
@@ -34,7 +32,7 @@ STEPS = 4.0
 @click.option("--dry", is_flag=True, help="Propose only: no revision of the twin, no files.")
 @click.option("--empirical", is_flag=True, help="Where nothing explains RECORD: adopt the curve that is offered.")
 @click.option("--review", is_flag=True, help="Also write diagnosis.rrd, and open it where there is a display.")
-@click.option("--forecast", is_flag=True, help="Only say what effects the inputs of RECORD could show.")
+@click.option("--forecast", is_flag=True, help="Only say what RECORD, or a load profile in its place, could show.")
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
 def command(
     target: Path,
@@ -60,6 +58,7 @@ def command(
       hil diagnose runs/<a run> --healthy runs/<a healthy run>/record.parquet
       hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet
       hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet --with experiment.parquet
+      hil diagnose my_load.csv --forecast --twin my_twin.toml --healthy commissioning.parquet
     """
     from hil.diagnosing import (
         clock_beside,
@@ -73,6 +72,7 @@ def command(
         write_proposal,
     )
     from hil.experiment_file import limits_of, rig_of, write_experiment
+    from hil.forecasting import foretell
     from hil.terminal import Steps, console, invocation
     from twin.discovery.engine import diagnose
     from twin.network import TwinFileError
@@ -83,14 +83,14 @@ def command(
     network = load(subject.twin)
     hour = clock_of(clock) if clock else clock_beside(subject.record)
     told = with_clock(network) if hour is not None else network
-    record, messages = read_columns(told, subject.record, hour)
     good = read_columns(told, healthy, hour)[0] if healthy else None
+    if forecast:
+        foretell(console(), told, subject.record, good, hour, as_json=as_json)
+        return
+    record, messages = read_columns(told, subject.record, hour)
     allowed = rig or (rig_of(target) if target.is_dir() else None)
     limits = limits_of(allowed) if allowed is not None else None
     later = tuple(read_columns(told, path, hour)[0] for path in more)
-    if forecast:
-        _forecast(console(), told, record, good, as_json)
-        return
     stages = 0
     with Steps("diagnosing", STEPS, quiet=as_json) as steps:
         for message in messages:
@@ -221,39 +221,3 @@ def _show(to: Console, d: Diagnosis) -> None:
             to.print(f"no input separates {alike}; {measured} would", soft_wrap=True)
     for spot in d.blind_spots:
         to.print(f"blind spot: {spot}", soft_wrap=True)
-
-
-def _forecast(to: Console, network: Network, record: Columns, healthy: Columns | None, as_json: bool) -> None:
-    """What the record's inputs could show: the least size of each effect that would be seen, and look-alikes."""
-    from rich.table import Table
-
-    from twin.discovery.engine import foresee
-
-    found = foresee(network, record, healthy)
-    if as_json:
-        seen = [
-            {"kind": s.candidate.kind, "where": s.candidate.where, "driver": s.candidate.driver, "least": s.least,
-             "unit": s.candidate.unit, "kept": s.kept}
-            for s in found.seen
-        ]  # fmt: skip
-        pairs = [[a.id, b.id, rho] for a, b, rho in found.confused]
-        click.echo(json.dumps({"seen": seen, "unseen": [c.id for c in found.unseen], "confused": pairs}, indent=1))
-        return
-    table = Table(title="Least effect that this record could show, present all along", title_justify="left")
-    for heading in ("kind", "where", "driver", "from", "that tunables leave"):
-        table.add_column(heading, justify="right" if heading.startswith(("from", "that")) else "left")
-    shown = set()
-    for s in found.seen:
-        c = s.candidate
-        if (c.kind, c.where, c.driver) in shown:
-            continue
-        shown.add((c.kind, c.where, c.driver))
-        table.add_row(c.kind, c.where, c.driver, f"{s.least:.3g} {c.unit}", f"{100.0 * s.kept:.0f} %")
-    to.print(table)
-    for c in found.unseen:
-        to.print(f"cannot be seen: {c.kind.replace('_', ' ')} at {c.where} ({c.driver.replace('_', ' ')})")
-    for a, b, rho in found.confused[:20]:
-        to.print(
-            f"look alike ({rho:+.3f}): {a.kind.replace('_', ' ')} at {a.where} ({a.driver.replace('_', ' ')}) and "
-            f"{b.kind.replace('_', ' ')} at {b.where} ({b.driver.replace('_', ' ')})"
-        )

@@ -47,6 +47,6 @@ def test_a_curve_is_offered_for_heat_that_follows_something_in_an_odd_way(bench:
     at = np.interp((50.0, 70.0, 100.0), curve.knots, curve.heats)
     assert at == pytest.approx((0.0, 90.0, 0.0), abs=6.0)
     for before, after in curve.errors.values():
-        assert after < 0.2 * before
+        assert after < 0.5 * before
     assert curve.network.parameters["unexplained_at_tank.q_3"].value == curve.heats[2]
     assert found.document()["empirical"]["follows"] == "fan_speed_pct"

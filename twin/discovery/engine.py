@@ -16,7 +16,7 @@ from twin.discovery.diagnosis import Diagnosis, Fold, Rung, SensorError
 from twin.discovery.equivalence import width
 from twin.discovery.experiment import Limits
 from twin.discovery.fitting import Fit, fit
-from twin.discovery.forecast import Forecast, forecast
+from twin.discovery.forecast import Forecast, forecast, plan_of, too_little, unseen_kinds
 from twin.discovery.grid import Grid, bridged, filled, on_grid
 from twin.discovery.laws import Book, Law
 from twin.discovery.members import Members, members
@@ -32,6 +32,7 @@ from twin.discovery.verdict import conclude
 from twin.discovery.weighing import weigh
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
+from twin.steady import steady_state
 
 HELD_OUT = 0.25
 WIDEN = 4.0
@@ -209,6 +210,12 @@ def diagnose(
         further = [_Part.of(known, on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
         finding, said = _weighed(finding, further)
         notes += said
+    if finding.fit is None:
+        poor = too_little(whole.contest, whole.laws, known.book.candidates)
+        if poor:
+            raise TwinFileError(poor)
+        unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
+        notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
     say("judging")
     single = _members(network, record, grid, healthy, whole.contest.edges)
     found = conclude(
@@ -286,6 +293,21 @@ def foresee(network: Network, record: Columns, healthy: Columns | None = None) -
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
     known = basis(network, healthy, grid)
     return forecast(known.probe, known.book, known.noise, known.prior, grid)
+
+
+def foresee_plan(network: Network, time: Array, inputs: Array, healthy: Columns) -> Forecast:
+    """What a record of a planned profile could show, begun at rest under its first load.
+
+    Args:
+        time: (n,) s, evenly spaced. inputs: (n, c). healthy: the record that the twin was commissioned on, for noise.
+
+    Raises:
+        TwinFileError: as `basis`.
+    """
+    grid = plan_of(network, time, inputs)
+    known = basis(network, healthy, grid)
+    rest = steady_state(network, inputs[0]).reshape(-1)
+    return forecast(known.probe, known.book, known.noise, known.prior, grid, rest)
 
 
 @dataclass

@@ -32,6 +32,11 @@ SETTLED = 1.5
 """Times the width of the set that a planned record is to push the wrong cause out of it by."""
 
 
+OWN_ERROR = 200.0
+"""Expected difference beyond what decides for which a plan is lengthened: under loads that are new to it a twin's own
+error weighs as much."""
+
+
 @dataclass(frozen=True)
 class Limits:
     """What a rig allows: (low, high) of each input column that it drives, in the column's unit, and the hottest that
@@ -92,7 +97,7 @@ def plan(
         return _impossible(causes, "no sequence of load, pump and fan separates them")
     pairs = [(g[0], h[0]) for i, g in enumerate(groups) for h in groups[i + 1 :]]
     gain = max(finding.start - causes[0].fit.total, 0.0)
-    best = designer.greedy(pairs, SETTLED * width(gain), SETTLED * SHARE)
+    best = designer.greedy(pairs, SETTLED * width(gain) + OWN_ERROR, SETTLED * SHARE)
     need = SETTLED * (width(gain) + SHARE * float(best.gains.max()))
     if not any(_least(best, a, b) > need for a, b in pairs):
         return _impossible(causes, "no sequence of load, pump and fan within the limits separates them enough")

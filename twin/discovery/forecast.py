@@ -12,15 +12,21 @@ import numpy as np
 
 from twin.discovery.contest import Contest
 from twin.discovery.grid import Grid
-from twin.discovery.laws import Book
+from twin.discovery.laws import Book, Law
 from twin.discovery.noise import Noise
 from twin.discovery.null import FALSE_ALARMS, null_scores
 from twin.discovery.probe import Probe
 from twin.elements.base import Candidate
 from twin.gauss_newton import Prior
-from twin.network import Array
+from twin.network import Array, Network
 
 CONFUSED = 0.98
+LARGE = 5.0
+"""Typical sizes: an effect of that size should be seen."""
+MOST_HIDDEN = 0.4
+"""Mean share, over the kinds, of entries that may stay hidden in a record that is called adequate."""
+STILL = 0.02
+"""Share by which an input moves that counts as standing still."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,12 @@ class Forecast:
     confused: tuple[tuple[Candidate, Candidate, float], ...]
 
 
+def plan_of(network: Network, time: Array, inputs: Array) -> Grid:
+    """A planned record on bins of ten seconds: time (n,) s evenly spaced, inputs (n, c), no readings."""
+    step = float(time[1] - time[0])
+    return Grid(time, inputs, np.full((len(time), len(network.sensors)), np.nan), network.sigma / np.sqrt(step), step)
+
+
 def planned(probe: Probe, grid: Grid, state: Array | None = None) -> tuple[Grid, Array]:
     """The grid with the twin's own readings in place of measured ones, and its initial state."""
     start = probe.probed_state(grid) if state is None else state
@@ -56,15 +68,23 @@ def forecast(probe: Probe, book: Book, noise: Noise, prior: Prior, grid: Grid, s
     """
     own, start = planned(probe, grid, state)
     run = probe.run(own, start)
-    contest = Contest(probe, own, start, run, noise, prior)
-    found = book.laws(own, run)
+    return sight(Contest(probe, own, start, run, noise, prior), book.laws(own, run), book.candidates)
+
+
+def sight(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> Forecast:
+    """What a record could show, whose contest this is.
+
+    Args:
+        found: the laws that do anything on it. candidates: the whole catalogue.
+    """
     vectors = np.stack([contest.vector(law) for law in found])
     flat = vectors.reshape(len(found), -1)
     gram = flat @ contest.gram @ flat.T
     norm = np.sqrt(np.maximum(np.diag(gram), 0.0))
     bare = np.sqrt(np.maximum(contest.bare(flat), 1e-30))
     threshold = null_scores(contest, found).quantile(FALSE_ALARMS)
-    seen, unseen = [], [c for c in book.candidates if c.id not in {law.candidate.id for law in found}]
+    here = {law.candidate.id for law in found}
+    seen, unseen = [], [c for c in candidates if c.id not in here]
     for law, n, b in zip(found, norm, bare, strict=True):
         c = law.candidate
         least = threshold / n if n > 0.0 else np.inf
@@ -83,3 +103,47 @@ def forecast(probe: Probe, book: Book, noise: Noise, prior: Prior, grid: Grid, s
                     confused.append((a, b, rho))
     confused.sort(key=lambda x: -abs(x[2]))
     return Forecast(tuple(seen), tuple(unseen), tuple(confused))
+
+
+def too_little(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> str:
+    """Why a record that shows nothing could not have shown much, as one sentence; "" where it could."""
+    share = hidden(contest, found, candidates)
+    if sum(share.values()) < MOST_HIDDEN * len(share):
+        return ""
+    kinds = [kind.replace("_", " ") for kind, missing in share.items() if missing > 0.5]
+    network, inputs = contest.probe.network, contest.grid.inputs
+    still = [
+        f"{column} stays at {inputs[0, j]:.4g}"
+        for j, column in enumerate(network.input_columns)
+        if np.ptp(inputs[:, j]) < STILL * max(abs(float(inputs[0, j])), 1.0)
+    ]
+    why = f" ({', '.join(still)})" if still else ""
+    return (
+        f"the record has too little excitation to say anything{why}: it shows no effect, and could not have shown "
+        f"{', '.join(kinds[:-1])} or {kinds[-1]}; run a load profile with steps in load, pump and fan"
+    )
+
+
+def unseen_kinds(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
+    """Kinds of effect of which a record could have shown none, however large."""
+    share = hidden(contest, found, candidates)
+    return tuple(kind.replace("_", " ") for kind, missing in share.items() if missing > 0.99)
+
+
+def hidden(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> dict[str, float]:
+    """Share of each kind's entries, place by place, that would have to be very large to show from the beginning."""
+    visible = {
+        (law.candidate.kind, law.candidate.where)
+        for law, norm in zip(found, _norms(contest, found), strict=True)
+        if norm * LARGE * law.candidate.typical > THRESHOLD
+    }
+    every: dict[str, set[str]] = {}
+    for c in candidates:
+        every.setdefault(c.kind, set()).add(c.where)
+    return {kind: 1.0 - sum((kind, w) in visible for w in places) / len(places) for kind, places in every.items()}
+
+
+def _norms(contest: Contest, found: list[Law]) -> Array:
+    flat = np.stack([contest.vector(law) for law in found]).reshape(len(found), -1)
+    norms: Array = np.sqrt(np.maximum(((flat @ contest.gram) * flat).sum(axis=1), 0.0))
+    return norms

@@ -1,6 +1,6 @@
 """Entries of a twin's catalogue that no input can separate, found once for each twin by its richest run.
 
-Every candidate is switched on a third into a run in which everything that is driven steps through its range, the
+Every candidate is switched on a quarter into a run in which everything that is driven steps through its range, the
 room drifts, and the tunables are free. Candidates whose whitened signatures then still agree to one part in a thousand
 agree on every record of that rig: an answer that names one of them has to name the others.
 """
@@ -22,11 +22,14 @@ from twin.discovery.laws import Book
 from twin.discovery.probe import Probe
 from twin.kernel import cache_folder
 from twin.network import Array, Network
+from twin.steady import steady_state
 from twin.twinfile import dump
 
 ALIKE = 0.999
-HOURS, ONSET = 6.0, 1.0 / 3.0
-FORM = 1
+HOURS, ONSET = 8.0, 0.25
+REST, AT_REST = (0.45, 0.78), 0.05
+"""Part of the run in which heaters rest, and their power then."""
+FORM = 4
 """Of the cached files; to be raised whenever what is cached, or how it is found, changes."""
 VISIBLE = 5.0
 """Score from which an effect can be seen at all."""
@@ -75,7 +78,7 @@ def examine(network: Network) -> Lint:
     ids = network.tunables("commission" if "commission" in network.sets else None)
     probe, book = Probe(network, ids), Book(network)
     grid = richest(network)
-    state = probe.network.initial_state(np.full((6, probe.m), np.nan))
+    state = steady_state(network, grid.inputs[0]).reshape(-1)
     grid = Grid(grid.time, grid.inputs, probe.run(grid, state).readings, grid.sigma, grid.step_s)
     run = probe.run(grid, state)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 1.0)
@@ -103,14 +106,15 @@ def examine(network: Network) -> Lint:
                 break
         else:
             groups.append([i])
-    named = [tuple(dict.fromkeys(labels[i] for i in g)) for g in groups]
+    named = [tuple(dict.fromkeys(labels[i] for i in sorted(g))) for g in groups]
     seen = {labels[i] for i in range(len(laws)) if visible[i]}
     every = dict.fromkeys((c.kind, c.where, c.driver) for c in book.candidates)
     return Lint(tuple(g for g in named if len(g) > 1), tuple(x for x in every if x not in seen))
 
 
 def richest(network: Network, seed: int = 0) -> Grid:
-    """Inputs in which everything varies by itself: drives in steps of 5 to 40 minutes, the room slowly."""
+    """Inputs in which everything varies by itself: drives in steps of 5 to 40 minutes, the room slowly; for a third of
+    the time the heater rests, so that the slowest volume cools and warms."""
     rng = np.random.default_rng(seed)
     bins = int(HOURS * 3600.0 / BIN_S)
     time: Array = BIN_S * np.arange(bins, dtype=np.float64)
@@ -124,6 +128,8 @@ def richest(network: Network, seed: int = 0) -> Grid:
             high = min(spec.upper, 1.3 * spec.nominal) if spec.nominal > 0.0 else spec.upper
             low = max(spec.lower, 0.3 * spec.nominal)
             inputs[:, j] = _stepped(rng, time, low, high)
+            if column.endswith("_W"):
+                inputs[(time > REST[0] * time[-1]) & (time < REST[1] * time[-1]), j] *= AT_REST
     return Grid(time, inputs, np.full((bins, len(network.sensors)), np.nan), network.sigma, BIN_S)
 
 
