@@ -21,6 +21,8 @@ from twin.gauss_newton import Prior
 from twin.network import Array, Network
 
 CONFUSED = 0.98
+CLEAR = 6.0
+"""Score at which an effect shows on any record."""
 LARGE = 5.0
 """Typical sizes: an effect of that size should be seen."""
 MOST_HIDDEN = 0.4
@@ -135,7 +137,7 @@ def hidden(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]
     visible = {
         (law.candidate.kind, law.candidate.where)
         for law, norm in zip(found, _norms(contest, found), strict=True)
-        if norm * LARGE * law.candidate.typical > THRESHOLD
+        if norm * LARGE * law.candidate.typical > CLEAR
     }
     every: dict[str, set[str]] = {}
     for c in candidates:
