@@ -49,6 +49,14 @@ def test_a_late_thermometer_is_never_early(bench: Bench, healthy: Columns) -> No
     assert effect.value == pytest.approx(60.0, rel=0.15)
 
 
+def test_a_heater_that_follows_late_is_named(bench: Bench, healthy: Columns) -> None:
+    """A lag is an element that remembers; its law is not that of the same element's gain."""
+    late = bench.with_element("late", {"kind": "actuator", "column": "heater_power_W", "lag_s": {"value": 60.0}})
+    (effect,) = diagnose(bench.network, bench.record(10.0, changed=late), healthy).effects
+    assert (effect.kind, effect.where, effect.driver) == ("actuator", "heater_power", "history")
+    assert effect.value == pytest.approx(60.0, rel=0.15)
+
+
 def test_two_effects_are_both_found(bench: Bench, healthy: Columns) -> None:
     both = bench.with_values(tank_loss__hA=8.5, T_heater_C__bias_K=0.5)
     found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy)

@@ -57,7 +57,10 @@ class Book:
         """Formulas of the network with a candidate; those that add the same elements share them."""
         if not candidate.adds and not candidate.replaces:
             return self._base
-        key = repr((sorted(candidate.adds.items()), sorted(candidate.replaces.items())))
+        # What an element remembers is left out of the text where it is neutral, so it matters which of its parameters
+        # are not.
+        mine = [p.id for p in changed.parameters.values() if p.element in candidate.adds and p.value not in (0.0, 1.0)]
+        key = repr((sorted(candidate.adds.items()), sorted(candidate.replaces.items()), mine))
         if key not in self._made:
             self._made[key] = Formulas(changed)
         return self._made[key]
