@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -144,5 +145,12 @@ def _cached(network: Network) -> Path | None:
     folder = cache_folder("lint")
     if folder is None:
         return None
-    text = f"{FORM} " + dump(network).split("\n[revision]")[0]
+    text = f"{FORM} {_code()} " + dump(network).split("\n[revision]")[0]
     return folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.json"
+
+
+@cache
+def _code() -> str:
+    """Of the elements and the search: another catalogue has other groups."""
+    files = sorted(p for p in Path(__file__).parents[1].rglob("*.py") if p.parent.name in ("elements", "discovery"))
+    return hashlib.sha256(b"\0".join(p.read_bytes() for p in files)).hexdigest()
