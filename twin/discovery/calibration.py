@@ -22,7 +22,7 @@ TAIL = 3.14
 
 def by_chance(problem: Problem, fit: Fit, seed: int = 0) -> float:
     """Fall of -2 log likelihood that the best effect exceeds by chance in one of a hundred records like this one."""
-    found = scores(problem.wardrobe, problem, fit)
+    found = [one.entry for one in scores(problem.wardrobe, problem, fit) if max(one.squares, one.likely) > 0.0]
     if not found:
         return 0.0
     sigma = problem.samples.sigma

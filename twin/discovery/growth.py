@@ -11,28 +11,30 @@ comes in later is for `engine.diagnose`.
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.discovery.calibration import by_chance
 from twin.discovery.grid import bridged, on_grid
-from twin.discovery.scoring import scores
+from twin.discovery.likelihood import cosines, judged
+from twin.discovery.scoring import Scored, scores
 from twin.discovery.search import Entry
 from twin.discovery.unaided import Fit, Problem, Samples
 from twin.discovery.verdict import LEFT, plausibility, width
-from twin.discovery.wardrobe import Wardrobe
+from twin.discovery.wardrobe import Wardrobe, name_of, unsized
+from twin.elements.base import Candidate
 from twin.kernel import clean_time
 from twin.network import Array, Network, TwinFileError
 
 MOST_EFFECTS = 4
 NEEDED = 25.0
 """Least fall of -2 log likelihood that an effect must bring, whatever chance could bring on this record."""
-BEAM = 2
+BEAM = 3
 """Sets that are built upon, by likelihood and as many by squares."""
 CHECKED = 40
 """Sets, from the best, of which each member is asked whether it is needed."""
@@ -115,6 +117,7 @@ def grow(
     inputs: ArrayLike,
     measured: ArrayLike,
     *,
+    more: tuple[tuple[ArrayLike, ArrayLike, ArrayLike], ...] = (),
     most: int = MOST_EFFECTS,
     beam: int = BEAM,
     say: Callable[[str], None] = lambda _: None,
@@ -122,7 +125,9 @@ def grow(
     """Add effects to a twin until the record asks for no more.
 
     Args:
-        network: with tunables. inputs: (N, c). measured: (N, m) degC, NaN left out. most: effects that may be added.
+        network: with tunables. inputs: (N, c). measured: (N, m) degC, NaN left out.
+        more: further records (time, inputs, measured), by which sets are weighed that this one cannot tell apart.
+        most: effects that may be added.
         beam: sets that each round builds on. say: called with what is being done.
 
     Raises:
@@ -140,7 +145,7 @@ def grow(
         if not search.deepen():
             break
     say("asking each of them whether it is needed")
-    best = search.earned()
+    best = search.weighed(search.earned(), tuple(samples_of(network, *one) for one in more))
     rungs = search.ladder(best)
     left = rungs[-1].rms / samples.sigma
     good = bool((left <= math.sqrt(LEFT)).all())
@@ -173,7 +178,7 @@ class _Set:
 
     @property
     def ids(self) -> frozenset[str]:
-        return frozenset(e.candidate.id for e in self.fit.entries)
+        return frozenset(name_of(e.candidate) for e in self.fit.entries)
 
     @property
     def squares(self) -> float:
@@ -187,34 +192,41 @@ class _Search:
         self.empty, self.beam = empty, beam
         self._price = math.log(max(int(np.isfinite(empty.samples.measured).sum()), 2))
         self._known: dict[frozenset[str], _Set] = {}
+        self._told: dict[frozenset[str], float] = {}
         self._chance: dict[frozenset[str], float] = {}
-        self.levels: list[list[_Set]] = [[self._fitted((), (empty.start(),))]]
+        self.levels: list[list[_Set]] = [[self._fitted(((empty, empty.start()),))]]
         piece = np.arange(len(empty.samples.time)) * PIECES // len(empty.samples.time)
         self._folds = [piece % FOLDS == f for f in range(FOLDS)]
 
-    def _fitted(self, entries: tuple[Entry, ...], starts: tuple[Array, ...]) -> _Set:
-        key = frozenset(e.candidate.id for e in entries)
+    def _fitted(self, starts: tuple[tuple[Problem, Array], ...]) -> _Set:
+        """One set from several starts; problems that differ in nothing but their scales."""
+        entries = starts[0][0].entries
+        key = frozenset(name_of(e.candidate) for e in entries)
         if key not in self._known:
-            problem = self.empty.with_entries(entries)
-            fit = min((problem.fit(v) for v in starts), key=lambda f: f.cost)
+            problem, fit = min(((p, p.fit(v)) for p, v in starts), key=lambda f: f[1].cost)
             price = sum(self._price - 2.0 * math.log(plausibility(e)) for e in entries)
             self._known[key] = _Set(problem, fit, fit.cost + price)
         return self._known[key]
 
-    def _with(self, old: _Set, entry: Entry) -> _Set:
+    def _with(self, old: _Set, entry: Entry, *sizes: float) -> _Set:
+        """A set with one effect more, begun at the twin file's values, at the smaller set's, and at other sizes."""
         problem = self.empty.with_entries((*old.fit.entries, entry))
-        return self._fitted(problem.entries, (problem.start(), problem.start(old.fit)))
+        starts = [(problem, problem.start()), (problem, problem.start(old.fit))]
+        for size in sizes:
+            other = self.empty.with_entries((*old.fit.entries, replace(entry, size=size)))
+            starts.append((other, other.start(old.fit)))
+        return self._fitted(tuple(starts))
 
     def _less(self, old: _Set, entry: Entry) -> _Set:
         """A set without one of its effects, and without what stands on it."""
-        gone = {entry.candidate.id} | {
-            e.candidate.id
+        gone = {name_of(entry.candidate)} | {
+            name_of(e.candidate)
             for e in old.fit.entries
             if any(name.rsplit(".", 1)[0] in entry.candidate.adds for name in e.candidate.changes)
         }
-        rest = tuple(e for e in old.fit.entries if e.candidate.id not in gone)
+        rest = tuple(e for e in old.fit.entries if name_of(e.candidate) not in gone)
         problem = self.empty.with_entries(rest)
-        return self._fitted(rest, (problem.start(), problem.start(old.fit)))
+        return self._fitted(((problem, problem.start()), (problem, problem.start(old.fit))))
 
     def deepen(self) -> bool:
         """Fit sets of one effect more; False where nothing could be added."""
@@ -222,24 +234,48 @@ class _Search:
         chosen = {s.ids: s for order in (_score, _squares) for s in sorted(last, key=order)[: self.beam]}
         found: dict[frozenset[str], _Set] = {}
         for old in chosen.values():
-            for entry in self._finalists(old):
-                new = self._with(old, entry)
+            for scored in self._finalists(old):
+                new = self._with(old, scored.entry, scored.asked)
+                found[new.ids] = new
+            for new in self._siblings(old):
                 found[new.ids] = new
         if found:
             self.levels.append(list(found.values()))
         return bool(found)
 
-    def _finalists(self, old: _Set) -> list[Entry]:
+    def _siblings(self, old: _Set) -> list[_Set]:
+        """Of each effect that has others of its kind (other time constants), the neighbours as long as they do better."""
+        family: dict[Any, list[Candidate]] = defaultdict(list)
+        for candidate in self.empty.wardrobe.candidates:
+            if len(candidate.changes) > 1 and candidate.driver == "history":
+                family[_family(candidate)].append(candidate)
+        found = []
+        for members in family.values():
+            members.sort(key=lambda c: sorted(c.changes.values()))
+            at = [i for i, c in enumerate(members) if old.ids | {name_of(c)} in self._known]
+            if len(members) < 2 or not at:
+                continue
+            best = min(at, key=lambda i: self._known[old.ids | {name_of(members[i])}].score)
+            tried = set(at)
+            while new := {i for i in (best - 1, best + 1) if 0 <= i < len(members)} - tried:
+                size = self._known[old.ids | {name_of(members[best])}].fit.entries[-1].size
+                for i in new:
+                    found.append(self._with(old, unsized(members[i], max(size, members[i].typical * 1e-3))))
+                tried |= new
+                best = min(tried, key=lambda i: self._known[old.ids | {name_of(members[i])}].score)
+        return found
+
+    def _finalists(self, old: _Set) -> list[Scored]:
         """The best candidates of each label: what re-tuning can nearly imitate shows its worth in the fit alone."""
         found = scores(self.empty.wardrobe, old.problem, old.fit)
-        kept: dict[str, Entry] = {}
-        for order in (lambda e: -e.gain, lambda e: -e.bare_gain):
-            alike: Counter[tuple[Label, str]] = Counter()
-            for entry in sorted(found, key=order):
-                form = entry.label, entry.candidate.unit
-                alike[form] += 1
-                if alike[form] == 1:
-                    kept.setdefault(entry.candidate.id, entry)
+        kept: dict[str, Scored] = {}
+        for order in (lambda s: -s.squares, lambda s: -s.likely):
+            seen: Counter[tuple[Label, str]] = Counter()
+            for scored in sorted(found, key=order):
+                form = scored.entry.label, scored.entry.candidate.unit
+                seen[form] += 1
+                if seen[form] == 1:
+                    kept.setdefault(name_of(scored.entry.candidate), scored)
         return list(kept.values())
 
     def earned(self) -> _Set:
@@ -256,13 +292,25 @@ class _Search:
             best = self._less(best, weakest)
         return best
 
+    def weighed(self, best: _Set, more: tuple[Samples, ...]) -> _Set:
+        """Of the sets that do as well, the one that foretells further records best, without another fit."""
+        if not more:
+            return best
+        limit = width(self.levels[0][0].score - best.score)
+        alike = [
+            s for s in self._known.values()
+            if len(s.ids) == len(best.ids) and abs(s.score - best.score) < limit and self._weakest(s) is None
+        ]  # fmt: skip
+        self._told = {s.ids: sum(_foretelling(s, samples) for samples in more) for s in alike}
+        return min(alike, key=lambda s: s.score + self._told[s.ids])
+
     def refused(self, best: _Set) -> tuple[Refused, ...]:
         """The effects that would take most of what is left, and why they were not added."""
         found: dict[Label, Refused] = {}
         for one in sorted(self._known.values(), key=_score):
             if not best.ids < one.ids or len(one.ids) != len(best.ids) + 1 or len(found) == REFUSED:
                 continue
-            entry = next(e for e in one.fit.entries if e.candidate.id not in best.ids)
+            entry = next(e for e in one.fit.entries if name_of(e.candidate) not in best.ids)
             why = self._why_not(best, one, entry)
             if best.fit.cost - one.fit.cost > 1.0 and entry.label not in found:
                 found[entry.label] = Refused(*entry.label, why or "its set holds others that are not needed")
@@ -314,7 +362,7 @@ class _Search:
         """The set's effects one by one, each the best of those that are left to add."""
         now = self._known[frozenset()]
         rungs = [self._rung(now, None)]
-        left = {e.candidate.id: e for e in best.fit.entries}
+        left = {name_of(e.candidate): e for e in best.fit.entries}
         while left:
             stands = {e.name for e in self.empty.network.elements} | {
                 name for e in now.fit.entries for name in e.candidate.adds
@@ -324,7 +372,7 @@ class _Search:
                 if all((n := name.rsplit(".", 1)[0]) in stands or n in e.candidate.adds for name in e.candidate.changes)
             ]  # fmt: skip
             new = min((self._with(now, e) for e in free), key=_score)
-            entry = next(e for e in best.fit.entries if e.candidate.id in new.ids - now.ids)
+            entry = next(e for e in best.fit.entries if name_of(e.candidate) in new.ids - now.ids)
             without = self._less(best, entry)
             better, share = self._foretold(without, best)
             spread = SE90 * entry.sd
@@ -334,7 +382,7 @@ class _Search:
                 self._others(best, without),
             )  # fmt: skip
             rungs.append(self._rung(new, added))
-            del left[entry.candidate.id]
+            del left[name_of(entry.candidate)]
             now = new
         return tuple(rungs)
 
@@ -344,13 +392,25 @@ class _Search:
         limit = width(without.score - best.score)
         found: dict[Label, None] = {}
         for key, other in self._known.items():
-            if without.ids < key and len(key) == len(best.ids) and other.score - best.score < limit:
+            score = other.score - best.score + self._told.get(key, 0.0) - self._told.get(best.ids, 0.0)
+            if without.ids < key and len(key) == len(best.ids) and score < limit:
                 found.update((e.label, None) for e in other.fit.entries if e.label not in named)
         return tuple(found)
 
     def _rung(self, at: _Set, added: Added | None) -> Rung:
         network = self.empty.wardrobe.plain(at.fit.entries, at.fit.values)
         return Rung(network, added, at.fit.rms, at.fit)
+
+
+def _foretelling(one: _Set, samples: Samples) -> float:
+    """-2 log likelihood of another record, everything but its initial state as fitted to the first."""
+    problem = one.problem.with_entries(one.fit.entries, samples)
+    left = cosines(problem.residual(problem.carried(one.fit)), problem.present)
+    return judged(left, samples.sigma)[0]
+
+
+def _family(candidate: Candidate) -> Any:
+    return candidate.kind, candidate.where, candidate.unit, tuple(sorted(candidate.changes))
 
 
 def _score(one: _Set) -> float:

@@ -58,7 +58,7 @@ def cosines(values: Array, present: np.ndarray) -> Array:
 
 @dataclass(frozen=True)
 class Table:
-    """Spectra of n cosines that are tried, in units of sigma^2: `shapes` (s, n); `inverse`, `log` (s, bands) by band."""
+    """Spectra of n cosines that are tried, in units of sigma^2: `shapes` (s, n), by band `inverse`, `log` (s, b)."""
 
     shapes: Array
     starts: np.ndarray

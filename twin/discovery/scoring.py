@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,8 +23,22 @@ SHARES = (0.1, 0.3, 0.6, 0.95)
 ASKED = 5
 
 
-def scores(wardrobe: Wardrobe, problem: Problem, fit: Fit) -> list[Entry]:
-    """Every candidate at its best size: `gain` in squares of the noise, `bare_gain` in squares of what is left."""
+@dataclass(frozen=True)
+class Scored:
+    """A candidate at its best size, to first order, and `asked`, the size at which it does what is left to explain.
+
+    Attributes:
+        squares: of the noise that it takes. likely: squares of what is left, by its spectrum.
+    """
+
+    entry: Entry
+    asked: float
+    squares: float
+    likely: float
+
+
+def scores(wardrobe: Wardrobe, problem: Problem, fit: Fit) -> list[Scored]:
+    """Every candidate that does anything that re-tuning cannot."""
     white = Spectrum.white(problem.samples.sigma, len(problem.samples.time))
     metrics = [_Metric(problem, fit, spectrum) for spectrum in (white, fit.spectrum)]
     rms = float(np.sqrt(np.nanmean(fit.residual**2)))
@@ -35,9 +49,9 @@ def scores(wardrobe: Wardrobe, problem: Problem, fit: Fit) -> list[Entry]:
         stands_on = {name.rsplit(".", 1)[0] for name in candidate.changes} - set(candidate.adds)
         if known & set(candidate.changes) or not stands_on <= elements:
             continue
-        entry = _best(candidate, _Answer(problem, fit, candidate), metrics, rms)
-        if entry is not None:
-            found.append(entry)
+        scored = _best(candidate, _Answer(problem, fit, candidate), metrics, rms)
+        if scored is not None:
+            found.append(scored)
     return found
 
 
@@ -63,17 +77,20 @@ class _Answer:
         return change
 
 
-def _best(candidate: Candidate, answer: _Answer, metrics: list[_Metric], rms: float) -> Entry | None:
-    best: Entry | None = None
+def _best(candidate: Candidate, answer: _Answer, metrics: list[_Metric], rms: float) -> Scored | None:
+    best: Scored | None = None
     sizes = _sizes(candidate, answer, rms)
     for size, s in zip(sizes, answer(sizes), strict=True):
         if not np.isfinite(s).all():
             continue
         (share, gain), (other, likely) = (metric.taken(s, size, candidate) for metric in metrics)
-        if gain > 0.0 and (best is None or gain > best.gain):
-            best = replace(unsized(candidate, share * size), gain=gain, bare_gain=likely)
+        if gain > 0.0 and (best is None or gain > best.squares):
+            best = Scored(unsized(candidate, share * size), sizes[0], gain, likely)
         elif likely > 0.0 and best is None:
-            best = replace(unsized(candidate, other * size), bare_gain=likely)
+            best = Scored(unsized(candidate, other * size), sizes[0], 0.0, likely)
+    if best is None and candidate.driver == "history" and np.abs(answer([sizes[0]])).max() > 0.0:
+        # What delays shows nothing to first order where something else delays too much already.
+        best = Scored(unsized(candidate, sizes[0]), sizes[0], 0.0, 0.0)
     return best
 
 

@@ -121,6 +121,12 @@ class Problem:
         v[self.q + self.k :] = [x.size / s for x, s in zip(self.entries, self.scales, strict=True)]
         return np.clip(v, self.low, self.high)
 
+    def carried(self, fit: Fit) -> Array:
+        """Tunables and sizes of a fit to another record; the state is this record's own."""
+        v = self.with_entries(fit.entries).start(fit)
+        v[self.q : self.q + self.k] = 0.0
+        return v
+
     def readings(self, v: Array) -> Array:
         """Of free runs at v (P, count): (P, n, m)."""
         values = np.tile(self.network.values, (len(v), 1))

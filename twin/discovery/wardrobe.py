@@ -76,6 +76,11 @@ def unsized(candidate: Candidate, size: float) -> Entry:
     return Entry(Law(candidate, None, None), Shape("step"), np.empty(0), size, 0.0, 0.0)
 
 
+def name_of(candidate: Candidate) -> str:
+    """What a candidate is, whatever size it is looked for at."""
+    return candidate.id.rpartition("]")[0]
+
+
 def _lacking(network: Network, tunables: tuple[str, ...], period_s: float) -> list[Candidate]:
     every = catalogue(network)
     talks = Counter(name for c in every for name in c.replaces)
@@ -92,9 +97,9 @@ def _lacking(network: Network, tunables: tuple[str, ...], period_s: float) -> li
 
 def _absent(network: Network, candidate: Candidate) -> bool:
     """Whether it is something that the twin has not at all, rather than a known value in doubt."""
-    return bool(candidate.adds or candidate.replaces) or all(
-        network.parameters[name].value in (0.0, 1.0) for name in candidate.changes
-    )
+    neutral = [network.parameters[n].value in (0.0, 1.0) for n in candidate.changes if n in network.parameters]
+    new = bool(candidate.adds or candidate.replaces) or (candidate.change == "new" and any(neutral))
+    return new or all(neutral)
 
 
 def _constant(candidate: Candidate) -> float:
