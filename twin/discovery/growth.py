@@ -46,6 +46,8 @@ FOLDS, PIECES = 4, 12
 BETTER_FOLDS = 3
 SAME = 0.02
 """Share by which a fold's error may be worse and still count as the same."""
+FEWEST = 12
+"""Steady states that a twin can grow from."""
 SE90 = 1.6449
 
 Label = tuple[str, str, str]
@@ -133,12 +135,44 @@ def grow(
     Raises:
         TwinFileError: a record too short or without readings, a twin without tunables.
     """
+    return _grown(network, samples_of(network, time_s, inputs, measured), more, most, beam, say)
+
+
+def grow_at_rest(
+    network: Network,
+    inputs: ArrayLike,
+    measured: ArrayLike,
+    *,
+    most: int = MOST_EFFECTS,
+    beam: int = BEAM,
+    say: Callable[[str], None] = lambda _: None,
+) -> Growth:
+    """As `grow`, for steady states: each row of `inputs` (n, c) and `measured` (n, m) is one, and no time passes.
+
+    Raises:
+        TwinFileError: fewer than `FEWEST` states with a reading, a twin without tunables.
+    """
+    y, u = np.asarray(measured, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
+    good = np.isfinite(y).any(axis=1) & np.isfinite(u).all(axis=1)
+    if good.sum() < FEWEST:
+        raise TwinFileError(f"{good.sum()} steady states have their readings; at least {FEWEST} are needed")
+    rows = Samples(np.arange(good.sum(), dtype=np.float64), u[good], y[good], network.sigma, at_rest=True)
+    return _grown(network, rows, (), most, beam, say)
+
+
+def _grown(
+    network: Network,
+    samples: Samples,
+    more: tuple[tuple[ArrayLike, ArrayLike, ArrayLike], ...],
+    most: int,
+    beam: int,
+    say: Callable[[str], None],
+) -> Growth:
     ids = network.tunables("commission" if "commission" in network.sets else None)
     if not ids:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
-    samples = samples_of(network, time_s, inputs, measured)
     say("fitting the twin as it is")
-    wardrobe = Wardrobe.of(network, ids, float(np.median(np.diff(samples.time))))
+    wardrobe = Wardrobe.of(network, ids, float(np.median(np.diff(samples.time))), samples.at_rest)
     search = _Search(Problem(wardrobe, samples, ids), beam)
     for effects in range(1, most + 1):
         say(f"looking for {effects} effects that are missing")
@@ -244,7 +278,7 @@ class _Search:
         return bool(found)
 
     def _siblings(self, old: _Set) -> list[_Set]:
-        """Of each effect that has others of its kind (other time constants), the neighbours as long as they do better."""
+        """Of each effect that has others of its kind (other time constants), the neighbours while they do better."""
         family: dict[Any, list[Candidate]] = defaultdict(list)
         for candidate in self.empty.wardrobe.candidates:
             if len(candidate.changes) > 1 and candidate.driver == "history":

@@ -29,12 +29,16 @@ _SIZE_STEP = 1.0e-3
 
 @dataclass(frozen=True)
 class Samples:
-    """A record at its own stamps: time (n,) s, inputs (n, c) without gaps, measured (n, m) degC or NaN, sigma (m,)."""
+    """A record at its own stamps: time (n,) s, inputs (n, c) without gaps, measured (n, m) degC or NaN, sigma (m,).
+
+    With `at_rest` each row is a steady state of its own and the time only counts them.
+    """
 
     time: Array
     inputs: Array
     measured: Array
     sigma: Array
+    at_rest: bool = False
 
     def without(self, rows: np.ndarray) -> Samples:
         """The record with the readings of some rows hidden."""
@@ -87,10 +91,10 @@ class Problem:
         network = self.network = wardrobe.original
         self.model = wardrobe.model(entries)
         self.scaling = Scaling.of(network, ids)
-        self.q, self.k, self.e = len(ids), len(network.nodes), len(entries)
+        self.q, self.k, self.e = len(ids), 0 if samples.at_rest else len(network.nodes), len(entries)
         self.z0 = self.scaling.to_z(network.values[self.scaling.index])
         still = int(np.argmax((samples.inputs != samples.inputs[0]).any(axis=1)))
-        self.state0 = network.initial_state(samples.measured[: min(max(still, 3), 10)])
+        self.state0 = network.initial_state(samples.measured[: min(max(still, 3), 10)])[: self.k]
         self.present = np.isfinite(samples.measured)
         self.scales = np.array([max(abs(x.size), 1e-12) for x in entries])
         self.low = np.concatenate([
@@ -133,6 +137,8 @@ class Problem:
         values[:, self.scaling.index] = self.scaling.to_values(self.z0 + v[:, : self.q])
         state = self.state0 + v[:, self.q : self.q + self.k]
         sizes = v[:, self.q + self.k :] * self.scales
+        if self.samples.at_rest:
+            return self.wardrobe.resting.readings(self.samples.inputs, self.model.parameters(values, sizes))
         return self.model.run(self.samples.time, self.samples.inputs, state, values, sizes)
 
     def residual(self, v: Array) -> Array:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from twin.discovery.alike import together
 from twin.discovery.catalogue import catalogue, extended, sites_of
 from twin.discovery.laws import Law
 from twin.discovery.model import Model
+from twin.discovery.resting import Resting
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
 from twin.elements.base import Candidate
@@ -22,6 +24,8 @@ from twin.network import Array, Network
 
 QUICKER = (1.0 / 3.0, 1.0 / 9.0)
 """Time constants of hidden masses beside those of the catalogue, which are for loops of litres."""
+MOVING = ("history", "rate_of_change", "elapsed_time", "time_of_day")
+"""Drivers that tell nothing where nothing changes."""
 LEAST_PERIODS = 4.0
 """A mass that follows within fewer samples than this is none."""
 
@@ -36,20 +40,29 @@ class Wardrobe:
     kernel: Kernel
 
     @classmethod
-    def of(cls, network: Network, tunables: tuple[str, ...], period_s: float) -> Wardrobe:
+    def of(cls, network: Network, tunables: tuple[str, ...], period_s: float, at_rest: bool = False) -> Wardrobe:
         """Everything that a network lacks altogether.
 
         Args:
             tunables: what a fit varies besides; a parameter among them is not asked for. period_s: between samples.
+            at_rest: only what shows in steady states.
         """
         first = _lacking(network, tunables, period_s)
         full = _with_all(network, first)
         known = {name for c in first for name in c.changes}
         # A pipe that is missing may miss its wall, too.
         second = [c for c in _lacking(full, tunables, period_s) if not c.adds and not known & set(c.changes)]
+        if at_rest:
+            first, second = ([c for c in some if c.driver not in MOVING] for some in (first, second))
+            full = _with_all(network, first)
         candidates = (*first, *second)
         ids = dict.fromkeys((*tunables, *(name for c in candidates for name in c.changes)))
         return cls(network, candidates, full, Kernel(full, tuple(ids)))
+
+    @cached_property
+    def resting(self) -> Resting:
+        """The network at rest."""
+        return Resting(self.network, self.kernel)
 
     def model(self, entries: tuple[Entry, ...]) -> Model:
         """The simulation of some of the effects."""

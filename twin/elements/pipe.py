@@ -80,8 +80,8 @@ class Pipe(Element):
         capacity, rate = f"{self.name}.wall_capacity", f"{self.name}.wall_hA"
         return tuple(
             Candidate(
-                "thermal_mass", sites.places[self.to], "history", "new", {capacity: 1.0, rate: 1.0 / tau}, "J/K", 1000.0,
-                0.0, 1.0e7, "passes a wall that takes up heat, {value}", shapes=("step",),
+                "thermal_mass", sites.places[self.to], "history", "new", {capacity: 1.0, rate: 1.0 / tau}, "J/K",
+                1000.0, 0.0, 1.0e7, "passes a wall that takes up heat, {value}", shapes=("step",),
             )
             for tau in WALL_CONSTANTS_S
         )  # fmt: skip
