@@ -60,6 +60,7 @@ class Added:
     Attributes:
         value, interval90: its size beside all the others, in `unit`. says: in words.
         gain: fall of -2 log likelihood that it brings on its rung. needed: rise of it when the full set goes without.
+        elsewhere: the same of the further records, which were not fitted.
         folds, foretold: hidden parts of the record that the full set foretells no worse with it, and its squares there
             over those without it. others: labels (kind, where, driver) that the record cannot tell from it.
     """
@@ -73,6 +74,7 @@ class Added:
     says: str
     gain: float
     needed: float
+    elsewhere: float
     folds: int
     foretold: float
     others: tuple[Label, ...]
@@ -226,6 +228,7 @@ class _Search:
         self.empty, self.beam = empty, beam
         self._price = math.log(max(int(np.isfinite(empty.samples.measured).sum()), 2))
         self._known: dict[frozenset[str], _Set] = {}
+        self._more: tuple[Samples, ...] = ()
         self._told: dict[frozenset[str], float] = {}
         self._chance: dict[frozenset[str], float] = {}
         self.levels: list[list[_Set]] = [[self._fitted(((empty, empty.start()),))]]
@@ -327,7 +330,11 @@ class _Search:
         return best
 
     def weighed(self, best: _Set, more: tuple[Samples, ...]) -> _Set:
-        """Of the sets that do as well, the one that foretells further records best, without another fit."""
+        """The set that foretells further records best, without another fit.
+
+        Of sets that do as well as each other it is the one; and an effect that the record nearly carries joins them
+        where they carry it with it.
+        """
         if not more:
             return best
         limit = width(self.levels[0][0].score - best.score)
@@ -335,8 +342,28 @@ class _Search:
             s for s in self._known.values()
             if len(s.ids) == len(best.ids) and abs(s.score - best.score) < limit and self._weakest(s) is None
         ]  # fmt: skip
-        self._told = {s.ids: sum(_foretelling(s, samples) for samples in more) for s in alike}
-        return min(alike, key=lambda s: s.score + self._told[s.ids])
+        self._more, told = more, self._elsewhere
+        best = min((*alike, best), key=lambda s: s.score + told(s))
+        while True:
+            larger = [
+                s
+                for s in self._known.values()
+                if best.ids < s.ids and len(s.ids) == len(best.ids) + 1 and s.score < best.score
+            ]
+            larger = [s for s in larger if told(s) < told(best)]
+            larger.sort(key=lambda s: s.score + told(s))
+            joined = next((s for s in larger if self._weakest(s) is None), None)
+            if joined is None:
+                return best
+            best = joined
+
+    def _elsewhere(self, one: _Set) -> float:
+        """-2 log likelihood of the further records, everything but their initial states as fitted to the first."""
+        if not self._more:
+            return 0.0
+        if one.ids not in self._told:
+            self._told[one.ids] = sum(_foretelling(one, samples) for samples in self._more)
+        return self._told[one.ids]
 
     def refused(self, best: _Set) -> tuple[Refused, ...]:
         """The effects that would take most of what is left, and why they were not added."""
@@ -344,7 +371,7 @@ class _Search:
         for one in sorted(self._known.values(), key=_score):
             if not best.ids < one.ids or len(one.ids) != len(best.ids) + 1 or len(found) == REFUSED:
                 continue
-            entry = next(e for e in one.fit.entries if name_of(e.candidate) not in best.ids)
+            entry = _new(best, one)
             why = self._why_not(best, one, entry)
             if best.fit.cost - one.fit.cost > 1.0 and entry.label not in found:
                 found[entry.label] = Refused(*entry.label, why or "its set holds others that are not needed")
@@ -358,8 +385,8 @@ class _Search:
         return None
 
     def _why_not(self, without: _Set, found: _Set, entry: Entry) -> str:
-        """Why an effect has not earned its place in a set, "" where it has."""
-        gain = without.fit.cost - found.fit.cost
+        """Why an effect has not earned its place in a set, "" where it has, in all records together."""
+        gain = without.fit.cost - found.fit.cost + self._elsewhere(without) - self._elsewhere(found)
         if gain < NEEDED:
             return f"gains {gain:.0f} where {NEEDED:.0f} are asked for"
         if _at_bound(entry):
@@ -409,11 +436,12 @@ class _Search:
             entry = next(e for e in best.fit.entries if name_of(e.candidate) in new.ids - now.ids)
             without = self._less(best, entry)
             better, share = self._foretold(without, best)
+            elsewhere = self._elsewhere(without) - self._elsewhere(best)
             spread = SE90 * entry.sd
             added = Added(
                 *entry.label, entry.size, (entry.size - spread, entry.size + spread), entry.candidate.unit,
-                entry.candidate.says, now.fit.cost - new.fit.cost, without.fit.cost - best.fit.cost, better, share,
-                self._others(best, without),
+                entry.candidate.says, now.fit.cost - new.fit.cost, without.fit.cost - best.fit.cost, elsewhere, better,
+                share, self._others(best, without),
             )  # fmt: skip
             rungs.append(self._rung(new, added))
             del left[name_of(entry.candidate)]
@@ -423,17 +451,24 @@ class _Search:
     def _others(self, best: _Set, without: _Set) -> tuple[Label, ...]:
         """What could stand in the place of the one effect that `best` has and `without` has not."""
         named = {e.label for e in best.fit.entries}
-        limit = width(without.score - best.score)
         found: dict[Label, None] = {}
+        near = best.score + width(without.score - best.score)
+        told = best.score + self._elsewhere(best) + width(0.0)
         for key, other in self._known.items():
-            score = other.score - best.score + self._told.get(key, 0.0) - self._told.get(best.ids, 0.0)
-            if without.ids < key and len(key) == len(best.ids) and score < limit:
+            if not without.ids < key or len(key) != len(best.ids) or other.score > near:
+                continue
+            if other.score + self._elsewhere(other) < told:
                 found.update((e.label, None) for e in other.fit.entries if e.label not in named)
         return tuple(found)
 
     def _rung(self, at: _Set, added: Added | None) -> Rung:
         network = self.empty.wardrobe.plain(at.fit.entries, at.fit.values)
         return Rung(network, added, at.fit.rms, at.fit)
+
+
+def _new(small: _Set, large: _Set) -> Entry:
+    """The effect that one set has and the other has not."""
+    return next(e for e in large.fit.entries if name_of(e.candidate) not in small.ids)
 
 
 def _foretelling(one: _Set, samples: Samples) -> float:
