@@ -29,7 +29,7 @@ def by_chance(problem: Problem, fit: Fit, seed: int = 0) -> float:
     n, m = problem.samples.measured.shape
     white = Spectrum.white(sigma, n)
     j = problem.whitened(fit.slopes, white)
-    inverse = np.linalg.inv(j.T @ j + fit.precision)
+    inverse = np.linalg.pinv(j.T @ j + fit.precision, rcond=1e-13, hermitian=True)
     signatures = np.stack([problem.whitened(answer_of(problem, fit, e), white) for e in found], axis=1)
     signatures -= j @ (inverse @ (j.T @ signatures))
     squares = np.maximum((signatures**2).sum(axis=0), 1e-30)

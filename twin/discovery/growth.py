@@ -36,7 +36,7 @@ NEEDED = 25.0
 """Least fall of -2 log likelihood that an effect must bring, whatever chance could bring on this record."""
 BEAM = 3
 """Sets that are built upon, by likelihood and as many by squares."""
-CHECKED = 40
+CHECKED = 400
 """Sets, from the best, of which each member is asked whether it is needed."""
 REFUSED = 6
 """Near misses that are told."""
@@ -46,6 +46,8 @@ FOLDS, PIECES = 4, 12
 BETTER_FOLDS = 3
 SAME = 0.02
 """Share by which a fold's error may be worse and still count as the same."""
+CHANCE = 3.0
+"""Standard deviations of a mean square that count as chance."""
 FEWEST = 12
 """Steady states that a twin can grow from."""
 SE90 = 1.6449
@@ -183,8 +185,9 @@ def _grown(
     say("asking each of them whether it is needed")
     best = search.weighed(search.earned(), tuple(samples_of(network, *one) for one in more))
     rungs = search.ladder(best)
-    left = rungs[-1].rms / samples.sigma
-    good = bool((left <= math.sqrt(LEFT)).all())
+    # Few readings scatter by themselves.
+    chance = 1.0 + CHANCE * np.sqrt(2.0 / np.isfinite(samples.measured).sum(axis=0))
+    good = bool(((rungs[-1].rms / samples.sigma) ** 2 <= np.maximum(LEFT, chance)).all())
     summary = _summary(network, rungs, good)
     return Growth(rungs, "adequate" if good else "unexplained", summary, search.refused(best))
 
@@ -379,6 +382,11 @@ class _Search:
 
     def _weakest(self, found: _Set) -> Entry | None:
         """A member without which the set does as well; of several the one that is missed least."""
+        for entry in found.fit.entries:
+            # Most sets fall to a smaller one that has been fitted already.
+            rest = self._known.get(found.ids - {name_of(entry.candidate)})
+            if not self._more and rest is not None and rest.fit.cost - found.fit.cost < NEEDED:
+                return entry
         for without, entry in sorted(((self._less(found, e), e) for e in found.fit.entries), key=lambda p: p[0].score):
             if self._why_not(without, found, entry):
                 return entry

@@ -119,11 +119,11 @@ class _Metric:
     def __init__(self, problem: Problem, fit: Fit, spectrum: Spectrum) -> None:
         self._problem, self._spectrum = problem, spectrum
         self._j = problem.whitened(fit.slopes, spectrum)
-        self._normal = self._j.T @ self._j + fit.precision
+        self._inverse = np.linalg.pinv(self._j.T @ self._j + fit.precision, rcond=1e-13, hermitian=True)
         self._residual = self._less(problem.whitened(fit.residual, spectrum))
 
     def _less(self, white: Array) -> Array:
-        out: Array = white - self._j @ np.linalg.solve(self._normal, self._j.T @ white)
+        out: Array = white - self._j @ (self._inverse @ (self._j.T @ white))
         return out
 
     def taken(self, answer: Array, size: float, candidate: Candidate) -> tuple[float, float]:

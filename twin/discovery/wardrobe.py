@@ -26,6 +26,9 @@ QUICKER = (1.0 / 3.0, 1.0 / 9.0)
 """Time constants of hidden masses beside those of the catalogue, which are for loops of litres."""
 MOVING = ("history", "rate_of_change", "elapsed_time", "time_of_day")
 """Drivers that tell nothing where nothing changes."""
+UNNOTICED = 5.0
+"""Typical sizes that an instrument may be off by: a thermometer by 1 K, a meter by 15 %. Where nothing was
+commissioned, larger ones would stand for any law that is missing."""
 LEAST_PERIODS = 4.0
 """A mass that follows within fewer samples than this is none."""
 
@@ -98,6 +101,7 @@ def _lacking(network: Network, tunables: tuple[str, ...], period_s: float) -> li
     every = catalogue(network)
     talks = Counter(name for c in every for name in c.replaces)
     single = [c for c in every if _absent(network, c) and all(talks[name] == 1 for name in c.replaces)]
+    single = [_noticed(c) for c in single]
     single += [
         replace(c, changes={n: w * share if n.endswith(".capacity") else w for n, w in c.changes.items()})
         for c in single
@@ -110,9 +114,19 @@ def _lacking(network: Network, tunables: tuple[str, ...], period_s: float) -> li
 
 def _absent(network: Network, candidate: Candidate) -> bool:
     """Whether it is something that the twin has not at all, rather than a known value in doubt."""
-    neutral = [network.parameters[n].value in (0.0, 1.0) for n in candidate.changes if n in network.parameters]
-    new = bool(candidate.adds or candidate.replaces) or (candidate.change == "new" and any(neutral))
-    return new or all(neutral)
+    values = [network.parameters[name].value for name in candidate.changes if name in network.parameters]
+    new = bool(candidate.adds or candidate.replaces)
+    if candidate.change == "new":
+        return new or any(v in (0.0, 1.0) for v in values)
+    return new or all(v == 0.0 for v in values)
+
+
+def _noticed(candidate: Candidate) -> Candidate:
+    """An instrument's error only as large as could stay unnoticed; a lag is no error."""
+    if candidate.kind not in ("sensor", "actuator") or candidate.driver in MOVING:
+        return candidate
+    most = UNNOTICED * candidate.typical
+    return replace(candidate, lower=max(candidate.lower, -most), upper=min(candidate.upper, most))
 
 
 def _constant(candidate: Candidate) -> float:
