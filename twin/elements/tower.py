@@ -6,7 +6,8 @@
     Q   = eps m_a (h_s(T_in) - h_in)
 
 T_in is the water as it arrives, h_s the enthalpy of saturated air, h_in that of the air outside; C_s = dh_s/dT halfway
-between the water that comes and the node, which is the water that leaves. Merkel's own law of the fill,
+between the water that comes and the node, which is the water that leaves (for a range of 15 K within 3 % of the
+chord). Merkel's own law of the fill,
 Me = c (m_w / m_a)^-n, is flow_exponent = -n and fan_exponent = n. The air flow is air_0 + air_1 f + air_2 f^2 with f
 the fan's speed as a share of full. The water that evaporates is not taken off the flow, as Merkel has it.
 
@@ -122,9 +123,9 @@ class Tower(Element):
             ),
             (m, f"{rate} * {slope}"),
             (x, f"{ntu} * (1.0 - {m})"),
-            (y, f"min(max(max({x}, -{x}), 1e-6), {_LONGEST})"),
+            (y, f"max(max({x}, -{x}), 1e-6)"),
             # NTU (1 - exp(-x)) / x, whichever way round the two flows are.
-            (through, f"{ntu} * (1.0 - exp(-{y})) / {y} * exp(min(max(-{x}, 0.0), {_LONGEST}))"),
+            (through, f"{ntu} * (1.0 - exp(-min({y}, {_LONGEST}))) / {y} * exp(min(max(-{x}, 0.0), {_LONGEST}))"),
             (hot, f"min(max({arriving}, 0.0), {HOTTEST_C})"),
             (top, _saturated(hot)),
             (
