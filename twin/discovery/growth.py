@@ -269,7 +269,7 @@ class _Search:
         return self._fitted(((problem, problem.start()), (problem, problem.start(old.fit))))
 
     def deepen(self) -> bool:
-        """Fit sets of one effect more; False where nothing could be added."""
+        """Fit sets of one effect more; False where it does not pay to go on."""
         last = self.levels[-1]
         chosen = {s.ids: s for order in (_score, _squares) for s in sorted(last, key=order)[: self.beam]}
         found: dict[frozenset[str], _Set] = {}
@@ -279,9 +279,12 @@ class _Search:
                 found[new.ids] = new
             for new in self._siblings(old):
                 found[new.ids] = new
-        if found:
-            self.levels.append(list(found.values()))
-        return bool(found)
+        if not found:
+            return False
+        self.levels.append(list(found.values()))
+        before, now = (min(s.score for s in level) for level in self.levels[-2:])
+        # Two may be needed where neither does anything alone; three that do no better than two are the end.
+        return len(self.levels) <= 2 or now < before
 
     def _siblings(self, old: _Set) -> list[_Set]:
         """Of each effect that has others of its kind (other time constants), the neighbours while they do better."""
