@@ -5,7 +5,8 @@ Each reader takes the folder `real` of the development data and returns `Columns
 
 `tclab`: two small heaters with thermistors (Park, Martin, Kelly, Hedengren, Comput. Chem. Eng. 135 (2020) 106736).
 `heated_pipe`: 39 m of insulated pipe (University of Liege, in the Modelica Buildings library).
-`dry_cooler`: fan cooler of a 200 kWth plant (CIEMAT Plataforma Solar de Almeria, doi 10.5281/zenodo.17885527).
+`dry_cooler`, `wet_tower`: fan cooler and tower of a 200 kWth plant (CIEMAT Plataforma Solar de Almeria, doi
+10.5281/zenodo.17885527).
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ WATER_DENSITY = 0.997
 """kg/L; the value that the twin's flow elements use."""
 DRY_COOLER_FULL_L_MIN = 400.0
 """24 m3/h, about the largest flow of the calibration set, which counts as 100 %."""
+TOWER_FULL_L_MIN = 400.0
+"""The same of the wet tower."""
 HOLD_S = 3600.0
 """How long each steady state is held when it is written down as a record."""
 HOLD_ROWS = 4
@@ -86,6 +89,20 @@ def dry_cooler(real: Path, experiment: str) -> Columns:
         "T_in_C": table["Tin"],
         "fan_speed_pct": table["w_fan"],
         "flow_pct": table["q"] * 1000.0 / 60.0 / DRY_COOLER_FULL_L_MIN * 100.0,
+        "T_out_C": table["Tout"],
+    }
+    return Columns(experiment, np.arange(table["Tin"].size, dtype=np.float64), columns)
+
+
+def wet_tower(real: Path, experiment: str) -> Columns:
+    """Steady states of `wct_exp1` or `wct_exp3`, one row each; `time_s` only counts them."""
+    table = _read(real / "psa_cooling" / f"{experiment}_exp.csv", ("Tamb", "HR", "Tin", "w_fan", "q", "Tout"))
+    columns = {
+        "T_ambient_C": table["Tamb"],
+        "humidity_pct": table["HR"],
+        "T_in_C": table["Tin"],
+        "fan_speed_pct": table["w_fan"],
+        "flow_pct": table["q"] * 1000.0 / 60.0 / TOWER_FULL_L_MIN * 100.0,
         "T_out_C": table["Tout"],
     }
     return Columns(experiment, np.arange(table["Tin"].size, dtype=np.float64), columns)

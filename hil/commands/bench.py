@@ -208,6 +208,9 @@ def records_command(seed: int, out: Path | None, as_json: bool) -> None:
     help="Step the virtual rig's parts here, or run the loop over Modbus and CAN.",
 )  # fmt: skip
 @click.option("--twin", default="loop", show_default=True, help="Twin of profiles/twins to commission.")
+@click.option(
+    "--records", is_flag=True, help="Public records ($HIL_DATA) from twins that lack most, in place of the trial."
+)
 @click.option("--no-ablations", is_flag=True, help="Leave out the comparison with parts of the method left out.")
 @click.option(
     "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/discovery"),
@@ -226,6 +229,7 @@ def discovery_command(
     hours: float,
     direct: bool,
     twin: str,
+    records: bool,
     no_ablations: bool,
     work: Path,
     quick: bool,
@@ -240,7 +244,13 @@ def discovery_command(
       hil bench discovery --blind --quick
       hil bench discovery --blind --case 17
       hil bench discovery --blind --cases 100 --healthy 300 --out docs/results
+      hil bench discovery --records
     """
+    if records:
+        from hil.bench import discovery_records
+
+        _finish("discovery_records", seed, *discovery_records.measure(_data_folder(), seed), out, as_json)
+        return
     from hil.bench import discovery
     from hil.bench.discovery_tables import tables
     from hil.terminal import Steps

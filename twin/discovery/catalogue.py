@@ -51,7 +51,7 @@ def sites_of(network: Network) -> Sites:
     for node in network.nodes:
         if match := _NUMBERED.match(node):
             families.setdefault(match["stem"], []).append(node)
-    groups = {_SPOKEN.get(stem, f"{stem}s"): tuple(n) for stem, n in families.items() if len(n) > 1}
+    groups = {_SPOKEN.get(stem, stem.rstrip("_") + "s"): tuple(n) for stem, n in families.items() if len(n) > 1}
     return Sites(
         nodes=network.nodes,
         inputs=network.input_columns,

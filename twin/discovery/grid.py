@@ -42,8 +42,10 @@ class Grid:
         return Grid(self.time[rows], self.inputs[rows], self.measured[rows], self.sigma, self.step_s)
 
 
-def on_grid(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike) -> Grid:
-    """Means over bins of 10 s, or of the record's own step where that is longer.
+def on_grid(
+    network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike, least_s: float = BIN_S
+) -> Grid:
+    """Means over bins of `least_s`, or of the record's own step where that is longer.
 
     Args:
         time_s: (N,) s. inputs: (N, c); in a gap temperatures follow a straight line, all else holds. measured: (N, m)
@@ -57,7 +59,7 @@ def on_grid(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: Ar
     if len(t) < 2:
         raise TwinFileError("the record has fewer than two samples; diagnosis needs at least two windows of data")
     period = float(np.median(np.diff(t)))
-    step = max(BIN_S, period)
+    step = max(least_s, period)
     bins = int(np.floor((t[-1] - t[0]) / step + 1e-9)) + 1
     if bins * step < 2.0 * network.rules.window_s:
         raise TwinFileError(

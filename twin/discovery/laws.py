@@ -89,23 +89,23 @@ class Book:
 
 
 def _reading(network: Network, candidate: Candidate, grid: Grid, run: Run) -> Array:
-    """Change of the readings (n, m) for a unit of a sensor's parameter."""
-    (name, weight), *_ = candidate.changes.items()
-    element, parameter = name.split(".")
-    j = network.sensor_names.index(element)
+    """Change of the readings (n, m) for a unit of a parameter of one sensor, or of several that are alike."""
     out = np.zeros((len(grid.time), len(network.sensors)))
-    seen = run.temperatures[:, network.nodes.index(network.sensors[j].node)]
-    if parameter == "bias_K":
-        out[:, j] = 1.0
-    elif parameter == "gain":
-        out[:, j] = seen
-    elif parameter == "lag_s":
-        size = candidate.typical
-        out[:, j] = (follow(seen, size, grid.step_s) - seen) / size
-    elif parameter == "cross_talk":
-        other = candidate.replaces[element]["other"]
-        out[:, j] = run.temperatures[:, network.nodes.index(other)] - seen
-    return out * weight
+    for name, weight in candidate.changes.items():
+        element, parameter = name.split(".")
+        j = network.sensor_names.index(element)
+        seen = run.temperatures[:, network.nodes.index(network.sensors[j].node)]
+        if parameter == "bias_K":
+            out[:, j] = weight
+        elif parameter == "gain":
+            out[:, j] = weight * seen
+        elif parameter == "lag_s":
+            size = candidate.typical
+            out[:, j] = weight * (follow(seen, size, grid.step_s) - seen) / size
+        elif parameter == "cross_talk":
+            other = candidate.replaces[element]["other"]
+            out[:, j] = weight * (run.temperatures[:, network.nodes.index(other)] - seen)
+    return out
 
 
 def _delay(network: Network, formulas: Formulas, candidate: Candidate, grid: Grid, known: Array, base: Array) -> Array:

@@ -91,7 +91,7 @@ class HeatSource(Element):
             for driver, table, sizes, typical, says in _laws(sites):
                 if driver == "constant" and set(nodes) <= known:
                     continue
-                if driver == "heater_power" and any(
+                if table.get("law") == "linear" and any(
                     e.driver == table["driver"] for e in sites.having(cls.kind) if e.node in nodes
                 ):
                     continue
@@ -102,7 +102,7 @@ class HeatSource(Element):
                     f"{name}.{size}": weight * share for name in names.values() for size, weight in sizes.items()
                 }
                 adds = {name: {"kind": cls.kind, "node": node, **table} for node, name in names.items()}
-                unit = "W/W" if driver == "heater_power" else "W"
+                unit = "W/W" if driver == "heater_power" else "W/%" if table.get("law") == "linear" else "W"
                 found.append(
                     Candidate(
                         "heat_source", where, driver, "new", changes, unit, typical, 0.0, 2000.0 * typical / 20.0, says,
@@ -156,11 +156,16 @@ def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], flo
     laws: list[tuple[str, dict[str, str], dict[str, float], float, str]] = [
         ("constant", {}, {"power": 1.0}, 20.0, unknown)
     ]
+    heaters = {e.driver for e in sites.having(HeatSource.kind) if e.law == "linear" and e.driver.endswith("_pct")}
     for column in sites.inputs:
         if column.endswith("_W"):
             table = {"driver": column, "law": "linear"}
             laws.append(("heater_power", table, {"gain": 1.0}, 0.03, "takes up {value} of the heater's power"))
-        if column.endswith("_pct"):
+        if column in heaters:
+            driver, table = column.removesuffix("_pct"), {"driver": column, "law": "linear"}
+            says = f"takes up {{value}} of {driver.replace('_', ' ')}, which heats elsewhere"
+            laws.append((driver, table, {"gain": 1.0}, 0.01, says))
+        elif column.endswith("_pct"):
             driver = column.removesuffix("_pct")
             says = f"gives off {{value}} at full {driver.replace('_', ' ')}, with its cube"
             laws.append((driver, {"driver": column, "law": "cubed"}, {"power_100": 1.0}, 20.0, says))

@@ -24,10 +24,13 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from twin.elements.base import Candidate, Delay, Element, Fragment, Names, ParameterSpec, Sites, State, place
+from twin.elements.flow import WATER_DENSITY
 
 LEAST_S = 1.0
 LUMPED_S = 20.0
 """Water on its way that a twin of mixed volumes may hide."""
+WALL_CONSTANTS_S = (3.0, 10.0, 30.0, 100.0, 300.0)
+"""Capacity over film of walls that are looked for, s."""
 _STILL = "1e-9"
 
 
@@ -52,7 +55,8 @@ class Pipe(Element):
     @classmethod
     def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
         piped = {e.to for e in sites.having(cls.kind)}
-        return tuple(
+        plugs = tuple(_plug(sites, node) for node, before in sites.before.items() if not before and node not in piped)
+        return plugs + tuple(
             Candidate(
                 "delay", sites.places[node], "history", "new", {f"{name}.volume": 1.0}, "L", 0.5, 0.0, 50.0,
                 "gets its water later, as through a further {value} of pipe",
@@ -67,7 +71,20 @@ class Pipe(Element):
         now = sites.values[f"{self.name}.volume"]
         says = "gets its water later, as through a further {value} of pipe"
         volume = self.moves("volume", "delay", sites.places[self.to], "history", "L", 0.2, -now, 50.0, says)
-        return (replace(volume, shapes=("step",)),)
+        return (replace(volume, shapes=("step",)), *self._walls(sites))
+
+    def _walls(self, sites: Sites) -> tuple[Candidate, ...]:
+        """The wall of a pipe that brings water from outside; in a loop the volumes' capacities hold the metal."""
+        if sites.before.get(self.to) != "" or sites.values[f"{self.name}.wall_capacity"]:
+            return ()
+        capacity, rate = f"{self.name}.wall_capacity", f"{self.name}.wall_hA"
+        return tuple(
+            Candidate(
+                "thermal_mass", sites.places[self.to], "history", "new", {capacity: 1.0, rate: 1.0 / tau}, "J/K",
+                1000.0, 0.0, 1.0e7, "passes a wall that takes up heat, {value}", shapes=("step",),
+            )
+            for tau in WALL_CONSTANTS_S
+        )  # fmt: skip
 
     def emit(self, n: Names) -> Fragment:
         stream = n.streams[self.to]
@@ -104,3 +121,16 @@ class Pipe(Element):
         sample.append((n.local("through"), " * ".join(through)))
         stage.append((n.local("rest"), rest))
         return Fragment(sample=tuple(sample), stage=tuple(stage), states=states, delay=delay)
+
+
+def _plug(sites: Sites, node: str) -> Candidate:
+    """Water that comes in from outside and passes as a plug, where the twin has it mixed in the node's volume."""
+    name = f"pipe_to_{node}"
+    flow = next(e for e in sites.having("flow") if node in e.path)
+    per_litre = WATER_DENSITY * sites.values[f"{flow.name}.cp"]
+    volume = sites.values[f"{node}.capacitance"] / per_litre
+    return Candidate(
+        "delay", sites.places[node], "history", "new", {f"{name}.volume": 1.0, f"{node}.capacitance": -per_litre}, "L",
+        0.1 * volume, 0.0, volume, "holds {value} that pass one after the other, unmixed",
+        adds={name: {"kind": Pipe.kind, "to": node, "ambient": sites.room}}, shapes=("step",),
+    )  # fmt: skip

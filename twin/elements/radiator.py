@@ -84,7 +84,14 @@ class Radiator(Element):
         where, now = sites.places[self.node], {k: sites.values[f"{self.name}.{k}"] for k in ("UA_100", "fan_exponent")}
         full, law = now["UA_100"], "with the fan's speed by a power that differs by {value}"
         rejects = ("heat_rejection", where)
+        water = sites.values[f"{self.name}.flow_exponent"]
+        # An "outlet" hides the drop along the core, and with it what the flow does.
+        flows = () if self.form == "outlet" else (
+            self.moves("flow_exponent", *rejects, "pump_speed", "1", 0.1, -1.0 - water, 1.0 - water,
+                "rejects heat with the flow by a power that differs by {value}"),
+        )  # fmt: skip
         return (
+            *flows,
             self.moves(
                 "UA_100", *rejects, "constant", "W/K", 0.05 * full, -0.95 * full, 3.0 * full,
                 "rejects heat with another conductance at full fan speed: a change by {value}",

@@ -1,0 +1,64 @@
+"""Places that are alike: one effect at all of them, with one size, is simpler than one at each.
+
+Numbered nodes (`heater_1`, `heater_2`) make a family. Candidates that differ in nothing but the member they stand at
+are offered once more, for the whole family.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+from twin.elements.base import Candidate, Sites
+from twin.network import Network
+
+
+def together(network: Network, sites: Sites, candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """Candidates for whole families, made of those for their members."""
+    single = [c for c in candidates if not c.replaces]
+    found = []
+    for place, nodes in sites.groups.items():
+        alike: dict[Any, dict[str, Candidate]] = defaultdict(dict)
+        for candidate in single:
+            node = _node_of(network, candidate)
+            if node in nodes and candidate.kind != "heat_source":
+                alike[_form(candidate, node)].setdefault(node, candidate)
+        for members in alike.values():
+            if set(members) == set(nodes) and not _tied(network, members.values()):
+                found.append(_one_for_all(place, tuple(members[node] for node in nodes)))
+    return tuple(found)
+
+
+def _one_for_all(place: str, members: tuple[Candidate, ...]) -> Candidate:
+    first = members[0]
+    changes = {name: weight for c in members for name, weight in c.changes.items()}
+    adds = {name: table for c in members for name, table in c.adds.items()}
+    lower, upper = max(c.lower for c in members), min(c.upper for c in members)
+    return replace(first, where=place, changes=changes, adds=adds, lower=lower, upper=upper)
+
+
+def _node_of(network: Network, candidate: Candidate) -> str:
+    """The one node that a candidate stands at, "" where there are none or several."""
+    nodes = {str(v) for table in candidate.adds.values() for k, v in table.items() if k in ("node", "to", "from")}
+    if not candidate.adds:
+        names = {name.rsplit(".", 1)[0] for name in candidate.changes}
+        nodes = {node for e in network.elements if e.name in names for node in e.nodes()}
+    return nodes.pop() if len(nodes) == 1 else ""
+
+
+def _form(candidate: Candidate, node: str) -> Any:
+    """What is left of a candidate without the place it stands at."""
+    tables = tuple(
+        tuple(sorted((k, str(v)) for k, v in table.items() if v != node)) for table in candidate.adds.values()
+    )
+    changes = tuple((name.rsplit(".", 1)[1], weight) for name, weight in candidate.changes.items())
+    return candidate.kind, candidate.driver, candidate.unit, candidate.typical, candidate.inverse, tables, changes
+
+
+def _tied(network: Network, members: Iterable[Candidate]) -> bool:
+    """Whether the members share an element, or a parameter already."""
+    names = [name for c in members for name in c.changes]
+    held = [network.parameters[name].same_as for name in names if name in network.parameters]
+    return len(set(names)) < len(names) or any(held)

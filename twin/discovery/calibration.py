@@ -1,0 +1,55 @@
+"""How much the best of all effects gains by chance: records drawn with nothing missing, searched like the real one.
+
+The null is the fit without the effect: its residual's spectrum, corrected for what fitting took, makes new residuals,
+and each is offered every candidate, to first order, with the spectrum found anew as for the real record. A slow error
+of a short record has few degrees of freedom, and a likelihood that profiles their variance is too sure of itself; how
+much so depends on the record, so it is asked rather than assumed (parametric bootstrap of the maximum; Westfall &
+Young, Resampling-Based Multiple Testing, 1993).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.discovery.likelihood import Spectrum, table
+from twin.discovery.scoring import answer_of, scores
+from twin.discovery.unaided import Fit, Problem
+
+DRAWS = 100
+TAIL = 3.14
+"""Standard deviations of a maximum (Gumbel) above its mean at which one in a hundred lies."""
+
+
+def by_chance(problem: Problem, fit: Fit, seed: int = 0) -> float:
+    """Fall of -2 log likelihood that the best effect exceeds by chance in one of a hundred records like this one."""
+    found = [one.entry for one in scores(problem.wardrobe, problem, fit) if max(one.squares, one.likely) > 0.0]
+    if not found:
+        return 0.0
+    sigma = problem.samples.sigma
+    n, m = problem.samples.measured.shape
+    white = Spectrum.white(sigma, n)
+    j = problem.whitened(fit.slopes, white)
+    inverse = np.linalg.pinv(j.T @ j + fit.precision, rcond=1e-13, hermitian=True)
+    signatures = np.stack([problem.whitened(answer_of(problem, fit, e), white) for e in found], axis=1)
+    signatures -= j @ (inverse @ (j.T @ signatures))
+    squares = np.maximum((signatures**2).sum(axis=0), 1e-30)
+    both = np.array([e.candidate.lower < 0.0 for e in found])
+    # Squares and products of the cosines, by band and sensor, are all that a likelihood needs.
+    tried = table(n)
+    shaped = signatures.reshape(n, m, -1)
+    own = tried.sums(shaped**2)
+    roots = fit.spectrum.roots / sigma
+    rng = np.random.default_rng(seed)
+    best = np.empty(DRAWS)
+    for d in range(DRAWS):
+        drawn = (rng.normal(0.0, 1.0, (n, m)) * roots).ravel()
+        drawn -= j @ (inverse @ (j.T @ drawn))
+        size = signatures.T @ drawn / squares
+        size = np.where(both, size, np.maximum(size, 0.0))
+        mine = drawn.reshape(n, m)
+        before = tried.sums(mine**2)
+        after = before[:, :, None] - 2.0 * size * tried.sums(mine[:, :, None] * shaped) + size**2 * own
+        by_sensor = [tried.best(np.column_stack([before[:, i], np.maximum(after[:, i], 0.0)]))[0] for i in range(m)]
+        cost = np.sum(by_sensor, axis=0)
+        best[d] = cost[0] - cost.min()
+    return float(best.mean() + TAIL * best.std())

@@ -1,0 +1,74 @@
+"""Steady states of one network at many operating points and parameter sets at once.
+
+Newton steps on the right side, evaluated by numpy over all of them together; what an oracle does one by one is
+`twin.steady`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from twin.assembly import python_source
+from twin.kernel import Kernel
+from twin.network import Array, Network, TwinFileError
+
+MOST = 60
+RESTS_K = 1.0e-7
+LONGEST_K = 50.0
+_PROBE_K = 1.0e-3
+
+
+class Resting:
+    """A network at rest; what takes part in no steady state (masses, lags, delays) must not be varied."""
+
+    def __init__(self, network: Network, kernel: Kernel) -> None:
+        self.network, self._kernel = network, kernel
+        scope: dict[str, Any] = {"exp": np.exp, "log": np.log, "max": np.maximum, "min": np.minimum}
+        source = python_source(network).replace("from math import exp, log", "")
+        exec(compile(source, f"<{network.name} at rest>", "exec"), scope)
+        self._rhs = scope["rhs"]
+
+    def readings(self, inputs: Array, parameters: Array) -> Array:
+        """What the sensors show (P, n, m), degC.
+
+        Args:
+            inputs: (n, c), each row an operating point. parameters: (P, p) full vectors.
+
+        Raises:
+            TwinFileError: a point has no steady state.
+        """
+        states = self._states(inputs, parameters)
+        now, out = np.zeros(1), np.empty((len(parameters), len(inputs), len(self.network.sensors)))
+        for i in range(len(inputs)):
+            out[:, i] = self._kernel.trace(parameters, np.ascontiguousarray(states[:, i]), now, inputs[i : i + 1])[0][
+                :, 0
+            ]
+        return out
+
+    def _states(self, inputs: Array, parameters: Array) -> Array:
+        """Node temperatures (P, n, k), degC."""
+        count, n, k = len(parameters), len(inputs), len(self.network.nodes)
+        p = np.repeat(parameters, n, axis=0).T
+        u = np.tile(inputs, (count, 1)).T
+        x = np.full((k, count * n), 25.0)
+
+        def rates(at: Array) -> Array:
+            return np.stack(
+                [np.broadcast_to(np.asarray(r, dtype=np.float64), at.shape[1]) for r in self._rhs(at, u, p)]
+            )
+
+        for _ in range(MOST):
+            now = rates(x)
+            if len(now) != k:
+                raise TwinFileError(f"twin {self.network.name!r} has elements that remember; at rest they tell nothing")
+            slope = np.stack([(rates(x + _PROBE_K * np.eye(k)[:, [j]]) - now) / _PROBE_K for j in range(k)], axis=1)
+            try:
+                step = np.linalg.solve(np.moveaxis(slope, 2, 0), -now.T[:, :, None])[:, :, 0].T
+            except np.linalg.LinAlgError:
+                raise TwinFileError(f"twin {self.network.name!r} has no steady state: heat has no way out") from None
+            x = x + np.clip(step, -LONGEST_K, LONGEST_K)
+            if not np.abs(step).max() > RESTS_K:
+                break
+        return x.T.reshape(count, n, k)

@@ -1,0 +1,138 @@
+"""What each candidate could take of a residual that re-tuning cannot, by its answer to a finite size."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.discovery.likelihood import Spectrum
+from twin.discovery.search import Entry
+from twin.discovery.unaided import Fit, Problem
+from twin.discovery.wardrobe import Wardrobe, unsized
+from twin.elements.base import Candidate
+from twin.network import Array
+
+KEPT = 1.0e-4
+"""Share of a signature's squares that re-tuning must leave; less is nothing of its own."""
+MOST = 3.0
+"""An answer is not believed beyond this many times the size that it was asked at."""
+SHARES = (0.1, 0.3, 0.6, 0.95)
+"""Of the largest possible size, of what is not proportional to its size."""
+ASKED = 5
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A candidate at its best size, to first order, and `asked`, the size at which it does what is left to explain.
+
+    Attributes:
+        squares: of the noise that it takes. likely: squares of what is left, by its spectrum.
+    """
+
+    entry: Entry
+    asked: float
+    squares: float
+    likely: float
+
+
+def scores(wardrobe: Wardrobe, problem: Problem, fit: Fit) -> list[Scored]:
+    """Every candidate that does anything that re-tuning cannot."""
+    white = Spectrum.white(problem.samples.sigma, len(problem.samples.time))
+    metrics = [_Metric(problem, fit, spectrum) for spectrum in (white, fit.spectrum)]
+    rms = float(np.sqrt(np.nanmean(fit.residual**2)))
+    known = {name for e in fit.entries for name in e.candidate.changes}
+    elements = {e.name for e in wardrobe.original.elements} | {n for e in fit.entries for n in e.candidate.adds}
+    found = []
+    for candidate in wardrobe.candidates:
+        stands_on = {name.rsplit(".", 1)[0] for name in candidate.changes} - set(candidate.adds)
+        if known & set(candidate.changes) or not stands_on <= elements:
+            continue
+        scored = _best(candidate, _Answer(problem, fit, candidate), metrics, rms)
+        if scored is not None:
+            found.append(scored)
+    return found
+
+
+def answer_of(problem: Problem, fit: Fit, entry: Entry) -> Array:
+    """Change of the readings (n, m) when an effect of the size it has joins a fit."""
+    change: Array = _Answer(problem, fit, entry.candidate)([entry.size])[0]
+    return change
+
+
+class _Answer:
+    """Change of the readings (n, m) when an effect of some size joins a fit."""
+
+    def __init__(self, problem: Problem, fit: Fit, candidate: Candidate) -> None:
+        self._one = problem.with_entries((*fit.entries, unsized(candidate, 1.0)))
+        self._v = self._one.start(fit)
+        self._v[-1] = 0.0
+        self._base = self._one.readings(self._v[None, :])[0]
+
+    def __call__(self, sizes: list[float]) -> Array:
+        rows = np.tile(self._v, (len(sizes), 1))
+        rows[:, -1] = sizes
+        change: Array = self._one.readings(rows) - self._base
+        return change
+
+
+def _best(candidate: Candidate, answer: _Answer, metrics: list[_Metric], rms: float) -> Scored | None:
+    best: Scored | None = None
+    sizes = _sizes(candidate, answer, rms)
+    for size, s in zip(sizes, answer(sizes), strict=True):
+        if not np.isfinite(s).all():
+            continue
+        (share, gain), (other, likely) = (metric.taken(s, size, candidate) for metric in metrics)
+        if gain > 0.0 and (best is None or gain > best.squares):
+            best = Scored(unsized(candidate, share * size), sizes[0], gain, likely)
+        elif likely > 0.0 and best is None:
+            best = Scored(unsized(candidate, other * size), sizes[0], 0.0, likely)
+    if best is None and candidate.driver == "history" and np.abs(answer([sizes[0]])).max() > 0.0:
+        # What delays shows nothing to first order where something else delays too much already.
+        best = Scored(unsized(candidate, sizes[0]), sizes[0], 0.0, 0.0)
+    return best
+
+
+def _sizes(candidate: Candidate, answer: _Answer, rms: float) -> list[float]:
+    """Sizes to ask at: that which does as much as is left to explain, and shares of the largest possible."""
+    size = min(candidate.typical, candidate.upper)
+    for _ in range(ASKED):
+        s = answer([size])[0]
+        off = float(np.sqrt(np.mean(s**2))) if np.isfinite(s).all() else math.inf
+        if 0.3 * rms < off < 2.0 * rms:
+            break
+        factor = 1e-3 if off == math.inf else rms / max(off, 1e-12)
+        size = min(size * min(max(factor, 1e-3), 1e3), candidate.upper)
+    found = [size]
+    if candidate.driver in ("history", "rate_of_change"):
+        found += [0.3 * size, 3.0 * size]
+    if candidate.kind == "delay":
+        found += [share * candidate.upper for share in SHARES]
+    found = [x for x in found if x <= candidate.upper]
+    return found + [-x for x in found if -x >= candidate.lower]
+
+
+class _Metric:
+    """Squares in units of a spectrum, with the tunables, the state and the effects so far projected out."""
+
+    def __init__(self, problem: Problem, fit: Fit, spectrum: Spectrum) -> None:
+        self._problem, self._spectrum = problem, spectrum
+        self._j = problem.whitened(fit.slopes, spectrum)
+        self._inverse = np.linalg.pinv(self._j.T @ self._j + fit.precision, rcond=1e-13, hermitian=True)
+        self._residual = self._less(problem.whitened(fit.residual, spectrum))
+
+    def _less(self, white: Array) -> Array:
+        out: Array = white - self._j @ (self._inverse @ (self._j.T @ white))
+        return out
+
+    def taken(self, answer: Array, size: float, candidate: Candidate) -> tuple[float, float]:
+        """How many times `answer` suits best within what is possible, and by how much the squares then fall."""
+        white = self._problem.whitened(answer, self._spectrum)
+        whole, s = float(white @ white), self._less(white)
+        bottom = float(s @ s)
+        if bottom <= KEPT * whole or bottom <= 0.0:
+            return 0.0, 0.0
+        most = min(MOST, (candidate.upper if size > 0.0 else candidate.lower) / size)
+        share = min(max(float(s @ self._residual) / bottom, 0.0), most)
+        return share, (2.0 * float(s @ self._residual) - share * bottom) * share

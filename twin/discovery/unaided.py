@@ -1,0 +1,225 @@
+"""Tunables, initial state and effects fitted to a record with nothing healthy beside it.
+
+Least squares of the free run, so that slow misfit counts in full: weighing it down by the residual's spectrum would let
+a fast effect be bought with a slow error. The spectrum judges what such fits leave (`likelihood`) and how sure their
+sizes are. The prior is wide: nothing was commissioned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.discovery.likelihood import Spectrum, cosines, judged
+from twin.discovery.search import Entry
+from twin.discovery.wardrobe import Wardrobe
+from twin.gauss_newton import Scaling
+from twin.network import Array
+
+STATE_SD_K = 1.0
+"""How well the first readings tell the temperatures at which a record begins."""
+REACH, REACH_SIZE = 1.0, 2.0
+"""Longest step of a tunable, in standard deviations of its prior, and of an effect, in sizes that it has."""
+ROUNDS = 25
+_STEP = 1.0e-4
+_STATE_STEP = 1.0e-2
+_SIZE_STEP = 1.0e-3
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A record at its own stamps: time (n,) s, inputs (n, c) without gaps, measured (n, m) degC or NaN, sigma (m,).
+
+    With `at_rest` each row is a steady state of its own and the time only counts them.
+    """
+
+    time: Array
+    inputs: Array
+    measured: Array
+    sigma: Array
+    at_rest: bool = False
+
+    def without(self, rows: np.ndarray) -> Samples:
+        """The record with the readings of some rows hidden."""
+        return replace(self, measured=np.where(rows[:, None], np.nan, self.measured))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One hypothesis at its best.
+
+    Attributes:
+        entries: effects with sizes and standard deviations. values: (p,) of the network. state: (k,) at the start.
+        residual: (n, m) measured less simulated, NaN where nothing was measured. spectrum: of it.
+        cost: -2 log likelihood and the prior's part. slopes: (n, m, q + k + e) of the readings.
+        at_bound: ids of tunables on a bound.
+    """
+
+    entries: tuple[Entry, ...]
+    values: Array
+    state: Array
+    residual: Array
+    spectrum: Spectrum
+    cost: float
+    slopes: Array
+    precision: Array
+    at_bound: tuple[str, ...]
+
+    @property
+    def rms(self) -> Array:
+        """Per sensor (m,), K."""
+        root: Array = np.sqrt(np.nanmean(self.residual**2, axis=0))
+        return root
+
+    @property
+    def sizes(self) -> Array:
+        return np.array([e.size for e in self.entries])
+
+
+class Problem:
+    """Some effects and a record; `v` is [tunables z - z0 (q,), state - state0 (k,), sizes over scales (e,)].
+
+    Args:
+        entries: their sizes are where the fit begins, and its scale.
+    """
+
+    def __init__(
+        self, wardrobe: Wardrobe, samples: Samples, ids: tuple[str, ...], entries: tuple[Entry, ...] = ()
+    ) -> None:
+        self.wardrobe, self.samples, self.ids, self.entries = wardrobe, samples, ids, entries
+        network = self.network = wardrobe.original
+        self.model = wardrobe.model(entries)
+        self.scaling = Scaling.of(network, ids)
+        self.q, self.k, self.e = len(ids), 0 if samples.at_rest else len(network.nodes), len(entries)
+        self.z0 = self.scaling.to_z(network.values[self.scaling.index])
+        still = int(np.argmax((samples.inputs != samples.inputs[0]).any(axis=1)))
+        self.state0 = network.initial_state(samples.measured[: min(max(still, 3), 10)])[: self.k]
+        self.present = np.isfinite(samples.measured)
+        self.scales = np.array([max(abs(x.size), 1e-12) for x in entries])
+        self.low = np.concatenate([
+            self.scaling.to_z(self.scaling.lower) - self.z0, np.full(self.k, -20.0),
+            [x.candidate.lower / s for x, s in zip(entries, self.scales, strict=True)],
+        ])  # fmt: skip
+        self.high = np.concatenate([
+            self.scaling.to_z(self.scaling.upper) - self.z0, np.full(self.k, 20.0),
+            [x.candidate.upper / s for x, s in zip(entries, self.scales, strict=True)],
+        ])  # fmt: skip
+        sd = np.concatenate([self.scaling.prior_sd(), np.full(self.k, STATE_SD_K)])
+        self.precision = np.diag(np.concatenate([sd**-2.0, np.zeros(self.e)]))
+        self.reach = np.concatenate(
+            [REACH * self.scaling.prior_sd(), np.full(self.k, 5.0), np.full(self.e, REACH_SIZE)]
+        )
+        self.steps = np.concatenate([np.full(self.q, _STEP), np.full(self.k, _STATE_STEP), np.full(self.e, _SIZE_STEP)])
+
+    def with_entries(self, entries: tuple[Entry, ...], samples: Samples | None = None) -> Problem:
+        """Other effects, or another record."""
+        return Problem(self.wardrobe, samples or self.samples, self.ids, entries)
+
+    def start(self, like: Fit | None = None) -> Array:
+        """Where a fit begins: the network's own values, or those of another fit; effects at the sizes given."""
+        v = np.zeros(self.q + self.k + self.e)
+        if like is not None:
+            v[: self.q] = self.scaling.to_z(like.values[self.scaling.index]) - self.z0
+            v[self.q : self.q + self.k] = like.state - self.state0
+        v[self.q + self.k :] = [x.size / s for x, s in zip(self.entries, self.scales, strict=True)]
+        return np.clip(v, self.low, self.high)
+
+    def carried(self, fit: Fit) -> Array:
+        """Tunables and sizes of a fit to another record; the state is this record's own."""
+        v = self.with_entries(fit.entries).start(fit)
+        v[self.q : self.q + self.k] = 0.0
+        return v
+
+    def readings(self, v: Array) -> Array:
+        """Of free runs at v (P, count): (P, n, m)."""
+        values = np.tile(self.network.values, (len(v), 1))
+        values[:, self.scaling.index] = self.scaling.to_values(self.z0 + v[:, : self.q])
+        state = self.state0 + v[:, self.q : self.q + self.k]
+        sizes = v[:, self.q + self.k :] * self.scales
+        if self.samples.at_rest:
+            return self.wardrobe.resting.readings(self.samples.inputs, self.model.parameters(values, sizes))
+        return self.model.run(self.samples.time, self.samples.inputs, state, values, sizes)
+
+    def residual(self, v: Array) -> Array:
+        """(n, m), NaN where nothing was measured."""
+        off: Array = self.samples.measured - self.readings(v[None, :])[0]
+        return off
+
+    def slopes(self, v: Array) -> tuple[Array, Array]:
+        """Residual (n, m) and what each variable adds to the readings (n, m, count)."""
+        sign = np.where(v + self.steps > self.high, -self.steps, self.steps)
+        readings = self.readings(v + np.vstack([np.zeros(v.size), np.diag(sign)]))
+        return self.samples.measured - readings[0], np.moveaxis(
+            (readings[1:] - readings[0]) / sign[:, None, None], 0, 2
+        )
+
+    def fit(self, v: Array) -> Fit:
+        """The least squares reached from v."""
+        white = Spectrum.white(self.samples.sigma, len(self.samples.time))
+        v = self.descend(v)
+        residual, slopes = self.slopes(v)
+        left = cosines(residual, self.present)
+        unlikely, spectrum = judged(left, self.samples.sigma)
+        cost = unlikely + float(v @ self.precision @ v)
+        j = self.whitened(slopes, white)
+        inverse = np.linalg.pinv(j.T @ j + self.precision, rcond=1e-13, hermitian=True)
+        # What is left is not white, so the squares' own covariance would be too sure.
+        coloured = j * (spectrum.roots / self.samples.sigma).reshape(-1, 1)
+        sd = np.sqrt(np.maximum(np.diag(inverse @ (coloured.T @ coloured + self.precision) @ inverse), 0.0))
+        values = self.network.values.copy()
+        values[self.scaling.index] = self.scaling.to_values(self.z0 + v[: self.q])
+        first = self.q + self.k
+        entries = tuple(
+            replace(x, size=float(v[first + i] * s), sd=float(sd[first + i] * s))
+            for i, (x, s) in enumerate(zip(self.entries, self.scales, strict=True))
+        )
+        z = v[: self.q]
+        held = (z <= self.low[: self.q] + 1e-9) | (z >= self.high[: self.q] - 1e-9)
+        bound = tuple(name for name, hit in zip(self.scaling.ids, held, strict=True) if hit)
+        state = self.state0 + v[self.q : first]
+        return Fit(entries, values, state, residual, spectrum, cost, slopes, self.precision, bound)
+
+    def whitened(self, values: Array, spectrum: Spectrum) -> Array:
+        """(n, m, ...) in time to (n * m, ...) cosines over their standard deviations."""
+        c = cosines(values, self.present)
+        roots = spectrum.roots.reshape(c.shape[0], c.shape[1], *([1] * (c.ndim - 2)))
+        flat: Array = (c / roots).reshape(-1, *c.shape[2:])
+        return flat
+
+    def descend(self, v: Array) -> Array:
+        """Damped Gauss-Newton steps on the squares of the free run and the prior."""
+        spectrum = Spectrum.white(self.samples.sigma, len(self.samples.time))
+
+        def total(at: Array) -> float:
+            white = self.whitened(self.residual(at), spectrum)
+            return float(white @ white + at @ self.precision @ at)
+
+        cost, damping = total(v), 1e-3
+        residual, slopes = self.slopes(v)
+        for _ in range(ROUNDS):
+            r, j = self.whitened(residual, spectrum), self.whitened(slopes, spectrum)
+            hessian, pull = j.T @ j + self.precision, j.T @ r - self.precision @ v
+            diagonal = np.diag(hessian)
+            free = ~(((v <= self.low) & (pull < 0.0)) | ((v >= self.high) & (pull > 0.0)))
+            free &= diagonal > 1e-12 * diagonal.max()
+            better = False
+            while damping < 1e8:
+                step = np.zeros_like(v)
+                inner = hessian[np.ix_(free, free)]
+                step[free] = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), pull[free])
+                reach = self.reach.copy()
+                reach[self.q + self.k :] *= np.maximum(np.abs(v[self.q + self.k :]), 1.0)
+                trial = np.clip(v + np.clip(step, -reach, reach), self.low, self.high)
+                new = total(trial)
+                if new < cost:
+                    better = True
+                    break
+                damping *= 10.0
+            if not better:
+                break
+            gained, v, cost, damping = cost - new, trial, new, max(damping / 10.0, 1e-6)
+            if gained < 1e-4 * cost:
+                break
+            residual, slopes = self.slopes(v)
+        return v

@@ -1,0 +1,142 @@
+"""One network that holds every effect of a catalogue at no size, so that any set of them is a matter of numbers.
+
+Compiling a kernel takes longer than a hundred simulations of a short record; here one kernel serves all hypotheses.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from twin.discovery.alike import together
+from twin.discovery.catalogue import catalogue, extended, sites_of
+from twin.discovery.laws import Law
+from twin.discovery.model import Model
+from twin.discovery.resting import Resting
+from twin.discovery.search import Entry
+from twin.discovery.shapes import Shape
+from twin.elements.base import Candidate
+from twin.kernel import Kernel
+from twin.network import Array, Network
+
+QUICKER = (1.0 / 3.0, 1.0 / 9.0)
+"""Time constants of hidden masses beside those of the catalogue, which are for loops of litres."""
+MOVING = ("history", "rate_of_change", "elapsed_time", "time_of_day")
+"""Drivers that tell nothing where nothing changes."""
+UNNOTICED = 5.0
+"""Typical sizes that an instrument may be off by: a thermometer by 1 K, a meter by 15 %. Where nothing was
+commissioned, larger ones would stand for any law that is missing."""
+LEAST_PERIODS = 4.0
+"""A mass that follows within fewer samples than this is none."""
+
+
+@dataclass(frozen=True)
+class Wardrobe:
+    """`original`, what it may lack, the `network` with all of it, and a kernel in which all sizes are free."""
+
+    original: Network
+    candidates: tuple[Candidate, ...]
+    network: Network
+    kernel: Kernel
+
+    @classmethod
+    def of(cls, network: Network, tunables: tuple[str, ...], period_s: float, at_rest: bool = False) -> Wardrobe:
+        """Everything that a network lacks altogether.
+
+        Args:
+            tunables: what a fit varies besides; a parameter among them is not asked for. period_s: between samples.
+            at_rest: only what shows in steady states.
+        """
+        first = _lacking(network, tunables, period_s)
+        full = _with_all(network, first)
+        known = {name for c in first for name in c.changes}
+        # A pipe that is missing may miss its wall, too.
+        second = [c for c in _lacking(full, tunables, period_s) if not c.adds and not known & set(c.changes)]
+        if at_rest:
+            first, second = ([c for c in some if c.driver not in MOVING] for some in (first, second))
+            full = _with_all(network, first)
+        candidates = (*first, *second)
+        ids = dict.fromkeys((*tunables, *(name for c in candidates for name in c.changes)))
+        return cls(network, candidates, full, Kernel(full, tuple(ids)))
+
+    @cached_property
+    def resting(self) -> Resting:
+        """The network at rest."""
+        return Resting(self.network, self.kernel)
+
+    def model(self, entries: tuple[Entry, ...]) -> Model:
+        """The simulation of some of the effects."""
+        return Model(self.original, self.network, entries, self.kernel)
+
+    def plain(self, entries: tuple[Entry, ...], values: Array) -> Network:
+        """The original network with these effects and no others, at their sizes, and parameter values (p,)."""
+        bigger = self.original
+        for entry in entries:
+            if not any(name in {e.name for e in bigger.elements} for name in entry.candidate.adds):
+                bigger = extended(bigger, entry.candidate)
+        model = Model(self.original, bigger, entries, self.kernel)
+        vector = model.parameters(values[None, :], np.array([[e.size for e in entries]]))[0]
+        found = {
+            name: float(v)
+            for name, v, p in zip(bigger.ids, vector, bigger.parameters.values(), strict=True)
+            if not p.same_as and v != p.value
+        }
+        return bigger.with_values(found)
+
+
+def unsized(candidate: Candidate, size: float) -> Entry:
+    """An effect that is there from the beginning, at a size that nothing speaks for yet."""
+    return Entry(Law(candidate, None, None), Shape("step"), np.empty(0), size, 0.0, 0.0)
+
+
+def name_of(candidate: Candidate) -> str:
+    """What a candidate is, whatever size it is looked for at."""
+    return candidate.id.rpartition("]")[0]
+
+
+def _lacking(network: Network, tunables: tuple[str, ...], period_s: float) -> list[Candidate]:
+    every = catalogue(network)
+    talks = Counter(name for c in every for name in c.replaces)
+    single = [c for c in every if _absent(network, c) and all(talks[name] == 1 for name in c.replaces)]
+    single = [_noticed(c) for c in single]
+    single += [
+        replace(c, changes={n: w * share if n.endswith(".capacity") else w for n, w in c.changes.items()})
+        for c in single
+        for share in QUICKER
+        if c.kind == "thermal_mass" and c.adds and share * _constant(c) >= LEAST_PERIODS * period_s
+    ]
+    unique = {c.id: c for c in (*single, *together(network, sites_of(network), single))}
+    return [c for c in unique.values() if not set(tunables) & set(c.changes)]
+
+
+def _absent(network: Network, candidate: Candidate) -> bool:
+    """Whether it is something that the twin has not at all, rather than a known value in doubt."""
+    values = [network.parameters[name].value for name in candidate.changes if name in network.parameters]
+    new = bool(candidate.adds or candidate.replaces)
+    if candidate.change == "new":
+        return new or any(v in (0.0, 1.0) for v in values)
+    return new or all(v == 0.0 for v in values)
+
+
+def _noticed(candidate: Candidate) -> Candidate:
+    """An instrument's error only as large as could stay unnoticed; a lag is no error."""
+    if candidate.kind not in ("sensor", "actuator") or candidate.driver in MOVING:
+        return candidate
+    most = UNNOTICED * candidate.typical
+    return replace(candidate, lower=max(candidate.lower, -most), upper=min(candidate.upper, most))
+
+
+def _constant(candidate: Candidate) -> float:
+    return next((w for name, w in candidate.changes.items() if name.endswith(".capacity")), 0.0)
+
+
+def _with_all(network: Network, candidates: list[Candidate]) -> Network:
+    full = network
+    for candidate in candidates:
+        missing = {k: v for k, v in candidate.adds.items() if k not in {e.name for e in full.elements}}
+        if missing or candidate.replaces:
+            full = extended(full, replace(candidate, adds=missing))
+    return full
