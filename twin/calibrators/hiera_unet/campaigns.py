@@ -78,7 +78,7 @@ def simulated(family: Family, seed: int, number: int) -> Campaign:
     rng = np.random.default_rng([seed, number, 3])
     rig = _rig(family, seed, number // PER_RIG)
     hour = float(rng.uniform(0.0, 24.0))
-    inputs = drive(family.network, rng, STEPS, hour)
+    inputs = drive(family.network, rng, STEPS, hour, power=rig.power)
     changes = () if rng.uniform() < HEALTHY else undeclared.draw(family, rig.plant, rng, inputs, hour)
     theta = undeclared.moved(changes, len(family.deviations), STEPS)
     heat = undeclared.heated(changes, family, STEPS)
