@@ -19,6 +19,7 @@ from drivers.rigfile import load_rig
 from drivers.virtual.effects import Effect, load_effects
 from drivers.virtual.geometry import CHANNELS, MODULES, Cells, build_cells
 from drivers.virtual.plant import Plant
+from drivers.virtual.thermocouple_module import ThermocoupleModule
 from hil.bench.discovery_cases import LOADS, Setting, Truth, effects_text, profile, truth
 from hil.bench.discovery_direct import direct_run
 from twin.calibrators.hiera_unet.campaigns import AMISS, Campaign
@@ -73,7 +74,8 @@ def campaign(features: Features, seed: int, number: int) -> Campaign:
     extra = made.extra if rng.uniform() < 0.6 else {}
     kept = Series(made.time, inputs, measured, made.spread, extra, made.hour if rng.uniform() < 0.7 else float("nan"))
     at = np.minimum(np.round(made.time - time[0]).astype(np.intp), len(junctions) - 1)
-    clean = _readings(network, junctions[at])
+    # The thermocouples' constant offsets belong to the specimen: the twin was commissioned with them.
+    clean = _readings(network, junctions[at] + ThermocoupleModule(0, (), specimen.unit).offsets_K)
     theta, amiss = _told(features, effects, made.time)
     words = () if not hidden.effects else (hidden.what,)
     return Campaign(kept, clean, theta, amiss, specimen.nominal, "plant", (*words, *gaps))
