@@ -32,8 +32,8 @@ SMALL = 0.2
 MODEL_K = 0.02
 """What a healthy twin errs by, which no number of samples averages away."""
 STATE_SD = 0.3
-WORSE = 1.5
-"""Factor by which a longer fit's mean square may exceed that of a shorter one."""
+WORSE, LEAST_CHI = 1.25, 0.6
+"""Factor by which a longer fit's mean square may exceed that of a shorter one, or this where that is smaller."""
 CORRELATED_STEPS = 12.0
 """Steps over which a healthy twin's error stays alike: so many count as one."""
 MOST = 8
@@ -48,7 +48,7 @@ class Evidence:
         theta, sd: (P,) deviations and standard errors, no wider than the prior. condition: of all P together.
         told: (P,) bool, parameters that the fitted data tells (`tell`).
         chi: mean square of the residuals in units of noise. steps: how much of the context was fitted.
-        state: full state at the first target step. evaluations: linearisations.
+        state: full state at the first target step, under theta. evaluations: linearisations.
     """
 
     theta: Array
@@ -102,7 +102,7 @@ def estimate(
             continue
         fit, chi = done
         evaluations += fit.evaluations
-        if best is None or chi <= WORSE * max(best[1], 1.0):
+        if best is None or chi <= WORSE * max(best[1], LEAST_CHI):
             best = (fit, chi, steps)
         else:
             break
