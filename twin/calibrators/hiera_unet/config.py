@@ -112,8 +112,9 @@ class Config:
         Raises:
             HieraError: it has other fields than this version's.
         """
+        fields: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in document.items()}
         try:
-            return cls(**{key: tuple(v) if isinstance(v, list) else v for key, v in document.items()})
+            return cls(**fields)
         except TypeError as error:
             raise HieraError(f"the configuration is of another version ({error}); train again") from error
 
