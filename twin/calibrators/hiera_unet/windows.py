@@ -31,6 +31,8 @@ class Windows:
             plant has none.
         known: (N, P) bool, where theta is known and identifiable.
         changed: (N,) bool, whether something undeclared is present.
+        nominal: (N, p) float64, full parameter vector of the commissioned twin that theta deviates from: one network
+            serves all rigs that share the twin's structure, each with values of its own.
     """
 
     x: NDArray[np.float32]
@@ -46,6 +48,7 @@ class Windows:
     theta: NDArray[np.float32]
     known: NDArray[np.bool_]
     changed: NDArray[np.bool_]
+    nominal: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.x)
