@@ -6,23 +6,10 @@ most windows all of them are hidden, in the others random blocks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
-
-@dataclass(frozen=True)
-class Hiding:
-    """Chances and lengths. `whole`: that all of the target is hidden. `dropped`: that a window loses whole channels,
-    each with the chance `each`. `burst`: that a window loses all measurements for 2 to `burst_steps` steps."""
-
-    whole: float = 0.7
-    block_steps: int = 20
-    dropped: float = 0.3
-    each: float = 0.1
-    burst: float = 0.3
-    burst_steps: int = 240
+from twin.calibrators.hiera_unet.plan import Hiding
 
 
 def hide(mask: Tensor, told: Tensor, target: int, rules: Hiding, rng: torch.Generator) -> Tensor:

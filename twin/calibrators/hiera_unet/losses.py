@@ -6,8 +6,6 @@ parameters, and a price on corrections, higher for their mean over the window, w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -18,18 +16,6 @@ LOG_RANGE = 6.0
 """Log-scales beyond this are cut off, so that an exponential never overflows."""
 RESOLUTION = 0.02
 """Least scale in units of the bound or tolerance."""
-
-
-@dataclass(frozen=True)
-class LossWeights:
-    """Balance, smoothness and uncertainty as published; parameters, corrections and slow corrections this project's."""
-
-    balance: float = 0.30
-    smooth: float = 0.08
-    uncertainty: float = 0.15
-    parameter: float = 1.0
-    delta: float = 0.01
-    slow: float = 0.1
 
 
 def mean_of(values: Tensor, good: Tensor) -> Tensor:
@@ -44,7 +30,9 @@ def data_loss(error: Tensor, tolerances: Tensor) -> Tensor:
     return mean_of(scaled, torch.isfinite(scaled))
 
 
-def balance_loss(delta: Tensor, storage: Tensor, exchange: Tensor, rated: float, judged: Tensor, step_s: float) -> Tensor:
+def balance_loss(
+    delta: Tensor, storage: Tensor, exchange: Tensor, rated: float, judged: Tensor, step_s: float
+) -> Tensor:
     """Eq. 10 for a twin that closes its own balance: power out of nowhere that the corrections imply, of 2.5 % rated.
 
     A twin's own readings balance exactly, so corrected ones miss by what the corrections store and exchange. The

@@ -1,0 +1,110 @@
+"""How good predictions are, with the target hidden: errors per output and parameter, coverage and width."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from twin.calibrators.hiera_unet.batches import Batch, Simulate
+from twin.calibrators.hiera_unet.hiding import blind
+from twin.calibrators.hiera_unet.network import HieraUNet
+from twin.calibrators.hiera_unet.windows import Windows
+from twin.network import Array
+
+NINETY = float(np.log(10.0))
+"""Half width of a 90 % interval of a Laplace law, in its scale."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Predictions of N windows beside what they are to meet; NaN where nothing is known.
+
+    Attributes:
+        error, scale: (N, 120, Y), calibrated output minus goal, and Laplace scale, in the outputs' units.
+        before: (N, 120, Y), commissioned twin minus goal.
+        theta, theta_sd, theta_error, evidence_error: (N, P) in the parameters' units; errors only where known.
+        features: (N, F) place in the envelope. changed: (N,).
+        delta, raw: (N, 120, Y) correction, and the twin's own part of the output.
+    """
+
+    error: Array
+    scale: Array
+    before: Array
+    theta: Array
+    theta_sd: Array
+    theta_error: Array
+    evidence_error: Array
+    features: Array
+    changed: Array
+    delta: Array
+
+    def metrics(self) -> dict[str, Any]:
+        """Plain numbers: mean absolute errors, coverage and width of raw 90 % intervals."""
+        inside = np.abs(self.error) <= NINETY * self.scale
+        good = np.isfinite(self.error)
+        return {
+            "windows": len(self.error),
+            "mae_before": _means(np.abs(self.before)),
+            "mae": _means(np.abs(self.error)),
+            "rmse_before": [float(v) for v in np.sqrt(_means(self.before**2))],
+            "rmse": [float(v) for v in np.sqrt(_means(self.error**2))],
+            "coverage90_raw": float(inside[good].mean()) if good.any() else None,
+            "width90_raw": float(2.0 * NINETY * self.scale[good].mean()) if good.any() else None,
+            "theta_mae": _means(np.abs(self.theta_error)[:, None]),
+            "theta_mae_evidence": _means(np.abs(self.evidence_error)[:, None]),
+        }
+
+
+def outcome(
+    network: HieraUNet,
+    windows: Windows,
+    simulate: Simulate,
+    told: torch.Tensor,
+    *,
+    causal: bool = False,
+    hidden: bool = True,
+    batch: int = 24,
+) -> Outcome:
+    """Predictions for windows whose target is hidden, unless told otherwise."""
+    config = network.config
+    device = next(network.parameters()).device
+    bounds = np.array(config.bounds)
+    tolerances = torch.tensor(config.tolerances, device=device)
+    parts: dict[str, list[Any]] = {name: [] for name in Outcome.__dataclass_fields__}
+    with torch.inference_mode():
+        for first in range(0, len(windows), batch):
+            b = Batch.of(windows.take(slice(first, first + batch)), device)
+            m = blind(b.m, told, config.target) if hidden else b.m
+            p = network(b.x, m, b.regime, b.clock, b.meta, causal=causal)
+            y = simulate(p.theta, b.rows) + p.delta
+            true = np.where(b.rows.known, b.rows.theta, np.nan)
+            count = config.parameters
+            given = b.rows.meta[:, -2 * count - 1 : -count - 1] if config.evidence else np.full_like(true, np.nan)
+            rows = {
+                "error": y - b.goal,
+                "scale": torch.exp(p.log_scale.clamp(-6, 6)) * tolerances,
+                "before": b.base - b.goal,
+                "theta": p.theta,
+                "features": p.features,
+                "delta": p.delta,
+            }
+            for name, value in rows.items():
+                parts[name].append(value.double().cpu().numpy())
+            theta = parts["theta"][-1]
+            log_variance = p.log_variance.clamp(-12, 6).float().cpu().numpy()
+            parts["theta_sd"].append(np.exp(0.5 * log_variance) * bounds)
+            parts["theta_error"].append(theta - true)
+            parts["evidence_error"].append(given - true)
+            parts["changed"].append(b.rows.changed)
+    return Outcome(**{name: np.concatenate(values) for name, values in parts.items()})
+
+
+def _means(values: Array) -> list[float]:
+    """Means over windows and steps, a column each; NaN entries are left out."""
+    good = np.isfinite(values)
+    count = good.sum((0, 1))
+    total = np.where(good, values, 0.0).sum((0, 1))
+    return [float(v) for v in np.where(count > 0, total / np.maximum(count, 1), np.nan)]
