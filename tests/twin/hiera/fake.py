@@ -1,4 +1,4 @@
-"""Windows of a plant that needs no kernel: outputs that move with two parameters, and a structure that the twin lacks."""
+"""Windows of a plant that needs no kernel: two parameters move its outputs, and the twin lacks some structure."""
 
 from __future__ import annotations
 

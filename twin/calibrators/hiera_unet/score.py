@@ -27,7 +27,7 @@ class Outcome:
         before: (N, 120, Y), commissioned twin minus goal.
         theta, theta_sd, theta_error, evidence_error: (N, P) in the parameters' units; errors only where known.
         features: (N, F) place in the envelope. changed: (N,).
-        delta, raw: (N, 120, Y) correction, and the twin's own part of the output.
+        delta: (N, 120, Y) correction.
     """
 
     error: Array

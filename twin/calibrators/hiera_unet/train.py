@@ -180,8 +180,7 @@ class Trainer:
 
     def identity(self) -> str:
         """What must be the same for a training to go on."""
-        plain = {"config": self.config.document(), "plan": self.plan.document(), "data": self.digest}
-        plain["windows"] = len(self.windows)
+        plain = (self.config.document(), self.plan.document(), self.digest, len(self.windows))
         return json.dumps(plain, sort_keys=True)
 
 
@@ -193,6 +192,6 @@ def check(config: Config, windows: Windows) -> None:
     )  # fmt: skip
     if found != wanted or not len(windows):
         raise HieraError(
-            f"{len(windows)} windows with (steps, channels), static numbers, parameters, (steps, outputs) of {found} do "
-            f"not fit configuration {config.name!r}, which has {wanted}; generate them for this twin and table"
+            f"{len(windows)} windows with (steps, channels), static numbers, parameters, (steps, outputs) of {found} "
+            f"do not fit configuration {config.name!r}, which has {wanted}; generate them for this twin and table"
         )
