@@ -154,3 +154,24 @@ def _refuse_others(path: Path, found: Identity, own: Config, identity: Identity 
 
 def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def keep(state: dict[str, Any], path: Path) -> None:
+    """Write what a training goes on from; the file appears whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.part")
+    torch.save(state, unfinished)
+    unfinished.replace(path)
+
+
+def kept(path: Path) -> dict[str, Any]:
+    """What `keep` wrote; tensors and plain data only, nothing in it is executed.
+
+    Raises:
+        HieraError: it cannot be read.
+    """
+    try:
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # whatever unpickling a damaged file raises
+        raise HieraError(f"{path} cannot be read; remove it to begin the training anew") from error
+    return state

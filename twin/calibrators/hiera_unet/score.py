@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,8 +50,8 @@ class Outcome:
             "windows": len(self.error),
             "mae_before": _means(np.abs(self.before)),
             "mae": _means(np.abs(self.error)),
-            "rmse_before": [float(v) for v in np.sqrt(_means(self.before**2))],
-            "rmse": [float(v) for v in np.sqrt(_means(self.error**2))],
+            "rmse_before": [None if v is None else v**0.5 for v in _means(self.before**2)],
+            "rmse": [None if v is None else v**0.5 for v in _means(self.error**2)],
             "coverage90_raw": float(inside[good].mean()) if good.any() else None,
             "width90_raw": float(2.0 * NINETY * self.scale[good].mean()) if good.any() else None,
             "theta_mae": _means(np.abs(self.theta_error)[:, None]),
@@ -102,9 +103,15 @@ def outcome(
     return Outcome(**{name: np.concatenate(values) for name, values in parts.items()})
 
 
-def _means(values: Array) -> list[float]:
-    """Means over windows and steps, a column each; NaN entries are left out."""
+def average(values: Sequence[float | None]) -> float:
+    """Mean of the values that are known; NaN without any."""
+    known = [v for v in values if v is not None]
+    return sum(known) / len(known) if known else float("nan")
+
+
+def _means(values: Array) -> list[float | None]:
+    """Means over windows and steps, a column each; None for a column of which nothing is known."""
     good = np.isfinite(values)
     count = good.sum((0, 1))
     total = np.where(good, values, 0.0).sum((0, 1))
-    return [float(v) for v in np.where(count > 0, total / np.maximum(count, 1), np.nan)]
+    return [float(t / n) if n else None for t, n in zip(total, count, strict=True)]
