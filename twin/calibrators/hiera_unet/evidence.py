@@ -1,10 +1,10 @@
 """What a classical fit makes of a window's context: the network's evidence token, and its rival.
 
-Gauss-Newton from the commissioned values with a Gaussian prior (`twin.gauss_newton`), initial state included, over the
-last two hours, one hour, half an hour and a quarter before the target. A rig that changed in between contradicts the
-longer ones: the longest fit that explains its data nearly as well as the shortest does is taken (Lepski's principle:
-Lepskii, Theory Probab. Appl. 35 (1991) 454). Its standard errors are widened for residuals that are larger than noise
-and not white.
+Gauss-Newton from the commissioned values with a Gaussian prior (`twin.gauss_newton`), initial state included, over
+stretches before the target that double from some minutes to nearly two hours. A rig that changed in between
+contradicts the longer ones: the longest fit that explains its data nearly as well as the shortest does is taken
+(Lepski's principle: Lepskii, Theory Probab. Appl. 35 (1991) 454). Its standard errors are widened for residuals that
+are larger than noise and not white.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 
 from twin.calibrators.hiera_unet.features import Features, Frame
 from twin.calibrators.hiera_unet.series import STEP_S
-from twin.calibrators.hiera_unet.signals import flat_steps
+from twin.calibrators.hiera_unet.signals import stuck
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.calibrators.identifiability import condition, told_by
 from twin.commission import inflation
 from twin.gauss_newton import Data, Fit, Prior, Problem
 from twin.network import Array
 
-HORIZONS = (CONTEXT - TARGET, 720, 360, 180)
+HORIZONS = (CONTEXT - TARGET, 720, 360, 180, 90, 45)
 """Steps before the target that are fitted."""
 LIMIT = 80.0
 """Condition number above which a set of parameters counts as not told apart."""
@@ -31,10 +31,10 @@ SMALL = 0.2
 MODEL_K = 0.02
 """What a healthy twin errs by, which no number of samples averages away."""
 STATE_SD = 0.3
-STUCK_STEPS = 12
-"""A reading that has not moved for so long is left out."""
 WORSE = 1.5
 """Factor by which a longer fit's mean square may exceed that of a shorter one."""
+CORRELATED_STEPS = 12.0
+"""Steps over which a healthy twin's error stays alike: so many count as one."""
 MOST = 8
 LARGEST_LOG_CONDITION = 8.0
 
@@ -105,8 +105,7 @@ def nothing(features: Features, frame: Frame) -> Evidence:
 def _data(features: Features, frame: Frame, first: int, last: int) -> Data:
     """Steps `first` to `last` of the window, a step more than is fitted so that the run reaches the target."""
     measured = frame.measured[first:last]
-    stuck = flat_steps(frame.measured[:last])[first:] >= STUCK_STEPS
-    good = np.isfinite(measured) & ~stuck
+    good = np.isfinite(measured) & ~stuck(frame.measured[:last])[first:]
     sigma = step_noise(features)
     return Data(
         np.ascontiguousarray(frame.time[first:last]), np.ascontiguousarray(frame.held[first:last]),
@@ -140,7 +139,8 @@ def _problem(features: Features, frame: Frame, values: Array, first: int, data: 
     scaling = features.deviations.scaling(values)
     state = features.state_at(frame, first, values)
     centre = np.concatenate([np.zeros(len(features.deviations)), state[:nodes]])
-    precision = np.diag(np.concatenate([scaling.prior_sd(), np.full(nodes, STATE_SD)]) ** -2.0)
+    # A healthy twin's errors last: without tempering, they would drive what the data cannot tell to its bound.
+    precision = np.diag(np.concatenate([scaling.prior_sd(), np.full(nodes, STATE_SD)]) ** -2.0) * CORRELATED_STEPS
     return Problem(features.kernel, scaling, values, data, state), Prior(centre, precision)
 
 
@@ -200,8 +200,4 @@ def identifiable(features: Features, frame: Frame, values: Array, since: int) ->
         return none
     problem, prior = _problem(features, frame, values, first, data)
     at = problem.linearise(prior.mean)
-    return tell(at.jtj, features.deviations.prior_sd, float(CORRELATED_STEPS))[0]
-
-
-CORRELATED_STEPS = 12.0
-"""Steps over which a healthy twin's error stays alike: so many count as one."""
+    return tell(at.jtj, features.deviations.prior_sd, CORRELATED_STEPS)[0]

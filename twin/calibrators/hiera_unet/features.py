@@ -16,7 +16,7 @@ from twin.calibrators.hiera_unet.figures import Figures
 from twin.calibrators.hiera_unet.parameters import Deviations, kernel_of
 from twin.calibrators.hiera_unet.regimes import regimes
 from twin.calibrators.hiera_unet.series import STEP_S, Series, filled_forward
-from twin.calibrators.hiera_unet.signals import FORMULAS, Stretch
+from twin.calibrators.hiera_unet.signals import FORMULAS, Stretch, stuck
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.discovery.formulas import Formulas
 from twin.network import Array, Network
@@ -124,7 +124,8 @@ class Features:
         late, _ = self.kernel.trace(values, state[0], time[first:], held[first:])
         free[begin : first + 1], free[first:] = early[0], late[0]
         corrected = state[0].copy()
-        corrected[: len(self.network.nodes)] += self._offsets(measured[:first] - free[:first])
+        seen = np.where(stuck(measured[:first]), np.nan, measured[:first])
+        corrected[: len(self.network.nodes)] += self._offsets(seen - free[:first])
         return free, corrected
 
     def _offsets(self, residual: Array) -> Array:

@@ -22,6 +22,8 @@ BALANCE_S = 120.0
 MINUTE_S = 60.0
 SPREAD_K = 0.1
 FLOW_SHARE = 0.01
+STUCK_STEPS = 36
+"""A reading that has not moved for so long is left out."""
 NOISES = 2.0
 """Residuals are linear up to so many standard deviations of a single thermometer, logarithmic beyond."""
 
@@ -96,9 +98,26 @@ def past_mean(values: Array, steps: int) -> Array:
 
 
 def flat_steps(values: Array) -> Array:
-    """Steps (n, Y) for which each reading (n, Y) has not changed at all; 0 where it is missing."""
-    before = np.vstack([np.full((1, values.shape[1]), np.nan), values[:-1]])
-    return np.stack([since_last(moved) for moved in np.asarray(values != before).T], axis=1)
+    """Steps (n, Y) for which each reading (n, Y) has not changed at all, silence left out; 0 where it is missing."""
+    out = np.zeros(values.shape)
+    for j, column in enumerate(values.T):
+        there = np.flatnonzero(np.isfinite(column))
+        if there.size:
+            seen = column[there]
+            moved = np.concatenate([[True], seen[1:] != seen[:-1]])
+            begun = there[np.maximum.accumulate(np.where(moved, np.arange(there.size), 0))]
+            out[there, j] = there - begun
+    return out
+
+
+def stuck(values: Array) -> np.ndarray:
+    """Readings (n, Y) that belong to a stretch of at least `STUCK_STEPS` in which nothing moved, all of it."""
+    flat = flat_steps(values)
+    out = flat >= STUCK_STEPS
+    for j, column in enumerate(out.T):
+        for end in np.flatnonzero(column)[::-1]:
+            out[end - int(flat[end, j]) : end, j] = True
+    return out
 
 
 def _level(s: Stretch, column: str) -> Array:
@@ -201,7 +220,7 @@ def _since(s: Stretch, column: str) -> Array:
 
 def _age(s: Stretch) -> Array:
     """Time since the record began, as far as the stretch shows."""
-    begun = np.isfinite(s.series.inputs).any(axis=1) | np.isfinite(s.series.measured).any(axis=1)
+    begun = np.asarray(np.isfinite(np.hstack([s.series.inputs, s.series.measured])).any(axis=1))
     first = int(np.argmax(begun)) if begun.any() else len(begun)
     return _log_steps(np.maximum(np.arange(len(begun), dtype=np.float64) - first, 0.0))
 
