@@ -14,13 +14,14 @@ pytest.importorskip("safetensors", reason="safetensors is not installed: trained
 
 from tests.twin.hiera import fake  # noqa: E402
 from twin.calibrators.hiera_unet.batches import Batch  # noqa: E402
-from twin.calibrators.hiera_unet.checkpoint import Identity, Member, load, save, structure  # noqa: E402
+from twin.calibrators.hiera_unet.checkpoint import Identity, Member, load, save  # noqa: E402
 from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
 from twin.calibrators.hiera_unet.ensemble import mixed, together  # noqa: E402
 from twin.calibrators.hiera_unet.envelope import Envelope  # noqa: E402
 from twin.calibrators.hiera_unet.leakage import leakage  # noqa: E402
 from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
 from twin.calibrators.hiera_unet.score import outcome  # noqa: E402
+from twin.calibrators.hiera_unet.store import structure  # noqa: E402
 from twin.twinfile import load as load_twin  # noqa: E402
 
 TWINS = Path(__file__).resolve().parents[3] / "profiles" / "twins"

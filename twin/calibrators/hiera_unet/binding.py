@@ -9,11 +9,12 @@ from torch import Tensor
 from twin.calibrators.hiera_unet import evidence
 from twin.calibrators.hiera_unet.balance import balance_of
 from twin.calibrators.hiera_unet.channels import ChannelTable
-from twin.calibrators.hiera_unet.checkpoint import Identity, structure
+from twin.calibrators.hiera_unet.checkpoint import Identity
 from twin.calibrators.hiera_unet.config import Config, named
 from twin.calibrators.hiera_unet.parameters import REACH, Deviations, kernel_of, rated_power
 from twin.calibrators.hiera_unet.regimes import COUNT
 from twin.calibrators.hiera_unet.series import STEP_S
+from twin.calibrators.hiera_unet.store import structure
 from twin.calibrators.hiera_unet.train import Physics
 from twin.calibrators.hiera_unet.twin_layer import TwinLayer
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows

@@ -20,7 +20,6 @@ from safetensors.torch import load_file, save_file
 from twin.calibrators.hiera_unet.config import Config, HieraError
 from twin.calibrators.hiera_unet.envelope import Envelope
 from twin.calibrators.hiera_unet.network import HieraUNet
-from twin.network import Network
 
 FORMAT = 1
 
@@ -48,15 +47,6 @@ class Member:
     identity: Identity
     envelope: Envelope
     card: dict[str, Any] = field(default_factory=dict)
-
-
-def structure(network: Network) -> str:
-    """SHA-256 of a twin's structure: elements, what they join, parameters, inputs and sensors, but no values."""
-    elements = [
-        [e.name, e.kind, {k: v for k, v in vars(e).items() if isinstance(v, str | tuple)}] for e in network.elements
-    ]
-    plain = [elements, list(network.ids), list(network.input_columns), dict(network.sensor_columns)]
-    return hashlib.sha256(json.dumps(plain, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def save(member: Member, path: Path, *, half: bool = True) -> Path:
