@@ -34,6 +34,7 @@ def draw(curves: Sequence[dict[str, Any]], path: Path, title: str) -> Path:
     at = [step for step, _ in seen]
     if seen:
         middle.axhline(average(seen[-1][1]["mae_before"]), color="0.6", label="commissioned twin")
+        middle.axhline(average(seen[-1][1]["mae_evidence"]), color="0.6", linestyle="--", label="Gauss-Newton evidence")
         middle.plot(at, [average(u["mae"]) for _, u in seen], color="C0", label="calibrated, target hidden")
         right.axhline(average(seen[-1][1]["theta_mae_evidence"]), color="0.6", label="Gauss-Newton evidence")
         right.plot(at, [average(u["theta_mae"]) for _, u in seen], color="C3", label="network")

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from hil.training.data import Data
+from hil.training.ensemble import assemble
 from hil.training.picture import draw
 
 LOOK_EVERY = 250
@@ -89,6 +90,7 @@ def train(
         return Outcome(*came)
     identity = identity_of(data.network, data.table, data.deviations)
     card, metrics = _finish(trainer, data, identity, curves, out, command)
+    assemble(data, out.parent, out.stem.rpartition("_")[0])
     drawn = draw(curves, out.with_suffix(".png"), f"{data.table.name} {name}, seed {plan.seed}: {plan.steps} steps")
     return Outcome(*came, card, drawn, tuple(_sentence(mode, m) for mode, m in metrics.items()))
 
@@ -100,7 +102,9 @@ def _look(trainer: Any, data: Data, gathered: list[dict[str, float]]) -> dict[st
     names = {n for parts in gathered for n in parts}
     means = {n: float(np.mean([p[n] for p in gathered if n in p])) for n in sorted(names)}
     rows = np.linspace(0, len(data.validation) - 1, min(LOOKED_AT, len(data.validation))).astype(np.intp)
-    unseen = outcome(trainer.average, data.validation.take(rows), trainer.physics.simulate, trainer.told).metrics()
+    unseen = outcome(
+        trainer.average, data.validation.take(rows), trainer.physics.simulate, trainer.physics.told
+    ).metrics()
     return {
         "step": trainer.done, "loss": means.pop("loss", float("nan")), "rate": trainer.rate(), "parts": means,
         "unseen": unseen,
@@ -110,14 +114,18 @@ def _look(trainer: Any, data: Data, gathered: list[dict[str, float]]) -> dict[st
 def _note(curves: list[dict[str, Any]]) -> str:
     if not curves:
         return ""
-    now, before, theta, rival = _figures(curves[-1]["unseen"])
-    return f"loss {curves[-1]['loss']:.3f}, unseen {now:.3f} K of {before:.3f}, parameters {theta:.3f} of {rival:.3f}"
+    now, fitted, _, theta, rival = _figures(curves[-1]["unseen"])
+    return (
+        f"loss {curves[-1]['loss']:.3f}, unseen {now:.4f} K (Gauss-Newton {fitted:.4f}), parameters {theta:.4f} "
+        f"({rival:.4f})"
+    )
 
 
 def _figures(metrics: dict[str, Any]) -> tuple[float, ...]:
     from twin.calibrators.hiera_unet.score import average
 
-    return tuple(average(metrics[name]) for name in ("mae", "mae_before", "theta_mae", "theta_mae_evidence"))
+    names = ("mae", "mae_evidence", "mae_before", "theta_mae", "theta_mae_evidence")
+    return tuple(average(metrics[name]) for name in names)
 
 
 def _finish(
@@ -130,7 +138,7 @@ def _finish(
     from twin.calibrators.hiera_unet.leakage import leakage
     from twin.calibrators.hiera_unet.score import outcome
 
-    network, simulate, told = trainer.average.eval(), trainer.physics.simulate, trainer.told
+    network, simulate, told = trainer.average.eval(), trainer.physics.simulate, trainer.physics.told
     rows = np.random.default_rng(0).permutation(len(data.train))[: min(len(data.train), 1500)]
     seen = outcome(network, data.train.take(rows), simulate, told, hidden=False)
     unseen = outcome(network, data.conformal, simulate, told, hidden=False)
@@ -157,10 +165,10 @@ def _finish(
 
 
 def _sentence(mode: str, metrics: dict[str, Any]) -> str:
-    now, before, theta, rival = _figures(metrics)
+    now, fitted, before, theta, rival = _figures(metrics)
     return (
-        f"{mode.replace('_', ', ')}: {now:.3f} K mean absolute error on {metrics['windows']} unseen windows, the "
-        f"commissioned twin {before:.3f} K; parameters {theta:.3f}, Gauss-Newton {rival:.3f}"
+        f"{mode.replace('_', ', ')}: {now:.4f} K mean absolute error on {metrics['windows']} unseen windows, "
+        f"Gauss-Newton {fitted:.4f} K, commissioned {before:.4f} K; parameters {theta:.4f}, Gauss-Newton {rival:.4f}"
     )
 
 

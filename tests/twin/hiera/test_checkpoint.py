@@ -100,7 +100,7 @@ def test_a_twin_is_known_by_its_structure_and_not_by_its_values() -> None:
 def test_an_ensemble_adds_disagreement_to_the_variance() -> None:
     mean, variance = mixed([np.array([1.0]), np.array([3.0])], [np.array([0.5]), np.array([1.5])])
     assert (mean, variance) == (2.0, 2.0)
-    windows, told = fake.windows(3), torch.from_numpy(fake.TOLD)
+    windows, told = fake.windows(3), fake.TOLD
     single = [outcome(member(s).network, windows, fake.simulate, told) for s in (0, 1)]
     both = together(single)
     np.testing.assert_allclose(both.error, (single[0].error + single[1].error) / 2.0)

@@ -37,11 +37,11 @@ def test_eight_windows_are_learned_by_heart() -> None:
     plan = Plan(steps=120, batch=8, rate=4e-3, warmup=0.1, ema=0.9, structure=0.0, pairs=0,
                 hiding=Hiding(whole=1.0, dropped=0.0, burst=0.0))  # fmt: skip
     trainer = Trainer(fake.config(), windows, PHYSICS, plan)
-    before = outcome(trainer.network, windows, fake.simulate, trainer.told).metrics()
+    before = outcome(trainer.network, windows, fake.simulate, fake.TOLD).metrics()
     for _ in range(plan.steps):
         parts = trainer.step()
     assert np.isfinite(list(parts.values())).all()
-    after = outcome(trainer.average, windows, fake.simulate, trainer.told).metrics()
+    after = outcome(trainer.average, windows, fake.simulate, fake.TOLD).metrics()
     assert np.mean(after["mae"]) < 0.3 * np.mean(before["mae"])
     assert np.mean(after["theta_mae"]) < 0.8 * np.mean(after["theta_mae_evidence"])
 

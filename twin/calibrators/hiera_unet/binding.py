@@ -20,9 +20,6 @@ from twin.calibrators.hiera_unet.twin_layer import TwinLayer
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows
 from twin.network import Network
 
-TOLERANCE_K = 0.3
-"""Of an output temperature: the paper's, for the outlet."""
-
 
 def config_for(name: str, network: Network, table: ChannelTable, deviations: Deviations) -> Config:
     """Configuration ``full`` or ``small`` with the sizes of a twin and its channel table.
@@ -34,7 +31,7 @@ def config_for(name: str, network: Network, table: ChannelTable, deviations: Dev
         name,
         groups=tuple(table.groups.values()),
         bounds=(REACH,) * len(deviations),
-        tolerances=(TOLERANCE_K,) * len(network.sensors),
+        tolerances=(network.rules.calibrated_K,) * len(network.sensors),
         meta=len(table.figures) + evidence.tokens(len(deviations)),
         regimes=COUNT,
         evidence=True,

@@ -28,6 +28,7 @@ def together(members: Sequence[Outcome]) -> Outcome:
         error=error,
         scale=np.sqrt(variance / 2.0),
         before=first.before,
+        rival=first.rival,
         theta=theta,
         theta_sd=np.sqrt(spread),
         theta_error=theta - first.theta + first.theta_error,

@@ -42,18 +42,20 @@ class Plan:
     """How a network is trained.
 
     Attributes:
-        steps: in all. batch: windows a step, of which 2 `pairs` are adjacent ones of a rig. rate: highest of AdamW,
+        steps: in all. batch: windows a step, of which 2 `pairs` are adjacent ones of a rig and a share `moved` of the
+            rest such as a known parameter moved in; intervals are set on natural shares. rate: highest of AdamW,
             reached over the share `warmup` and then brought down along a cosine. (The paper's 3e-2 does not train.)
         structure: share of steps, the first, in which only healthy windows are seen and no parameter moves: what the
             twin lacks in a healthy rig belongs to the correction.
         sure: share of steps, the first, without the likelihood.
-        healthy: largest |deviation|, as a share of its bound, of a healthy window.
+        healthy: largest |deviation|, as a share of its bound, of a healthy window; more is a parameter that moved.
         half: bfloat16 in the network's products; never in losses or the twin.
     """
 
     steps: int = 6000
     batch: int = 12
     pairs: int = 2
+    moved: float = 0.3
     rate: float = 1e-3
     warmup: float = 0.06
     decay: float = 0.05

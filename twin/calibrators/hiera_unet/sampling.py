@@ -18,6 +18,7 @@ class Sampler:
 
     Attributes:
         healthy: rows without anything undeclared and without a deviation to speak of.
+        moved: rows in which a parameter deviates and it is known by how much.
         neighbours: (Q, 2) rows that follow each other on one rig while its parameters stay.
     """
 
@@ -25,6 +26,7 @@ class Sampler:
         self.plan, self.count = plan, len(windows)
         deviation = np.abs(np.where(np.isfinite(windows.theta), windows.theta, 0.0)) / np.array(config.bounds)
         self.healthy = np.flatnonzero(~windows.changed & (deviation.max(1) <= plan.healthy))
+        self.moved = np.flatnonzero((windows.known & (deviation > plan.healthy)).any(1))
         self.neighbours = neighbours(windows)
         self._rng = np.random.default_rng(plan.seed)
 
@@ -34,8 +36,12 @@ class Sampler:
             return self._rng.choice(self.healthy, self.plan.batch), torch.zeros(0, 2, dtype=torch.long)
         pairs = min(self.plan.pairs, len(self.neighbours))
         chosen = self.neighbours[self._rng.integers(0, len(self.neighbours), pairs)] if pairs else np.zeros((0, 2), int)
-        single = self._rng.integers(0, self.count, self.plan.batch - 2 * pairs)
-        return np.concatenate([chosen.ravel(), single]).astype(np.intp), torch.arange(2 * pairs).reshape(pairs, 2)
+        rest = self.plan.batch - 2 * pairs
+        moved = self._rng.choice(self.moved, round(self.plan.moved * rest)) if self.moved.size else np.zeros(0, int)
+        single = self._rng.integers(0, self.count, rest - moved.size)
+        return np.concatenate([chosen.ravel(), moved, single]).astype(np.intp), torch.arange(2 * pairs).reshape(
+            pairs, 2
+        )
 
     def state(self) -> str:
         return json.dumps(self._rng.bit_generator.state)
