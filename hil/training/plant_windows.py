@@ -11,6 +11,7 @@ import tempfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,14 @@ from drivers.rigfile import load_rig
 from drivers.virtual.effects import Effect, load_effects
 from drivers.virtual.geometry import CHANNELS, MODULES, Cells, build_cells
 from drivers.virtual.plant import Plant
-from hil.bench.discovery_cases import LOADS, Setting, effects_text, profile, truth
+from drivers.virtual.thermocouple_module import ThermocoupleModule
+from hil.bench.discovery_cases import LOADS, Setting, Truth, effects_text, profile, truth
 from hil.bench.discovery_direct import direct_run
 from twin.calibrators.hiera_unet.campaigns import AMISS, Campaign
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.gaps import damaged
 from twin.calibrators.hiera_unet.parameters import LOSS, SUM
-from twin.calibrators.hiera_unet.series import STEP_S, Series, series
+from twin.calibrators.hiera_unet.series import Series, series
 from twin.commission import commission
 from twin.network import Array, Network, TwinFileError
 from twin.twinfile import load
@@ -35,6 +37,8 @@ TWIN = PROFILES / "twins" / "virtual.toml"
 HOURS = 4.0
 HEALTHY = 0.15
 """Besides the healthy quarter that the hidden effects hold."""
+TRACKED = 0.4
+"""Share of the others whose hidden effect is one that the loop's twin tracks."""
 SHIPPED = 0.35
 """Share of campaigns on the rig as built, with the twin as shipped."""
 PER_RIG = 8
@@ -61,6 +65,8 @@ def campaign(features: Features, seed: int, number: int) -> Campaign:
     specimen = _specimen(features, seed, number // PER_RIG)
     case = Setting(number, int(rng.integers(1_000_000, 2**31)), specimen.unit, _load(rng), HOURS)
     hidden = truth(number, seed + 1_000_003, HOURS, healthy=bool(rng.uniform() < HEALTHY))
+    if hidden.effects and rng.uniform() < TRACKED:
+        hidden = _tracked(rng)
     effects = _loaded(effects_text(hidden.effects)) if hidden.effects else ()
     run, junctions, time = _run(case, specimen, effects, start_C=float(rng.uniform(*WARM_C)))
     made = series(network, time, run, extra=features.table.extra, hour=START_HOUR)
@@ -68,10 +74,30 @@ def campaign(features: Features, seed: int, number: int) -> Campaign:
     extra = made.extra if rng.uniform() < 0.6 else {}
     kept = Series(made.time, inputs, measured, made.spread, extra, made.hour if rng.uniform() < 0.7 else float("nan"))
     at = np.minimum(np.round(made.time - time[0]).astype(np.intp), len(junctions) - 1)
-    clean = _readings(network, junctions[at])
+    # The thermocouples' constant offsets belong to the specimen: the twin was commissioned with them.
+    clean = _readings(network, junctions[at] + ThermocoupleModule(0, (), specimen.unit).offsets_K)
     theta, amiss = _told(features, effects, made.time)
     words = () if not hidden.effects else (hidden.what,)
     return Campaign(kept, clean, theta, amiss, specimen.nominal, "plant", (*words, *gaps))
+
+
+def _tracked(rng: np.random.Generator) -> Truth:
+    """One or two powers and losses where the loop's twin has parameters for them."""
+    tables: list[dict[str, Any]] = []
+    for _ in range(1 + int(rng.uniform() < 0.35)):
+        onset = 0.0 if rng.uniform() < 0.2 else float(round(rng.uniform(0.1, 0.9) * HOURS * 3600.0))
+        grown = {"ramp_s": float(round(rng.uniform(600.0, 5400.0)))} if rng.uniform() < 0.2 else {}
+        if rng.uniform() < 0.5:
+            power = float(round(np.exp(rng.uniform(np.log(8.0), np.log(300.0))), 1))
+            what = {"kind": "heat_source", "where": "modules", "driver": "constant", "power_W": power}
+        else:
+            size = float(round(np.exp(rng.uniform(np.log(0.3), np.log(10.0))), 2))
+            where = str(rng.choice(("heater", "modules", "tank")))
+            what = {"kind": "heat_loss", "where": where, "driver": "temperature_difference"}
+            what |= {"conductance_W_per_K": size}
+        tables.append({**what, **grown, "onset_s": onset})
+    said = " + ".join(f"{t['kind']} at {t['where']}" for t in tables)
+    return Truth("one", said, tuple(tables), ())
 
 
 def _load(rng: np.random.Generator) -> str:

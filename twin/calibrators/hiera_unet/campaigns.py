@@ -78,12 +78,13 @@ def simulated(family: Family, seed: int, number: int) -> Campaign:
     rng = np.random.default_rng([seed, number, 3])
     rig = _rig(family, seed, number // PER_RIG)
     hour = float(rng.uniform(0.0, 24.0))
-    inputs = drive(family.network, rng, STEPS, hour)
+    inputs = drive(family.network, rng, STEPS, hour, power=rig.power)
     changes = () if rng.uniform() < HEALTHY else undeclared.draw(family, rig.plant, rng, inputs, hour)
     theta = undeclared.moved(changes, len(family.deviations), STEPS)
     heat = undeclared.heated(changes, family, STEPS)
     state = family.start(rig.plant, inputs, rng)
-    truth = family.readings(_vectors(family, rig, theta, changes), state, inputs, heat)
+    # The thermometers' constant offsets belong to the rig: the twin was commissioned with them.
+    truth = family.readings(_vectors(family, rig, theta, changes), state, inputs, heat) + rig.offsets
     amiss = np.zeros(STEPS, dtype=bool)
     for change in changes:
         amiss |= change.course > AMISS
@@ -109,7 +110,7 @@ def _logged(family: Family, rig: Rig, rng: np.random.Generator, inputs: Array, r
         if ending:
             noise = INPUT_NOISE[ending] * rng.standard_normal(len(told)) / np.sqrt(STEP_S)
             told[:, j] += np.where(told[:, j] != 0.0, noise, 0.0) + wander(rng, len(told), INPUT_WANDER[ending], 600.0)
-    return told, logged(rng, read + rig.offsets, rig.sigma)
+    return told, logged(rng, read, rig.sigma)
 
 
 def _vectors(family: Family, rig: Rig, theta: Array, changes: tuple[undeclared.Change, ...]) -> list[tuple[int, Array]]:

@@ -16,6 +16,9 @@ CLEAN = 0.55
 DROPPED = (0.1, 0.25)
 """Share of the channels that are lost in records that lose channels."""
 
+INPUTS_LOST = 0.25
+"""How often an input is lost for each time that a sensor is."""
+
 
 def logged(rng: np.random.Generator, readings: Array, sigma: Array) -> Array:
     """Readings (n, Y) with noise (Y,) K of one sample, averaged over steps as they were sampled, and rounded."""
@@ -40,7 +43,8 @@ def damaged(rng: np.random.Generator, inputs: Array, measured: Array) -> tuple[A
     count = sensors + inputs.shape[1]
     if rng.uniform() < 0.45:
         share = float(rng.uniform(*DROPPED))
-        lost = rng.choice(count, size=max(round(share * count), 1), replace=False)
+        likely = np.concatenate([np.ones(sensors), np.full(count - sensors, INPUTS_LOST)])
+        lost = rng.choice(count, size=max(round(share * count), 1), replace=False, p=likely / likely.sum())
         for k in lost:
             begin = int(rng.uniform(0.0, 0.6) * n) if rng.uniform() < 0.6 else 0
             if k < sensors:

@@ -23,18 +23,21 @@ SLOW_ROOM_S, SLOW_ROOM_K, DRAUGHT_S, DRAUGHT_K = 2400.0, 0.3, 45.0, 0.08
 DAILY_ROOM_K = 1.5
 
 
-def drive(network: Network, rng: np.random.Generator, n: int, hour: float, *, thorough: bool = False) -> Array:
+def drive(
+    network: Network, rng: np.random.Generator, n: int, hour: float, *, thorough: bool = False, power: float = 1.0
+) -> Array:
     """Inputs (n, c) of n steps, beginning at `hour` o'clock.
 
     Args:
         thorough: every input moves through its range, as commissioning asks for.
+        power: usual load of the rig as a share of the nominal one.
     """
     kind = "steps" if thorough else str(rng.choice(KINDS, p=SHARES))
     still = not thorough and bool(rng.uniform() < STILL_SHARE)
     columns = []
     for column, spec in network.inputs.items():
         if column.endswith("_W"):
-            low, high = (share * spec.nominal for share in LOAD_SHARE)
+            low, high = (share * power * spec.nominal for share in LOAD_SHARE)
             courses = course(rng, n, low, min(high, spec.upper), *DWELL_S[kind], ramps=kind == "ramps")
             if kind == "cycles":
                 courses *= course(rng, n, 0.0, 1.0, 900.0, 3600.0) > 0.3

@@ -36,6 +36,7 @@ Law = tuple[str, float, float]
 
 OWN: Mapping[tuple[str, str], Law] = {
     ("node", "capacitance"): ("log", 0.3, 0.1), ("flow", "factor"): ("uniform", 0.85, 1.15),
+    ("flow", "nominal"): ("log", 0.2, 0.0),
     ("flow", "effectiveness"): ("uniform", 0.93, 1.0), ("conduction", "resistance"): ("log", 0.5, 0.0),
     ("ambient_loss", "hA"): ("log", 0.5, -0.2), ("radiator", "UA_100"): ("log", 0.3, 0.1),
     ("radiator", "fan_exponent"): ("uniform", 0.4, 0.8), ("radiator", "flow_exponent"): ("uniform", 0.0, 0.2),
@@ -43,6 +44,9 @@ OWN: Mapping[tuple[str, str], Law] = {
     ("sensor", "lag_s"): ("uniform", 1.0, 9.0),
 }  # fmt: skip
 """Parameters of the twin's own elements as they vary from rig to rig, by kind and beginning of the name."""
+WITH_POWER = (("radiator", "UA_100"), ("flow", "nominal"))
+"""What a rig made for more power has more of."""
+ON_THE_SHEET = (("node", "capacitance"), ("flow", "nominal"))
 FITTED: Mapping[tuple[str, str], Law] = {("flow", "effectiveness"): ("uniform", 0.5, 1.0)}
 """The same for those that commissioning or tracking adjusts, where it is more."""
 ADDED: Mapping[tuple[str, str], Law] = {
@@ -60,12 +64,14 @@ class Rig:
     Attributes:
         plant: full vector of the plant's network. nominal: (p,) of the commissioned twin.
         offsets: (Y,) K, constant errors of the thermometers. sigma: (Y,) K, noise of a single sample.
+        power: its usual load, as a share of the twin's nominal one.
     """
 
     plant: Array
     nominal: Array
     offsets: Array
     sigma: Array
+    power: float
 
 
 class Family:
@@ -84,8 +90,8 @@ class Family:
         """Places of the columns that inject heat, by node, among the plant's inputs."""
         return tuple(self.plant.input_columns.index(_column(node)) for node in self.network.nodes)
 
-    def draw(self, rng: np.random.Generator) -> Array:
-        """Full vector of a healthy plant."""
+    def draw(self, rng: np.random.Generator, power: float = 1.0) -> Array:
+        """Full vector of a healthy plant, made for `power` times the nominal load."""
         values = self.plant.values.copy()
         added = {e.name for e in self.plant.elements} - {e.name for e in self.network.elements}
         sets = self.network.sets
@@ -95,8 +101,19 @@ class Family:
             kind = self._kinds[p.element]
             law = next((v for (a, b), v in laws.items() if a == kind and p.name.startswith(b)), None)
             if law is not None and not p.same_as:
-                values[k] = np.clip(_drawn(rng, law, values[k]), p.lower, p.upper)
+                grown = power if (kind, p.name) in WITH_POWER else 1.0
+                values[k] = np.clip(_drawn(rng, law, values[k]) * grown, p.lower, p.upper)
         return values
+
+    def sheet(self, plant: Array, rng: np.random.Generator) -> Network:
+        """The twin as its data sheet has it: volumes and nominal flow roughly right, all else as shipped."""
+        own = dict(zip(self.network.ids, self.nominal_of(plant).tolist(), strict=True))
+        known = {}
+        for p in self.network.parameters.values():
+            if (self._kinds[p.element], p.name) in ON_THE_SHEET and not p.same_as:
+                off = float(np.exp(rng.normal(0.0, 0.1))) if p.name == "capacitance" else 1.0
+                known[p.id] = float(np.clip(own[p.id] * off, p.lower, p.upper))
+        return self.network.with_values(known)
 
     def nominal_of(self, plant: Array) -> Array:
         """The plant's own values of the twin's parameters, (p,)."""
@@ -153,17 +170,18 @@ class Family:
         raise TwinFileError(f"no rig around twin {self.network.name!r} could be commissioned with seed {seed}")
 
     def _commissioned(self, rng: np.random.Generator) -> Rig:
-        plant = self.draw(rng)
+        power = float(np.exp(rng.normal(0.0, 0.25)))
+        plant = self.draw(rng, power)
         n = int(COMMISSION_H * 3600.0 / STEP_S)
-        inputs = drive(self.network, rng, n, 8.0, thorough=bool(rng.uniform() < 0.85))
+        inputs = drive(self.network, rng, n, 8.0, thorough=bool(rng.uniform() < 0.85), power=power)
         vectors = [(0, plant)]
         clean = self.readings(vectors, self.start(plant, inputs, rng), inputs, np.zeros((n, len(self.network.nodes))))
         sigma = np.asarray(self.network.sigma * rng.uniform(0.6, 1.5))
-        offsets = rng.uniform(-OFFSET_K, OFFSET_K, clean.shape[1])
+        offsets: Array = rng.uniform(-OFFSET_K, OFFSET_K, (clean.shape[1],))
         measured = clean + offsets + rng.standard_normal(clean.shape) * sigma / np.sqrt(STEP_S)
         time = np.arange(n, dtype=np.float64) * STEP_S
-        done = commission(self.network, time[::2], inputs[::2], measured[::2], starts=1)
-        return Rig(plant, done.network.values.copy(), offsets, sigma)
+        done = commission(self.sheet(plant, rng), time[::2], inputs[::2], measured[::2], starts=1)
+        return Rig(plant, done.network.values.copy(), offsets, sigma, power)
 
 
 def surrounded(network: Network) -> Network:

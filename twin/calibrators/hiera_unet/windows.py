@@ -23,7 +23,8 @@ class Windows:
         clock: (N, 1440, 6) two harmonics of the day and one of the year; zeros where unknown.
         meta: (N, M) static tokens: rig figures, then the evidence (P deltas, P sd, log condition number).
         target: (N, 120, Y) degC, measured over the last 120 steps; NaN where missing.
-        truth: (N, 120, Y) degC, noise-free and fault-free readings of the plant; NaN where not known.
+        truth: (N, 120, Y) degC, readings of the plant without noise and faults, constant offsets included; NaN where
+            not known.
         base: (N, 120, Y) degC, the commissioned twin (theta = 0) from `state`.
         state: (N, K) float64, twin state at the first target step, estimated from data before the target.
         inputs: (N, 120, c) float64, the twin's inputs over the target.
