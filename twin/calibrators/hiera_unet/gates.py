@@ -94,9 +94,7 @@ def reasons(e: Evidently, ids: tuple[str, ...]) -> tuple[Reason, ...]:
     if widest > UNSURE_K:
         found.append(Reason("HIGH_UNCERTAINTY", f"an output is known to no better than {widest:.2f} K"))
     if e.distance > 1.0:
-        found.append(
-            Reason("OUT_OF_ENVELOPE", f"{e.distance:.1f} times as far from what was trained on as is allowed")
-        )
+        found.append(Reason("OUT_OF_ENVELOPE", f"{e.distance:.1f} times as far from what was trained on as is allowed"))
     missed = e.missed / np.maximum(e.half_width, 1e-9)
     if np.isfinite(missed).any() and np.nanmax(missed) > UNEXPLAINED:
         found.append(

@@ -45,7 +45,7 @@ class History:
         first, n = int(before[0]), int(before[-1] - before[0]) + 1
         measured = binned(self._measured, np.clip(near - first, 0, n - 1), n)
         return Series(
-            time=self._origin + STEP_S * np.arange(first, first + n),
+            time=np.asarray(self._origin + STEP_S * np.arange(first, first + n), dtype=np.float64),
             inputs=binned(self._inputs, before - first, n),
             measured=measured,
             spread=np.full(measured.shape, np.nan),
