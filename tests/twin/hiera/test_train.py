@@ -132,6 +132,19 @@ def test_losses_judge_only_what_is_known() -> None:
     assert theta.grad is not None and theta.grad[0, 0] == 0 and torch.isfinite(theta.grad).all()
 
 
+def test_what_is_not_known_spoils_no_gradient() -> None:
+    nan = float("nan")
+    theta, spread = torch.zeros(1, 2, requires_grad=True), torch.zeros(1, 2, requires_grad=True)
+    true, known = torch.tensor([[nan, 0.2]]), torch.tensor([[True, True]])
+    bounds = torch.ones(2)
+    both = losses.gaussian_loss(theta - true, spread, bounds, known) + losses.parameter_loss(theta, true, known, bounds)
+    rows = (theta - true)[:, None]
+    (both + losses.laplace_loss(rows, spread[:, None], bounds) + losses.data_loss(rows, bounds)).backward()
+    for leaf in (theta, spread):
+        assert leaf.grad is not None and torch.isfinite(leaf.grad).all()
+        assert leaf.grad[0, 0] == 0.0 and leaf.grad[0, 1] != 0.0
+
+
 def test_the_likeliest_scale_is_that_of_the_errors() -> None:
     generator = torch.Generator().manual_seed(0)
     error = torch.distributions.Laplace(0.0, 0.15).icdf(torch.rand(1, 4000, 1, generator=generator) * 0.998 + 0.001)

@@ -18,16 +18,22 @@ RESOLUTION = 0.02
 """Least scale in units of the bound or tolerance."""
 
 
+def known_only(error: Tensor, known: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Errors with 0 for what is not known, and what is. A NaN that is only masked afterwards still spoils gradients."""
+    good = torch.isfinite(error) if known is None else known & torch.isfinite(error)
+    return torch.where(good, error, 0.0), good
+
+
 def mean_of(values: Tensor, good: Tensor) -> Tensor:
-    """Mean over entries where `good`; 0 where there is none. Entries that are not good may be NaN."""
+    """Mean over entries where `good`; 0 where there is none."""
     total = torch.where(good, values, 0.0).sum()
     return total / good.sum().clamp(min=1)
 
 
 def data_loss(error: Tensor, tolerances: Tensor) -> Tensor:
     """Eq. 9: mean |error| (B, n, Y) in units of the tolerances (Y,); NaN is not judged."""
-    scaled = error.abs() / tolerances
-    return mean_of(scaled, torch.isfinite(scaled))
+    e, good = known_only(error)
+    return mean_of(e.abs() / tolerances, good)
 
 
 def balance_loss(
@@ -59,22 +65,23 @@ def smooth_loss(theta: Tensor, bounds: Tensor, pairs: Tensor) -> Tensor:
 
 def parameter_loss(theta: Tensor, true: Tensor, known: Tensor, bounds: Tensor) -> Tensor:
     """Mean |theta - true| / bound over what is known (B, P) and identifiable."""
-    return mean_of((theta - true).abs() / bounds, known & torch.isfinite(true))
+    e, good = known_only(theta - true, known)
+    return mean_of(e.abs() / bounds, good)
 
 
 def laplace_loss(error: Tensor, log_scale: Tensor, tolerances: Tensor) -> Tensor:
     """Negative log-likelihood of errors (B, n, Y) under Laplace laws of scale tolerance * exp(log_scale), by beta."""
     s = log_scale.clamp(-LOG_RANGE, LOG_RANGE)
     b = torch.exp(s) + RESOLUTION
-    e = error.abs() / tolerances
-    return mean_of((torch.log(b) + e / b) * b.detach() ** BETA, torch.isfinite(e))
+    e, good = known_only(error)
+    return mean_of((torch.log(b) + e.abs() / tolerances / b) * b.detach() ** BETA, good)
 
 
 def gaussian_loss(error: Tensor, log_variance: Tensor, bounds: Tensor, known: Tensor) -> Tensor:
     """Negative log-likelihood of parameter errors (B, P), in units of the bounds, over what is known, by beta."""
     v = torch.exp(log_variance.clamp(-2 * LOG_RANGE, LOG_RANGE)) + RESOLUTION**2
-    e = error / bounds
-    return mean_of(0.5 * (torch.log(v) + e**2 / v) * v.detach() ** BETA, known & torch.isfinite(e))
+    e, good = known_only(error, known)
+    return mean_of(0.5 * (torch.log(v) + (e / bounds) ** 2 / v) * v.detach() ** BETA, good)
 
 
 def correction_price(delta: Tensor, tolerances: Tensor) -> tuple[Tensor, Tensor]:

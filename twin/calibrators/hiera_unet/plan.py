@@ -56,12 +56,12 @@ class Plan:
     batch: int = 12
     pairs: int = 2
     moved: float = 0.3
-    rate: float = 1e-3
+    rate: float = 1.5e-3
     warmup: float = 0.06
     decay: float = 0.05
     clip: float = 1.0
     ema: float = 0.998
-    structure: float = 0.2
+    structure: float = 0.15
     sure: float = 0.1
     healthy: float = 0.02
     half: bool = False
