@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 from pathlib import Path
 
 import click
@@ -70,7 +69,7 @@ def loop_command(
     windows = read(data, features_of())
     plan = Plan(steps=steps, batch=batch, seed=seed, half=device != "cpu" if half is None else half)
     stem = f"loop_{name}_{seed}"
-    typed = " ".join(["hil", *sys.argv[1:]])
+    typed = f"hil train loop --config {name} --seed {seed} --steps {steps} --batch {batch} --device {device}"
     with Steps("training", steps, quiet=as_json, begun=begun(out / stem)) as bar:
         done = train(
             windows, name, plan, out / stem, out / f"{stem}.safetensors", minutes=minutes, command=typed,
