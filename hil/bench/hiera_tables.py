@@ -112,8 +112,8 @@ def parameters(results: Results) -> Table:
         ("rig", "by", "numbers", "median", "from to", "RMS"),
         tuple(rows),
         (
-            "0.67 is the median of an efficient estimate, 1 its RMS. The bound counts noise and an error of 0.02 K that "
-            "lasts a minute; a rig that is not its twin is off by more, whoever looks.",
+            "0.67 is the median of an efficient estimate, 1 its RMS. The bound counts noise and an error of 0.02 K "
+            "that lasts a minute; a rig that is not its twin is off by more, whoever looks.",
             BETWEEN,
         ),
     )
