@@ -41,9 +41,9 @@ class _Network:
         self._ensemble, self._physics = ensemble, physics
         self._latest: tuple[Sheet, Outcome, float] | None = None
 
-    def _ask(self, given: Sheet) -> tuple[Outcome, float]:
+    def _ask(self, features: Features, given: Sheet) -> tuple[Outcome, float]:
         if self._latest is None or self._latest[0] is not given:
-            windows = _windows(given)
+            windows = _windows(features, given)
             began = time.process_time()
             said = together([
                 outcome(m.network, windows, self._physics.simulate, self._physics.told, causal=True)
@@ -54,7 +54,7 @@ class _Network:
 
     def alone(self, features: Features, given: Sheet) -> Answer:
         """Deviations and corrections as they come, target hidden, causal branch."""
-        said, spent = self._ask(given)
+        said, spent = self._ask(features, given)
         # Against a truth of nought, the errors are the predictions.
         certain = np.sqrt(np.mean((NINETY * said.scale) ** 2, axis=(1, 2)))
         calm = certain < features.network.rules.calibrated_K
@@ -62,7 +62,7 @@ class _Network:
 
     def then_fit(self, features: Features, given: Sheet) -> Answer:
         """Least squares with the network's deviations and their spread as the prior."""
-        said, spent = self._ask(given)
+        said, spent = self._ask(features, given)
         least = NARROWEST * features.deviations.prior_sd
         began = time.process_time()
         found = tuple(
@@ -73,8 +73,11 @@ class _Network:
         return refit(features, given, found, sum(given.cpu_s) + spent)
 
 
-def _windows(given: Sheet) -> Windows:
+def _windows(features: Features, given: Sheet) -> Windows:
     nominal = given.case.campaign.nominal
-    rows = [one(frame, found, nominal) for frame, found in zip(given.frames, given.evidence, strict=True)]
+    rows = [
+        one(features.explained(frame, nominal, found.theta, found.steps), found, nominal)
+        for frame, found in zip(given.frames, given.evidence, strict=True)
+    ]
     windows = concatenate(rows)
     return replace(windows, truth=np.zeros_like(windows.truth))

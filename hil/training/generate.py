@@ -24,7 +24,7 @@ from twin.calibrators.hiera_unet.channels import table
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.plants import Family
-from twin.calibrators.hiera_unet.store import SPLITS, Kept, Store, write_manifest, write_shard
+from twin.calibrators.hiera_unet.store import SPLITS, Kept, Store, identity, write_manifest, write_shard
 from twin.network import Network, TwinFileError
 from twin.twinfile import load
 
@@ -85,7 +85,7 @@ def _shard(
 ) -> dict[str, Any]:
     """One file, made unless it is there already."""
     path, about = out / name, out / f"{name}.json"
-    wanted = {"seed": seed, "numbers": [numbers.start, numbers.stop], "each": each, "table": features.table.digest}
+    wanted = {"seed": seed, "numbers": [numbers.start, numbers.stop], "each": each, "made_for": identity(features)}
     if path.is_file() and about.is_file():
         old = json.loads(about.read_text(encoding="utf-8"))
         if {k: old.get(k) for k in wanted} == wanted and old["sha256"] == _sha256(path):

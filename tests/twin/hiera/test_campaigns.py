@@ -149,7 +149,7 @@ def test_windows_come_back_from_disk_as_they_were(tmp_path):
     assert np.isfinite(found.x).all() and np.isfinite(found.meta).all() and np.isfinite(found.base).all()
 
 
-def test_altered_data_and_data_of_another_table_are_refused(tmp_path):
+def test_altered_data_and_data_for_other_parameters_are_refused(tmp_path):
     shard = tmp_path / "train-twin-000.npz"
     write_shard(shard, [kept(campaigns()[0])])
     entry = {"split": "train", "source": "twin", "sha256": "0" * 64}
@@ -157,8 +157,8 @@ def test_altered_data_and_data_of_another_table_are_refused(tmp_path):
     with pytest.raises(TwinFileError, match="missing or altered"):
         Store(tmp_path, features()).windows("train")
     path = tmp_path / "manifest.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"channel_table": "another"}))
-    with pytest.raises(TwinFileError, match="another channel table"):
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"parameters": ["another"]}))
+    with pytest.raises(TwinFileError, match="another parameters"):
         Store(tmp_path, features())
     with pytest.raises(TwinFileError, match="no training data"):
         Store(tmp_path / "nowhere", features())

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from tests.twin.hiera.records import NETWORK, deviation, features, made
-from twin.calibrators.hiera_unet.evidence import LARGEST_LOG_CONDITION, estimate, identifiable, tell, tokens
+from twin.calibrators.hiera_unet.evidence import (
+    LARGEST_LOG_CONDITION,
+    estimate,
+    identifiable,
+    tell,
+    tokens,
+    told_by_tokens,
+)
 from twin.calibrators.hiera_unet.parameters import FACTOR, LOSS, REACH, SUM, Deviations
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 
@@ -108,3 +115,24 @@ def test_estimates_stay_inside_the_reach():
     _, found = fitted(made(N, deviation(modules_power__power=REACH, fins__UA_100=-0.9)))
     assert (np.abs(found.theta) <= REACH + 1e-9).all()
     assert np.isfinite(found.tokens()).all()
+
+
+def test_what_a_fit_leaves_is_noise_since_the_change_and_missing_before():
+    onset = N - TARGET - 240
+    frame, found = fitted(made(N, deviation(modules_power__power=0.4), onset=onset))
+    names = [list(features().table.names).index(f"fitted_{s}") for s in NETWORK.sensor_names]
+    assert not frame.m[:, names].any()
+    told = features().explained(frame, NETWORK.values, found.theta, found.steps)
+    first = CONTEXT - TARGET - found.steps
+    assert not told.m[:first, names].any() and told.m[first:, names].all()
+    unfitted = np.abs(frame.x[first:, [list(features().table.names).index("residual_T_modules_C")]]).mean()
+    assert np.abs(told.x[first:, names]).mean() < 0.5 * unfitted
+    others = [k for k in range(frame.x.shape[1]) if k not in names]
+    np.testing.assert_array_equal(told.x[:, others], frame.x[:, others])
+
+
+def test_tokens_tell_what_was_fitted():
+    _, found = fitted(made(N, deviation(fins__UA_100=-0.2)))
+    theta, steps = told_by_tokens(found.tokens(), P)
+    np.testing.assert_allclose(theta, found.theta)
+    assert steps == found.steps

@@ -64,7 +64,7 @@ class Campaign:
 
 @dataclass(frozen=True)
 class Label:
-    """What is known of a window, and its evidence: theta (P,), known (P,), changed, tokens."""
+    """What is known of a window, and its evidence: theta (P,), known (P,), changed, tokens (`Evidence.tokens`)."""
 
     end: int
     theta: Array

@@ -117,6 +117,8 @@ def loop(network: Network) -> ChannelTable:
         add("thermal", "u", "K", "level", 0.02, "base", sensor)
     for sensor in sensors:
         add("thermal", "r", "K", "log", 0.1, "residual", sensor)
+    for sensor in sensors:
+        add("thermal", "r", "K", "log", 0.1, "fitted", sensor)
     add("electrical", "u", "W", "level", 0.01, "level", heater)
     for slow in ("120", "600", "3600"):
         add("electrical", "u", "W", "level", 0.01, "quick", heater, slow)

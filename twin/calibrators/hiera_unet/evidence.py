@@ -72,6 +72,11 @@ def tokens(count: int) -> int:
     return 2 + 2 * count + 1
 
 
+def told_by_tokens(tokens: Array, count: int) -> tuple[Array, int]:
+    """theta (P,) and the steps that were fitted, out of `Evidence.tokens`."""
+    return tokens[2 : 2 + count], round(float(np.exp(tokens[1])) * (CONTEXT - TARGET))
+
+
 @dataclass(frozen=True)
 class Belief:
     """What is believed of theta (P,) beforehand: a Gaussian with independent parts."""

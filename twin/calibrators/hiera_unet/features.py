@@ -7,7 +7,7 @@ been silent for long, its last residual counts, and where it never spoke, that o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,9 +33,11 @@ LARGEST = 8.0
 class Frame:
     """A window before it is put in a batch: shapes as in `Windows`, without its first axis.
 
+    Channels that show what a fit leaves are missing until `Features.explained` has been told of the fit.
+
     Attributes:
         held: (1440, c) inputs without NaN. time: (1440,) s. measured: (1440, Y) degC. free: (1440, Y) degC.
-        start: full state at the first step. begin: first step with any data.
+        start: full state at the first step. begin: first step with any data. stretch: what channels are made of.
     """
 
     x: Array
@@ -52,6 +54,7 @@ class Frame:
     free: Array
     start: Array
     begin: int
+    stretch: Stretch
 
 
 class Features:
@@ -82,8 +85,26 @@ class Features:
         tokens = np.array([figures.token(network, what) for what in self.table.figures])
         return Frame(
             x, m, regimes(network, part.inputs), clock(part), tokens, part.measured[-TARGET:], base, state,
-            held, part.time, part.measured, free, start, begin,
+            held, part.time, part.measured, free, start, begin, stretch,
         )  # fmt: skip
+
+    def explained(self, frame: Frame, values: Array, theta: Array, steps: int) -> Frame:
+        """The window with the channels of a fit.
+
+        Args:
+            theta: (P,) what was fitted. steps: to how many steps before the target.
+        """
+        first = max(CONTEXT - TARGET - steps, frame.begin)
+        full = self.deviations.full(theta, values)
+        state = self.state_at(frame, first, values)
+        run = np.full(frame.free.shape, np.nan)
+        run[first:] = self.kernel.trace(full, state, frame.time[first:], frame.held[first:])[0][0]
+        stretch = replace(frame.stretch, fitted=run)
+        x, m = frame.x.copy(), frame.m.copy()
+        for k, channel in enumerate(self.table.channels):
+            if channel.formula == "fitted":
+                x[:, k], m[:, k] = _masked(FORMULAS[channel.formula](stretch, *channel.of), frame.begin)
+        return replace(frame, x=x, m=m, stretch=stretch)
 
     def state_at(self, frame: Frame, step: int, values: Array) -> Array:
         """Full state at a step of the window, as the readings up to it and some minutes after say."""
@@ -102,9 +123,7 @@ class Features:
 
     def _channels(self, stretch: Stretch, begin: int) -> tuple[Array, np.ndarray]:
         x = np.stack([FORMULAS[c.formula](stretch, *c.of) for c in self.table.channels], axis=1)
-        x[:begin] = np.nan
-        m = np.isfinite(x)
-        return np.clip(np.where(m, x, 0.0), -LARGEST, LARGEST), m
+        return _masked(x, begin)
 
     def _first_state(self, measured: Array) -> Array:
         """Full state at rest that the first readings say."""
@@ -142,6 +161,13 @@ class Features:
         temperatures = np.where(sensor_of >= 0, part.measured[:, np.maximum(sensor_of, 0)], np.nan)
         with np.errstate(invalid="ignore"):
             return self._formulas.heats(temperatures, held, values, STEP_S)
+
+
+def _masked(x: Array, begin: int) -> tuple[Array, np.ndarray]:
+    """Channels (n,) or (n, C) without NaN and within `LARGEST`, and where they are there; nothing before `begin`."""
+    m = np.isfinite(x)
+    m[:begin] = False
+    return np.clip(np.where(m, x, 0.0), -LARGEST, LARGEST), m
 
 
 def _ahead(residual: Array) -> float:

@@ -71,6 +71,7 @@ class HieraUNetCalibrator:
         series = self.history.series()
         frame = self.features.frame(series, len(series), nominal)
         evidence = estimate(self.features, frame, nominal)
+        frame = self.features.explained(frame, nominal, evidence.theta, evidence.steps)
         row = one(frame, evidence, nominal)
         said = self.ensemble.ask(row)
         if self._leakage is None and frame.begin == 0:

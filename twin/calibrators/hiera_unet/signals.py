@@ -36,6 +36,7 @@ class Stretch:
         inputs: (n, c) held, without NaN. free: (n, Y) degC, free run of the commissioned twin from the beginning.
         heats: (n, k) W into each node by the twin's formulas at the measured temperatures; NaN where one is missing.
         values: full vector (p,) of the commissioned twin.
+        fitted: (n, Y) degC, run of the twin as a fit has it, over what it was fitted to and on; NaN before.
     """
 
     network: Network
@@ -45,6 +46,7 @@ class Stretch:
     free: Array
     heats: Array
     values: Array
+    fitted: Array | None = None
     since: dict[str, Array] = field(default_factory=dict)
 
     def input(self, column: str) -> Array:
@@ -170,6 +172,14 @@ def _residual(s: Stretch, sensor: str) -> Array:
     return 0.5 * signed_log((s.reading(sensor) - free) / (NOISES * s.figures.noise_K))
 
 
+def _fitted(s: Stretch, sensor: str) -> Array:
+    """What a fit leaves: the twin's own shape of error, of which its parameters cannot make anything."""
+    if s.fitted is None:
+        return np.full(len(s.series), np.nan)
+    run = s.fitted[:, s.network.sensor_names.index(sensor)]
+    return signed_log((s.reading(sensor) - run) / (NOISES * s.figures.noise_K))
+
+
 def _balance(s: Stretch, node: str) -> Array:
     """Power that the twin's formulas lack, at the measured temperatures, over the last minutes."""
     names = list(s.network.nodes)
@@ -233,7 +243,7 @@ def _log_steps(steps: Array) -> Array:
 
 FORMULAS: dict[str, Callable[..., Array]] = {
     "level": _level, "quick": _quick, "measured": _measured, "flow_gap": _flow_gap, "reading": _reading,
-    "base": _base, "rate": _rate, "drop": _drop, "residual": _residual, "balance": _balance, "stale": _stale,
-    "flat": _flat, "spread": _spread, "step": _step, "since": _since, "age": _age,
+    "base": _base, "rate": _rate, "drop": _drop, "residual": _residual, "fitted": _fitted, "balance": _balance,
+    "stale": _stale, "flat": _flat, "spread": _spread, "step": _step, "since": _since, "age": _age,
 }  # fmt: skip
 """Formula -> (stretch, arguments) -> values (n,), NaN where missing."""

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from twin.calibrators.hiera_unet.campaigns import Campaign, Label
+from twin.calibrators.hiera_unet.evidence import told_by_tokens
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.series import Series
 from twin.calibrators.hiera_unet.windows import TARGET, Windows
@@ -118,7 +119,9 @@ def windows_of(features: Features, kept: Iterable[Kept]) -> Windows:
 
 
 def _row(features: Features, campaign: Campaign, label: Label) -> Mapping[str, np.ndarray]:
-    frame = features.frame(campaign.series, label.end, campaign.nominal)
+    theta, steps = told_by_tokens(label.tokens, len(features.deviations))
+    bare = features.frame(campaign.series, label.end, campaign.nominal)
+    frame = features.explained(bare, campaign.nominal, theta, steps)
     single = np.float32
     return {
         "x": frame.x.astype(single), "m": frame.m, "regime": frame.regime, "clock": frame.clock.astype(single),
@@ -135,7 +138,7 @@ class Store:
     """A folder of generated campaigns.
 
     Raises:
-        TwinFileError: no manifest, another format, or made for another twin, channel table or set of parameters.
+        TwinFileError: no manifest, another format, or made for another twin or set of parameters.
     """
 
     def __init__(self, folder: Path, features: Features) -> None:
@@ -182,11 +185,11 @@ class Store:
 
 
 def identity(features: Features) -> dict[str, Any]:
-    """What data and network must agree on."""
+    """What data and their reader must agree on; windows are made on reading, so channels may differ."""
     return {
         "format": FORMAT,
         "twin": structure(features.network),
-        "channel_table": features.table.digest,
+        "extra_columns": list(features.table.extra),
         "parameters": list(features.deviations.ids),
     }
 
