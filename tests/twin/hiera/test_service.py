@@ -121,6 +121,21 @@ def test_it_goes_on_from_its_saved_state(ensemble: Ensemble) -> None:
     assert found.values == expected.values and found.flags == expected.flags
 
 
+def test_it_proposes_every_five_minutes_however_the_stream_is_cut(ensemble: Ensemble) -> None:
+    t, u, y = record(CHANGE)
+    own = [calibrator(ensemble) for _ in range(2)]
+    whole = TwinTracker(LOOP, own[0])
+    spread = whole.push(t, u, y).spread
+    pieces = TwinTracker(LOOP, own[1])
+    for first in range(0, len(t), 1111):
+        pieces.push(*(a[first : first + 1111] for a in (t, u, y)))
+    assert list(own[0].records) == list(own[1].records)
+    times = np.array([r["time_s"] for r in own[0].records])
+    assert len(times) == int(HOURS * 12) and np.abs(np.diff(times) - 300.0).max() <= 31.0
+    json.dumps(list(own[0].records), allow_nan=False)
+    assert spread is not None and np.isnan(spread[:300]).all() and (spread[400:] > 0.0).all()
+
+
 @pytest.mark.parametrize(
     ("damage", "code"), [("flat", "FLAT_RECORD"), ("shuffled", "SHUFFLED_RECORD"), ("hidden", "MISSING_REQUIRED")]
 )
