@@ -23,6 +23,7 @@ from twin.calibrators.hiera_unet.features import Features  # noqa: E402
 from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble  # noqa: E402
 from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
 from twin.calibrators.hiera_unet.parameters import Deviations  # noqa: E402
+from twin.calibrators.hiera_unet.refined import RefinedCalibrator  # noqa: E402
 from twin.calibrators.hiera_unet.service import HieraUNetCalibrator, Mode  # noqa: E402
 from twin.kernel import simulate  # noqa: E402
 from twin.tracking import TwinTracker  # noqa: E402
@@ -119,6 +120,20 @@ def test_it_goes_on_from_its_saved_state(ensemble: Ensemble) -> None:
     second.restore(json.loads(json.dumps(first.state())))
     found = second.push(t[cut:], u[cut:], y[cut:]).calibrations[-1]
     assert found.values == expected.values and found.flags == expected.flags
+
+
+def test_least_squares_led_by_the_network_explains_a_window_no_worse_than_alone(ensemble: Ensemble) -> None:
+    t, u, y = record(CHANGE)
+    alone = TwinTracker(LOOP, "least_squares")
+    led = TwinTracker(LOOP, RefinedCalibrator(LOOP, calibrator(ensemble)))
+    first, second = (tracker.push(t, u, y).calibrations for tracker in (alone, led))
+    assert [c.flags[-1].split(":")[0] for c in second[:2]] == ["on its own"] * 2
+    assert first[0].values == second[0].values
+    assert second[-1].error_K < 1.02 * first[-1].error_K
+    assert abs(second[-1].values["fins.UA_100"] - 45.0) < 1.5
+    again = TwinTracker(LOOP, RefinedCalibrator(LOOP, calibrator(ensemble)))
+    again.restore(json.loads(json.dumps(led.state())))
+    assert again.values == led.values
 
 
 def test_it_proposes_every_five_minutes_however_the_stream_is_cut(ensemble: Ensemble) -> None:

@@ -113,8 +113,12 @@ class HieraUNetCalibrator:
         return cls(network, ensemble, Features(network, channels, deviations), mode)
 
     def calibrate(self, window: Window) -> Calibration:
+        return self._concluded(window, self.propose(window))
+
+    def propose(self, window: Window) -> Proposal:
+        """What the network says at the end of a window."""
         self.history.push(window.time, window.inputs, window.measured)
-        return self._concluded(window, self._propose())
+        return self._propose()
 
     def follow(self, time: Array, inputs: Array, measured: Array, state: Array) -> Estimate:
         """Take in samples and propose whenever five minutes have passed; the spread is that of the latest proposal.
