@@ -41,7 +41,7 @@ def untrained(seed: int = 0) -> Member:
     torch.manual_seed(seed)
     net = HieraUNet(config_for("small", LOOP, TABLE, DEVIATIONS)).eval()
     with torch.no_grad():
-        net.parameter_head.out.bias[len(DEVIATIONS) :] = -8.0
+        net.parameter_head.out.bias[len(DEVIATIONS) : 2 * len(DEVIATIONS)] = -8.0
     width = len(net.config.queries) * net.config.query_dim
     return Member(net, IDENTITY, Envelope(np.zeros(width), np.eye(width), 1e6), {"leakage": 0.0, "seed": seed})
 
