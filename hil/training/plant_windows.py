@@ -61,22 +61,17 @@ class Specimen:
 def campaign(features: Features, seed: int, number: int) -> Campaign:
     """Campaign `number` of a seed."""
     rng = np.random.default_rng([seed, number, 7])
-    network = features.network
-    specimen = _specimen(features, seed, number // PER_RIG)
+    specimen = specimen_of(features, seed, number // PER_RIG)
     case = Setting(number, int(rng.integers(1_000_000, 2**31)), specimen.unit, _load(rng), HOURS)
     hidden = truth(number, seed + 1_000_003, HOURS, healthy=bool(rng.uniform() < HEALTHY))
     if hidden.effects and rng.uniform() < TRACKED:
         hidden = _tracked(rng)
     effects = _loaded(effects_text(hidden.effects)) if hidden.effects else ()
-    run, junctions, time = _run(case, specimen, effects, start_C=float(rng.uniform(*WARM_C)))
-    made = series(network, time, run, extra=features.table.extra, hour=START_HOUR)
+    made, clean = recorded(features, case, specimen, effects, start_C=float(rng.uniform(*WARM_C)))
     inputs, measured, gaps = damaged(rng, made.inputs, made.measured)
     extra = made.extra if rng.uniform() < 0.6 else {}
     kept = Series(made.time, inputs, measured, made.spread, extra, made.hour if rng.uniform() < 0.7 else float("nan"))
-    at = np.minimum(np.round(made.time - time[0]).astype(np.intp), len(junctions) - 1)
-    # The thermocouples' constant offsets belong to the specimen: the twin was commissioned with them.
-    clean = _readings(network, junctions[at] + ThermocoupleModule(0, (), specimen.unit).offsets_K)
-    theta, amiss = _told(features, effects, made.time)
+    theta, amiss = told(features, effects, made.time)
     words = () if not hidden.effects else (hidden.what,)
     return Campaign(kept, clean, theta, amiss, specimen.nominal, "plant", (*words, *gaps))
 
@@ -104,7 +99,19 @@ def _load(rng: np.random.Generator) -> str:
     return str(LOADS[int(rng.integers(len(LOADS)))])
 
 
-def _run(
+def recorded(
+    features: Features, case: Setting, specimen: Specimen, effects: tuple[Effect, ...], start_C: float | None = None
+) -> tuple[Series, Array]:
+    """A record on the network's own steps, and what fault-free sensors would read there (n, Y)."""
+    columns, junctions, time = run(case, specimen, effects, start_C)
+    made = series(features.network, time, columns, extra=features.table.extra, hour=START_HOUR)
+    at = np.minimum(np.round(made.time - time[0]).astype(np.intp), len(junctions) - 1)
+    # The thermocouples' constant offsets belong to the specimen: the twin was commissioned with them.
+    offsets = ThermocoupleModule(0, (), specimen.unit).offsets_K
+    return made, readings(features.network, junctions[at] + offsets)
+
+
+def run(
     case: Setting, specimen: Specimen, effects: tuple[Effect, ...], start_C: float | None = None
 ) -> tuple[dict[str, Array], Array, Array]:
     """Columns, true junctions and stamps of a record."""
@@ -114,14 +121,14 @@ def _run(
     return record.columns, junctions, record.time_s
 
 
-def _readings(network: Network, junctions: Array) -> Array:
+def readings(network: Network, junctions: Array) -> Array:
     """What the twin's sensors would read of true junctions (n, 9), (n, Y)."""
     where = {name: k for k, name in enumerate(CHANNELS)}
     return np.column_stack([junctions[:, [where[c] for c in s.measured]].mean(axis=1) for s in network.sensors])
 
 
 @lru_cache(maxsize=2)
-def _specimen(features: Features, seed: int, number: int) -> Specimen:
+def specimen_of(features: Features, seed: int, number: int) -> Specimen:
     """A specimen, commissioned on a healthy record of its own.
 
     Raises:
@@ -136,7 +143,7 @@ def _specimen(features: Features, seed: int, number: int) -> Specimen:
         cells = scattered(rng)
         load_kind = "steps" if rng.uniform() < 0.8 else "battle"
         case = Setting(number, int(rng.integers(1_000_000, 2**31)), unit, load_kind, COMMISSION_H)
-        columns, _, time = _run(case, Specimen(cells, unit, network.values), ())
+        columns, _, time = run(case, Specimen(cells, unit, network.values), ())
         made = series(network, time, columns)
         try:
             done = commission(network, made.time[::2], made.inputs[::2], made.measured[::2], starts=1)
@@ -163,7 +170,7 @@ def _loaded(text: str) -> tuple[Effect, ...]:
         return load_effects(Path(file.name))
 
 
-def _told(features: Features, effects: tuple[Effect, ...], time: Array) -> tuple[Array, np.ndarray]:
+def told(features: Features, effects: tuple[Effect, ...], time: Array) -> tuple[Array, np.ndarray]:
     """Deviations (n, P) that the effects amount to, NaN where they stand in for one, and where anything is amiss."""
     deviations = features.deviations
     theta: Array = np.zeros((len(time), len(deviations)))

@@ -89,6 +89,14 @@ def test_a_stuck_sensor_does_not_drag_the_state_along(record, frame):
     assert found.state == pytest.approx(frame.state, abs=0.15)
 
 
+def test_a_lost_input_keeps_its_last_value_however_long_ago_that_was(record):
+    lost = record.inputs.copy()
+    lost[40:, 0] = np.nan
+    found = features().frame(replace(record, inputs=lost), N, NETWORK.values)
+    assert (found.held[:, 0] == record.inputs[39, 0]).all()
+    assert not found.m[:, list(features().table.names).index("level_heater_power_W")].any()
+
+
 def test_a_record_without_anything_is_finite_and_masked(record):
     empty = replace(record, inputs=np.full_like(record.inputs, np.nan), measured=np.full_like(record.measured, np.nan))
     found = features().frame(empty, N, NETWORK.values)

@@ -76,30 +76,52 @@ class Label:
 def simulated(family: Family, seed: int, number: int) -> Campaign:
     """Campaign `number` of a seed: a rig of the family, operated at random, healthy or not."""
     rng = np.random.default_rng([seed, number, 3])
-    rig = _rig(family, seed, number // PER_RIG)
+    rig = rig_of(family, seed, number // PER_RIG)
     hour = float(rng.uniform(0.0, 24.0))
     inputs = drive(family.network, rng, STEPS, hour, power=rig.power)
     changes = () if rng.uniform() < HEALTHY else undeclared.draw(family, rig.plant, rng, inputs, hour)
-    theta = undeclared.moved(changes, len(family.deviations), STEPS)
-    heat = undeclared.heated(changes, family, STEPS)
+    return recorded(family, rig, rng, inputs, hour, changes)
+
+
+def recorded(
+    family: Family,
+    rig: Rig,
+    rng: np.random.Generator,
+    inputs: Array,
+    hour: float,
+    changes: tuple[undeclared.Change, ...],
+    *,
+    gaps: bool = True,
+) -> Campaign:
+    """What a logger keeps of a rig that is driven with `inputs` (n, c) from `hour` o'clock on and changes so.
+
+    Args:
+        gaps: whether readings may be missing or stuck.
+    """
+    n = len(inputs)
+    theta = undeclared.moved(changes, len(family.deviations), n)
+    heat = undeclared.heated(changes, family, n)
     state = family.start(rig.plant, inputs, rng)
     # The thermometers' constant offsets belong to the rig: the twin was commissioned with them.
     truth = family.readings(_vectors(family, rig, theta, changes), state, inputs, heat) + rig.offsets
-    amiss = np.zeros(STEPS, dtype=bool)
+    amiss = np.zeros(n, dtype=bool)
     for change in changes:
         amiss |= change.course > AMISS
     read = truth.copy()
     for change in changes:
         if change.error is not None:
             read[:, change.sensor] = change.error(read[:, change.sensor])
-    told, measured, gaps = damaged(rng, *_logged(family, rig, rng, inputs, read))
-    label = theta + undeclared.equivalent(heat, family)
+    told, measured = _logged(family, rig, rng, inputs, read)
+    said: tuple[str, ...] = ()
+    if gaps:
+        told, measured, said = damaged(rng, told, measured)
     known_time = rng.uniform() < 0.7
     series = Series(
-        np.arange(STEPS, dtype=np.float64) * STEP_S, told, measured, np.full(measured.shape, np.nan),
+        np.arange(n, dtype=np.float64) * STEP_S, told, measured, np.full(measured.shape, np.nan),
         hour=hour if known_time else float("nan"), day=float(rng.uniform(0.0, 365.0)) if known_time else float("nan"),
     )  # fmt: skip
-    return Campaign(series, truth, label, amiss, rig.nominal, "twin", (*(c.what for c in changes), *gaps))
+    label = theta + undeclared.equivalent(heat, family)
+    return Campaign(series, truth, label, amiss, rig.nominal, "twin", (*(c.what for c in changes), *said))
 
 
 def _logged(family: Family, rig: Rig, rng: np.random.Generator, inputs: Array, read: Array) -> tuple[Array, Array]:
@@ -138,7 +160,8 @@ def _rig_of(family: Family, seed: int) -> Rig:
     return family.rig(seed)
 
 
-def _rig(family: Family, seed: int, number: int) -> Rig:
+def rig_of(family: Family, seed: int, number: int) -> Rig:
+    """Rig `number` of a seed."""
     return _rig_of(family, int(np.random.default_rng([seed, number, 5]).integers(1, 2**31)))
 
 

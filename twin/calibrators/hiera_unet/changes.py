@@ -52,9 +52,14 @@ def draw(family: Family, plant: Array, rng: np.random.Generator, inputs: Array, 
         count = int(rng.choice((1, 2, 3), p=(0.6, 0.25, 0.15)))
         found.append(tracked(family, rng, len(inputs), count))
     if kind != "tracked":
-        make = _STRUCTURE[int(rng.integers(len(_STRUCTURE)))]
-        found.append(make(family, plant, rng, inputs, hour))
+        found.append(untracked(family, plant, rng, inputs, hour))
     return tuple(found)
+
+
+def untracked(family: Family, plant: Array, rng: np.random.Generator, inputs: Array, hour: float) -> Change:
+    """Something that no tracked parameter is, unless it is heat where the twin tracks a power."""
+    make = _STRUCTURE[int(rng.integers(len(_STRUCTURE)))]
+    return make(family, plant, rng, inputs, hour)
 
 
 def course(rng: np.random.Generator, n: int) -> tuple[Array, str]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.calibrators.hiera_unet.features import Features, Frame
+from twin.calibrators.hiera_unet.parameters import REACH
 from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.signals import stuck
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
@@ -31,8 +32,8 @@ SMALL = 0.2
 MODEL_K = 0.02
 """What a healthy twin errs by, which no number of samples averages away."""
 STATE_SD = 0.3
-WORSE = 1.5
-"""Factor by which a longer fit's mean square may exceed that of a shorter one."""
+WORSE, LEAST_CHI = 1.25, 0.6
+"""Factor by which a longer fit's mean square may exceed that of a shorter one, or this where that is smaller."""
 CORRELATED_STEPS = 12.0
 """Steps over which a healthy twin's error stays alike: so many count as one."""
 MOST = 8
@@ -47,7 +48,7 @@ class Evidence:
         theta, sd: (P,) deviations and standard errors, no wider than the prior. condition: of all P together.
         told: (P,) bool, parameters that the fitted data tells (`tell`).
         chi: mean square of the residuals in units of noise. steps: how much of the context was fitted.
-        state: full state at the first target step. evaluations: linearisations.
+        state: full state at the first target step, under theta. evaluations: linearisations.
     """
 
     theta: Array
@@ -71,35 +72,53 @@ def tokens(count: int) -> int:
     return 2 + 2 * count + 1
 
 
-def estimate(features: Features, frame: Frame, values: Array, horizons: tuple[int, ...] = HORIZONS) -> Evidence:
+@dataclass(frozen=True)
+class Belief:
+    """What is believed of theta (P,) beforehand: a Gaussian with independent parts."""
+
+    mean: Array
+    sd: Array
+
+
+def estimate(
+    features: Features,
+    frame: Frame,
+    values: Array,
+    horizons: tuple[int, ...] = HORIZONS,
+    belief: Belief | None = None,
+) -> Evidence:
     """Fit the context of a window.
 
     Args:
-        values: full vector (p,) of the commissioned twin. horizons: steps, the longest first.
+        values: full vector (p,) of the commissioned twin. horizons: steps that are tried.
+        belief: the prior of theta; by default the commissioned values and `Deviations.prior_sd`.
     """
+    before = belief or _commissioned(features)
     best: tuple[Fit, float, int] | None = None
     evaluations = 0
     for steps in sorted(horizons):
-        done = _fit(features, frame, values, steps)
+        done = _fit(features, frame, values, steps, before)
         if done is None:
             continue
         fit, chi = done
         evaluations += fit.evaluations
-        if best is None or chi <= WORSE * max(best[1], 1.0):
+        if best is None or chi <= WORSE * max(best[1], LEAST_CHI):
             best = (fit, chi, steps)
         else:
             break
     if best is None:
-        return nothing(features, frame)
-    return _conclude(features, frame, values, *best, evaluations)
+        return nothing(features, frame, before)
+    return _conclude(features, frame, values, before, *best, evaluations)
 
 
-def nothing(features: Features, frame: Frame) -> Evidence:
+def _commissioned(features: Features) -> Belief:
+    return Belief(np.zeros(len(features.deviations)), features.deviations.prior_sd)
+
+
+def nothing(features: Features, frame: Frame, belief: Belief) -> Evidence:
     """What is known without any data: the prior."""
-    sd = features.deviations.prior_sd
-    return Evidence(
-        np.zeros(len(sd)), sd, 1e16, np.zeros(len(sd), dtype=bool), 1.0, HORIZONS[-1], frame.state, 0
-    )  # fmt: skip
+    none = np.zeros(len(belief.sd), dtype=bool)
+    return Evidence(belief.mean, belief.sd, 1e16, none, 1.0, HORIZONS[-1], frame.state, 0)
 
 
 def _data(features: Features, frame: Frame, first: int, last: int) -> Data:
@@ -118,7 +137,7 @@ def step_noise(features: Features) -> Array:
     return np.sqrt(features.network.sigma**2 / STEP_S + MODEL_K**2)
 
 
-def _fit(features: Features, frame: Frame, values: Array, steps: int) -> tuple[Fit, float] | None:
+def _fit(features: Features, frame: Frame, values: Array, steps: int, belief: Belief) -> tuple[Fit, float] | None:
     last = CONTEXT - TARGET
     first = max(last - steps, frame.begin)
     data = _data(features, frame, first, last + 1)
@@ -126,26 +145,35 @@ def _fit(features: Features, frame: Frame, values: Array, steps: int) -> tuple[F
     count = int((data.weight > 0.0).sum())
     if count < 4 * len(features.deviations):
         return None
-    problem, prior = _problem(features, frame, values, first, data)
+    problem, prior = _problem(features, frame, values, first, data, belief)
     fit = problem.minimise(prior.mean.copy(), prior, most=MOST, tolerance=1e-4)
     if not np.isfinite(fit.cost):
         return None
     return fit, max(float(fit.sse.sum()) / count, 1e-3)
 
 
-def _problem(features: Features, frame: Frame, values: Array, first: int, data: Data) -> tuple[Problem, Prior]:
+def _problem(
+    features: Features, frame: Frame, values: Array, first: int, data: Data, belief: Belief
+) -> tuple[Problem, Prior]:
     """Squares over theta and the state at step `first`, and the prior of both."""
     nodes = len(features.network.nodes)
     scaling = features.deviations.scaling(values)
     state = features.state_at(frame, first, values)
-    centre = np.concatenate([np.zeros(len(features.deviations)), state[:nodes]])
+    centre = np.concatenate([np.clip(belief.mean, -REACH, REACH), state[:nodes]])
     # A healthy twin's errors last: without tempering, they would drive what the data cannot tell to its bound.
-    precision = np.diag(np.concatenate([scaling.prior_sd(), np.full(nodes, STATE_SD)]) ** -2.0) * CORRELATED_STEPS
+    precision = np.diag(np.concatenate([belief.sd, np.full(nodes, STATE_SD)]) ** -2.0) * CORRELATED_STEPS
     return Problem(features.kernel, scaling, values, data, state), Prior(centre, precision)
 
 
 def _conclude(
-    features: Features, frame: Frame, values: Array, fit: Fit, chi: float, steps: int, evaluations: int
+    features: Features,
+    frame: Frame,
+    values: Array,
+    belief: Belief,
+    fit: Fit,
+    chi: float,
+    steps: int,
+    evaluations: int,
 ) -> Evidence:
     count = len(features.deviations)
     scaling = features.deviations.scaling(values)
@@ -154,10 +182,10 @@ def _conclude(
     residual = np.where(data.weight > 0.0, fit.data.readings - data.measured, np.nan)
     widened = inflation(residual[:-1], step_noise(features))
     nodes = len(features.network.nodes)
-    prior = np.diag(np.concatenate([scaling.prior_sd(), np.full(nodes, STATE_SD)]) ** -2.0)
+    prior = np.diag(np.concatenate([belief.sd, np.full(nodes, STATE_SD)]) ** -2.0)
     covariance = np.linalg.inv(fit.normal / widened + prior)[:count, :count]
     told, number = tell(fit.normal, scaling.prior_sd(), widened)
-    sd = np.minimum(np.sqrt(np.diag(covariance)), scaling.prior_sd())
+    sd = np.minimum(np.sqrt(np.diag(covariance)), belief.sd)
     return Evidence(fit.v[:count].copy(), sd, number, told, chi, steps, fit.data.end.copy(), evaluations)
 
 
@@ -198,6 +226,24 @@ def identifiable(features: Features, frame: Frame, values: Array, since: int) ->
     data = _data(features, frame, first, CONTEXT)
     if not (data.weight > 0.0).any():
         return none
-    problem, prior = _problem(features, frame, values, first, data)
+    problem, prior = _problem(features, frame, values, first, data, _commissioned(features))
     at = problem.linearise(prior.mean)
     return tell(at.jtj, features.deviations.prior_sd, CORRELATED_STEPS)[0]
+
+
+def least_error(features: Features, frame: Frame, values: Array, theta: Array, since: int) -> Array:
+    """Cramer-Rao bound (P,) of theta's standard errors from the steps since `since` up to the target.
+
+    The initial state is unknown, the noise that of `step_noise` with `CORRELATED_STEPS` alike, theta the truth; what
+    the data cannot tell is infinite.
+    """
+    deviations = features.deviations
+    first = max(since, frame.begin)
+    if CONTEXT - TARGET - first < 12:
+        return np.full(len(deviations), np.inf)
+    data = _data(features, frame, first, CONTEXT - TARGET)
+    problem, prior = _problem(features, frame, values, first, data, _commissioned(features))
+    at = prior.mean.copy()
+    at[: len(deviations)] = np.clip(np.nan_to_num(theta), -REACH, REACH)
+    normal = problem.linearise(at).jtj
+    return told_by(normal, deviations.prior_sd, CORRELATED_STEPS).spread

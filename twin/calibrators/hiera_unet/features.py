@@ -70,7 +70,7 @@ class Features:
             values: full vector (p,) of the commissioned twin.
         """
         network, part = self.network, series.part(end - CONTEXT, end)
-        held = filled_forward(part.inputs, network.nominal_inputs)
+        held = filled_forward(part.inputs, network.nominal_inputs, part.earlier)
         begun = np.isfinite(part.measured).any(axis=1) | np.isfinite(part.inputs).any(axis=1)
         begin = min(int(np.argmax(begun)) if begun.any() else 0, CONTEXT - TARGET - 1)
         start = self._first_state(part.measured[begin:])

@@ -27,6 +27,7 @@ class Series:
         spread: (n, Y) K, standard deviation between the thermometers of a sensor; NaN for a single one.
         extra: further measured columns that the channel table knows, each (n,).
         hour: clock at time 0, h; NaN where the record does not tell. day: of the year at time 0; NaN likewise.
+        earlier: (c,) last inputs that were read before these steps, NaN where none was; or None.
     """
 
     time: Array
@@ -36,6 +37,7 @@ class Series:
     extra: Mapping[str, Array] = field(default_factory=dict)
     hour: float = float("nan")
     day: float = float("nan")
+    earlier: Array | None = None
 
     def __len__(self) -> int:
         return len(self.time)
@@ -51,8 +53,18 @@ class Series:
         time = self.time[0] + STEP_S * np.arange(first, last) if lead else self.time[rows]
         extra = {name: cut(a) for name, a in self.extra.items()}
         return Series(
-            time, cut(self.inputs), cut(self.measured), cut(self.spread), extra, self.hour, self.day
+            time, cut(self.inputs), cut(self.measured), cut(self.spread), extra, self.hour, self.day,
+            self._last_before(max(first, 0)),
         )  # fmt: skip
+
+    def _last_before(self, step: int) -> Array:
+        """Last finite inputs (c,) before a step."""
+        rows = self.inputs[:step]
+        latest: Array = np.full(rows.shape[1], np.nan) if self.earlier is None else self.earlier.copy()
+        good = np.isfinite(rows)
+        for j in np.flatnonzero(good.any(axis=0)):
+            latest[j] = rows[np.flatnonzero(good[:, j])[-1], j]
+        return latest
 
 
 def series(
@@ -106,13 +118,18 @@ def binned(values: Array, where: np.ndarray, n: int) -> Array:
     return out
 
 
-def filled_forward(values: Array, first: Array) -> Array:
-    """Values (n, c) with NaN replaced by the last finite one; before the first, by that first one, or by `first`."""
+def filled_forward(values: Array, first: Array, earlier: Array | None = None) -> Array:
+    """Values (n, c) with NaN replaced by the last finite one, `earlier` (c,) included.
+
+    Before any, the first one that comes counts, or `first` (c,) where none comes.
+    """
     good = np.isfinite(values)
     if good.all():
         return np.ascontiguousarray(values)
     row = np.maximum.accumulate(np.where(good, np.arange(len(values))[:, None], -1), axis=0)
     early = np.where(good.any(axis=0), values[np.argmax(good, axis=0), np.arange(values.shape[1])], first)
+    if earlier is not None:
+        early = np.where(np.isfinite(earlier), earlier, early)
     out: Array = np.where(row >= 0, np.take_along_axis(values, np.maximum(row, 0), axis=0), early)
     return np.ascontiguousarray(out)
 
