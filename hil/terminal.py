@@ -87,7 +87,7 @@ class Steps:
             transient=False,
             disable=quiet or not self._console.is_terminal,
         )
-        self._task: TaskID = self._progress.add_task(what, total=total, completed=begun, note="")
+        self._task: TaskID = self._progress.add_task(what, total=total, completed=int(begun), note="")
         self._total = total
         self._began = self._last_line = time.monotonic()
         self._lines = not self._console.is_terminal

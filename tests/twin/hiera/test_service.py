@@ -23,6 +23,7 @@ from twin.calibrators.hiera_unet.features import Features  # noqa: E402
 from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble  # noqa: E402
 from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
 from twin.calibrators.hiera_unet.parameters import Deviations  # noqa: E402
+from twin.calibrators.hiera_unet.refined import RefinedCalibrator  # noqa: E402
 from twin.calibrators.hiera_unet.service import HieraUNetCalibrator, Mode  # noqa: E402
 from twin.kernel import simulate  # noqa: E402
 from twin.tracking import TwinTracker  # noqa: E402
@@ -32,7 +33,7 @@ LOOP = load_twin(Path(__file__).resolve().parents[3] / "profiles" / "twins" / "l
 DEVIATIONS = Deviations.of(LOOP)
 TABLE = table(LOOP)
 IDENTITY = identity_of(LOOP, TABLE, DEVIATIONS)
-HOURS = 2.2
+HOURS = 1.2
 
 
 def untrained(seed: int = 0) -> Member:
@@ -40,7 +41,7 @@ def untrained(seed: int = 0) -> Member:
     torch.manual_seed(seed)
     net = HieraUNet(config_for("small", LOOP, TABLE, DEVIATIONS)).eval()
     with torch.no_grad():
-        net.parameter_head.out.bias[len(DEVIATIONS) :] = -8.0
+        net.parameter_head.out.bias[len(DEVIATIONS) : 2 * len(DEVIATIONS)] = -8.0
     width = len(net.config.queries) * net.config.query_dim
     return Member(net, IDENTITY, Envelope(np.zeros(width), np.eye(width), 1e6), {"leakage": 0.0, "seed": seed})
 
@@ -65,10 +66,10 @@ def ensemble(tmp_path_factory: pytest.TempPathFactory) -> Ensemble:
     return load_ensemble(ensemble_card(tmp_path_factory.mktemp("trained")), IDENTITY)
 
 
-def record(change: dict[str, float], seed: int = 0) -> tuple[Any, Any, Any]:
+def record(change: dict[str, float], hours: float = HOURS, seed: int = 0) -> tuple[Any, Any, Any]:
     """The loop, excited, with values that changed before the record began."""
     rng = np.random.default_rng(seed)
-    n = int(HOURS * 3600)
+    n = int(hours * 3600)
     t = np.arange(n, dtype=np.float64)
     level = lambda low, high, every: np.repeat(rng.uniform(low, high, n // every + 1), every)[:n]  # noqa: E731
     u = np.column_stack([level(400, 900, 700), level(60, 100, 1100), level(30, 90, 900), np.full(n, 22.0)])
@@ -80,16 +81,16 @@ def calibrator(ensemble: Ensemble, mode: Mode = "controlled") -> HieraUNetCalibr
     return HieraUNetCalibrator(LOOP, ensemble, Features(LOOP, TABLE, DEVIATIONS), mode)
 
 
-def tracked(ensemble: Ensemble, mode: Mode = "controlled", **change: float) -> Any:
+def tracked(ensemble: Ensemble, mode: Mode = "controlled", hours: float = HOURS) -> Any:
     tracker = TwinTracker(LOOP, calibrator(ensemble, mode))
-    return tracker, tracker.push(*record(change)).calibrations
+    return tracker, tracker.push(*record(CHANGE, hours)).calibrations
 
 
 CHANGE = {"fins.UA_100": 45.0, "tank_loss.hA": 8.0}
 
 
 def test_a_change_is_followed_and_what_cannot_be_told_is_held_with_its_code(ensemble: Ensemble) -> None:
-    tracker, done = tracked(ensemble, **CHANGE)
+    tracker, done = tracked(ensemble, hours=2.2)
     assert all("SHORT_RECORD" in c.flags[0] and len(c.frozen) == 9 for c in done[:2])
     last = done[-1]
     assert abs(last.values["fins.UA_100"] - 45.0) < 2.0
@@ -105,7 +106,7 @@ def test_a_change_is_followed_and_what_cannot_be_told_is_held_with_its_code(ense
 
 @pytest.mark.parametrize("mode", ["shadow", "advisory"])
 def test_only_controlled_mode_moves_the_twin(ensemble: Ensemble, mode: Mode) -> None:
-    _, done = tracked(ensemble, mode, **CHANGE)
+    _, done = tracked(ensemble, mode)
     assert all(c.values["fins.UA_100"] == 60.0 for c in done)
     assert any("proposes fins.UA_100" in f for f in done[-1].flags) == (mode == "advisory")
 
@@ -114,11 +115,40 @@ def test_it_goes_on_from_its_saved_state(ensemble: Ensemble) -> None:
     t, u, y = record(CHANGE)
     whole, first, second = (TwinTracker(LOOP, calibrator(ensemble)) for _ in range(3))
     expected = whole.push(t, u, y).calibrations[-1]
-    cut = 5000
+    cut = 3100
     first.push(t[:cut], u[:cut], y[:cut])
     second.restore(json.loads(json.dumps(first.state())))
     found = second.push(t[cut:], u[cut:], y[cut:]).calibrations[-1]
     assert found.values == expected.values and found.flags == expected.flags
+
+
+def test_least_squares_led_by_the_network_explains_a_window_no_worse_than_alone(ensemble: Ensemble) -> None:
+    t, u, y = record(CHANGE)
+    alone = TwinTracker(LOOP, "least_squares")
+    led = TwinTracker(LOOP, RefinedCalibrator(LOOP, calibrator(ensemble)))
+    first, second = (tracker.push(t, u, y).calibrations for tracker in (alone, led))
+    assert [c.flags[-1].split(":")[0] for c in second[:2]] == ["on its own"] * 2
+    assert first[0].values == second[0].values
+    assert second[-1].error_K < 1.02 * first[-1].error_K
+    assert abs(second[-1].values["fins.UA_100"] - 45.0) < 1.5
+    again = TwinTracker(LOOP, RefinedCalibrator(LOOP, calibrator(ensemble)))
+    again.restore(json.loads(json.dumps(led.state())))
+    assert again.values == led.values
+
+
+def test_it_proposes_every_five_minutes_however_the_stream_is_cut(ensemble: Ensemble) -> None:
+    t, u, y = record(CHANGE)
+    own = [calibrator(ensemble) for _ in range(2)]
+    whole = TwinTracker(LOOP, own[0])
+    spread = whole.push(t, u, y).spread
+    pieces = TwinTracker(LOOP, own[1])
+    for first in range(0, len(t), 1111):
+        pieces.push(*(a[first : first + 1111] for a in (t, u, y)))
+    assert list(own[0].records) == list(own[1].records)
+    times = np.array([r["time_s"] for r in own[0].records])
+    assert len(times) == int(HOURS * 12) and np.abs(np.diff(times) - 300.0).max() <= 31.0
+    json.dumps(list(own[0].records), allow_nan=False)
+    assert spread is not None and np.isnan(spread[:300]).all() and (spread[400:] > 0.0).all()
 
 
 @pytest.mark.parametrize(

@@ -44,16 +44,19 @@ class Queries(nn.Module):
 class ParameterHead(nn.Module):
     """Deviations and their log-variances from the pooled features of stride 30 and the queries' answers.
 
-    The last layer starts at zero: the deviations are then those of the evidence, where there is any, else none.
+    Without evidence, theta = reach tanh(change). With it, theta = reach tanh(trust atanh(evidence / reach) + change),
+    where trust, between 0 and 2, says how far an independent estimate is believed; the head then sees the static
+    numbers too. The last layer starts at zero: no change and a trust of 1, so the twin is as commissioned, or as the
+    evidence has it.
     """
 
     def __init__(self, config: Config) -> None:
         super().__init__()
         self.config = config
-        width = config.dims[2] + len(config.queries) * config.query_dim
+        width = config.dims[2] + len(config.queries) * config.query_dim + config.evidence * config.meta
         self.reduce = nn.Linear(config.dims[-1], config.query_dim)
         self.hidden = nn.Linear(width, config.head_hidden)
-        self.out = nn.Linear(config.head_hidden, 2 * config.parameters)
+        self.out = nn.Linear(config.head_hidden, (2 + config.evidence) * config.parameters)
         self.register_buffer("bounds", torch.tensor(config.bounds), persistent=False)
 
     def forward(self, d3: Tensor, valid: Tensor, answers: Tensor, meta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -68,16 +71,15 @@ class ParameterHead(nn.Module):
         weight = valid / valid.sum(1, keepdim=True).clamp(min=1e-6)
         features = self.reduce(answers).flatten(1)
         pooled = torch.cat([(d3 * weight[..., None]).sum(1), features], -1)
-        change, log_variance = self.out(F.gelu(self.hidden(pooled))).float().chunk(2, -1)
-        return self._bounded(change, meta), log_variance, features
-
-    def _bounded(self, change: Tensor, meta: Tensor) -> Tensor:
         top: Tensor = OVERREACH * self.bounds
         if not self.config.evidence:
-            return top * torch.tanh(change)
+            change, log_variance = self.out(F.gelu(self.hidden(pooled))).float().chunk(2, -1)
+            return top * torch.tanh(change), log_variance, features
+        pooled = torch.cat([pooled, meta.to(pooled.dtype)], -1)
+        change, log_variance, trust = self.out(F.gelu(self.hidden(pooled))).float().chunk(3, -1)
         p = self.config.parameters
-        evidence = meta[:, -2 * p - 1 : -p - 1].float()
-        return top * torch.tanh(torch.atanh((evidence / top).clamp(-0.99, 0.99)) + change)
+        evidence = torch.atanh((meta[:, -2 * p - 1 : -p - 1].float() / top).clamp(-0.99, 0.99))
+        return top * torch.tanh(2.0 * torch.sigmoid(trust) * evidence + change), log_variance, features
 
 
 class OutputHead(nn.Module):

@@ -27,8 +27,20 @@ class History:
         self._time = np.zeros(0)
         self._inputs, self._measured = np.zeros((0, inputs)), np.zeros((0, sensors))
 
+    @property
+    def last_s(self) -> float:
+        """Time of the latest sample; minus infinity before the first."""
+        return float(self._time[-1]) if self._time.size else -np.inf
+
     def push(self, time: Array, inputs: Array, measured: Array) -> None:
-        """Samples in order: time (n,) s, inputs (n, c), measured (n, m) degC with NaN where masked."""
+        """Samples in order: time (n,) s, inputs (n, c), measured (n, m) degC with NaN where masked.
+
+        Those that are there already are left out.
+        """
+        new = time > self.last_s
+        if not new.any():
+            return
+        time, inputs, measured = time[new], inputs[new], measured[new]
         if self._origin is None:
             self._origin = float(time[0])
         self._time = np.concatenate([self._time, time])

@@ -61,7 +61,7 @@ class Plan:
     decay: float = 0.05
     clip: float = 1.0
     ema: float = 0.998
-    structure: float = 0.15
+    structure: float = 0.1
     sure: float = 0.1
     healthy: float = 0.02
     half: bool = False
