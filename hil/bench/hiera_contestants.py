@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.network import Array
 from twin.tracking import TwinTracker
 
+TRAINED = Path(__file__).resolve().parents[2] / "profiles" / "trained" / "loop_small.json"
 SAME = 0.03
 """Deviations that differ by less are one, for where a label holds from."""
 
@@ -164,7 +167,13 @@ def _before(features: Features, nominal: Array, done: dict[int, Calibration], ta
     return np.where(there, deviations.theta(values, nominal), np.nan), bool(last.calibrated)
 
 
+def _shipped() -> tuple[str, ...]:
+    """The network's calibrators, where a trained ensemble and what it needs are at hand."""
+    there = TRAINED.is_file() and all(importlib.util.find_spec(name) for name in ("torch", "safetensors"))
+    return ("hiera_unet", "hiera_ls") if there else ()
+
+
 def roster(names: tuple[str, ...] = ()) -> dict[str, Contestant]:
     """Name -> contestant, in the order of the tables; `names` of the trackers, all that are here by default."""
-    trackers = names or tuple(n for n in ("pso", "least_squares", "kalman") if n in NAMES)
+    trackers = names or tuple(n for n in ("pso", "least_squares", "kalman", *_shipped()) if n in NAMES)
     return {"commissioned": commissioned, **{n.replace("_", " "): tracked(n) for n in trackers}, "fit of 2 h": fitted}
