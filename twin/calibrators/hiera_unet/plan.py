@@ -32,7 +32,7 @@ class LossWeights:
     balance: float = 0.30
     smooth: float = 0.08
     uncertainty: float = 0.15
-    parameter: float = 5.0
+    parameter: float = 3.0
     delta: float = 0.01
     slow: float = 0.1
 
@@ -56,7 +56,7 @@ class Plan:
     batch: int = 12
     pairs: int = 2
     moved: float = 0.3
-    rate: float = 1.5e-3
+    rate: float = 2e-3
     warmup: float = 0.06
     decay: float = 0.05
     clip: float = 1.0
