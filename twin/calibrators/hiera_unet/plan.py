@@ -12,12 +12,13 @@ from twin.calibrators.hiera_unet.config import HieraError
 class Hiding:
     """What is hidden from a window in training.
 
-    `whole`: chance that all of the target is hidden; otherwise random blocks of `block_steps` are. `dropped`: chance
-    that a window loses whole channels, each with the chance `each`. `burst`: chance that it loses all measurements
-    for 2 to `burst_steps` steps.
+    `whole`: chance that all of the target is hidden; otherwise, if `blocks`, random ones of `block_steps` are.
+    `dropped`: chance that a window loses whole channels, each with the chance `each`. `burst`: chance that it loses
+    all measurements for 2 to `burst_steps` steps.
     """
 
     whole: float = 0.7
+    blocks: bool = True
     block_steps: int = 20
     dropped: float = 0.3
     each: float = 0.1
