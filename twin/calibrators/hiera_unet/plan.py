@@ -28,7 +28,10 @@ class Hiding:
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Balance, smoothness and uncertainty as published; parameters, corrections and slow corrections this project's."""
+    """Balance, smoothness and uncertainty as published; parameters, corrections and slow corrections this project's.
+
+    `through`: share of the outputs' gradient that goes through the twin into the parameters.
+    """
 
     balance: float = 0.30
     smooth: float = 0.08
@@ -36,6 +39,7 @@ class LossWeights:
     parameter: float = 3.0
     delta: float = 0.01
     slow: float = 0.1
+    through: float = 0.03
 
 
 @dataclass(frozen=True)
@@ -58,10 +62,10 @@ class Plan:
     pairs: int = 2
     moved: float = 0.3
     rate: float = 2e-3
-    warmup: float = 0.06
+    warmup: float = 0.03
     decay: float = 0.05
     clip: float = 1.0
-    ema: float = 0.998
+    ema: float = 0.995
     structure: float = 0.1
     sure: float = 0.1
     healthy: float = 0.02
