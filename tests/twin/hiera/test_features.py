@@ -146,6 +146,8 @@ def test_a_record_that_is_too_short_or_lacks_a_column_is_refused(record):
     whole = columns(record)
     with pytest.raises(TwinFileError, match="less than one step"):
         series(NETWORK, np.array([0.0]), {name: values[:1] for name, values in whole.items()})
+    with pytest.raises(TwinFileError, match="correct its stamps"):
+        series(NETWORK, np.array([0.0, 1e9]), {name: values[:2] for name, values in whole.items()})
     with pytest.raises(TwinFileError, match="fan_speed_pct"):
         series(NETWORK, record.time, {k: v for k, v in whole.items() if k != "fan_speed_pct"})
 
