@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from hil.bench import hiera_cases as cases
@@ -25,7 +26,10 @@ CALIBRATING = 900_001
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Seeds; simulated and virtual cases a seed; which rigs; trackers by name, all that are here if empty."""
+    """Seeds; simulated and virtual cases a seed; which rigs; trackers by name, all that are here if empty.
+
+    `calibrating`: simulated cases that set constant intervals; of virtual ones a third as many, as in what is scored.
+    """
 
     seeds: tuple[int, ...] = (0, 1, 2)
     simulated: int = 30
@@ -34,11 +38,11 @@ class Size:
     trackers: tuple[str, ...] = ()
     strangers: tuple[str, ...] = cases.STRANGERS
     lost: tuple[float, ...] = LOST
-    calibrating: int = 24
+    calibrating: int = 6
 
 
-FULL = Size()
-QUICK = Size(seeds=(0,), simulated=3, virtual=2, rigs=("simulated", "virtual"), lost=(0.25,), calibrating=6)
+FULL = Size(calibrating=36)
+QUICK = Size(seeds=(0,), simulated=3, virtual=2, rigs=("simulated", "virtual"), lost=(0.25,))
 
 Results = dict[str, list[Score]]
 """Contestant -> its scores, a case each."""
@@ -73,9 +77,14 @@ def measure(
     else:
         left_out.append("network: name the card of a trained one with --network")
     everything = Everything({}, {share: {} for share in size.lost}, {}, features.network.rules.calibrated_K)
-    total = len(size.seeds) * (size.simulated + size.virtual) + len(size.strangers) + size.calibrating
+    third = -(-size.calibrating // 3)
+    total = len(size.seeds) * (size.simulated + size.virtual) + len(size.strangers) + size.calibrating + third
     done = 0
-    for case in cases.simulated(family, seed + CALIBRATING, size.calibrating):
+    setting = (
+        cases.simulated(family, seed + CALIBRATING, size.calibrating),
+        cases.virtual(features, seed + CALIBRATING, third),
+    )
+    for case in chain(*setting):
         say(done / total, "calibrating intervals")
         _judge(features, case, contestants, everything.calibrating, everything.threshold_K)
         done += 1

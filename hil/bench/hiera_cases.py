@@ -37,6 +37,8 @@ FIRST = 13
 BEFORE, AFTER = 3, 8
 """Targets before the change and after it, which lies somewhere in the target between."""
 STEPS = TARGET * (FIRST + BEFORE + 1 + AFTER)
+LEAST = 0.1
+"""Smallest deviation of a tracked parameter that is worth following."""
 EFFECTS = ("modules_heat", "tank_insulation", "radiator_fouling", "pump_heat", "tank_sensor_lag")
 STRANGERS = ("d0", "d1", "d2", "d3", "d4", "d5", "d6", "d7")
 STRANGER_TARGETS = 36
@@ -96,7 +98,7 @@ def simulated(family: Family, seed: int, count: int) -> Iterator[Case]:
         if kind == "tracked":
             onset = _window_of_change(rng)
             step = (np.arange(STEPS) >= onset).astype(np.float64)
-            while not found or "resistance" in found[0].what:
+            while not found or np.abs(found[0].theta).max() < LEAST or "resistance" in found[0].what:
                 found = (replace(changes.tracked(family, rng, STEPS, 1), course=step),)
         elif kind == "other":
             found, onset = _other(family, rig.plant, rng, inputs, hour)

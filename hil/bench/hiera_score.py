@@ -13,6 +13,8 @@ from twin.network import Array
 IN_A_ROW = 2
 """Targets that must stay below the threshold for a recovery to count."""
 RESAMPLES = 400
+WORSE, WORSE_K = 1.1, 0.005
+"""Factor and K by which an error must be larger to count as worse."""
 CONFIDENCE = 0.90
 
 
@@ -102,6 +104,17 @@ def share_recovered(scores: Iterable[Score], within: float) -> float:
     needed = np.array([s.recovered for s in scores])
     needed = needed[~np.isnan(needed)]
     return float((needed <= within).mean()) if needed.size else float("nan")
+
+
+def worse(scores: list[Score], rival: list[Score]) -> float:
+    """Share of the changes after which the error is clearly larger than the rival's on the same case."""
+    lost = []
+    for own, other in zip(scores, rival, strict=True):
+        if np.isnan(own.recovered):
+            continue
+        a, b = (pooled([s], lambda s: s.after) for s in (own, other))
+        lost.append(a > WORSE * b and a > b + WORSE_K)
+    return float(np.mean(lost)) if lost else float("nan")
 
 
 def over_bound(scores: Iterable[Score]) -> float:

@@ -28,6 +28,7 @@ def tables(found: Everything, rigs: tuple[str, ...]) -> tuple[Table, ...]:
         lost(found),
         false_flags(found),
         cost(found.whole),
+        *goals(found),
     )
 
 
@@ -140,7 +141,7 @@ def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> 
         ("rig", "by", "width is", "inside", "from to", "mean width K"),
         tuple(rows),
         (
-            "Constant: split conformal, one half width a sensor, from other simulated rigs. "
+            "Constant: split conformal, one half width a sensor, from other rigs of both kinds. "
             "Its own: the predicted width times a factor found on the same.",
             BETWEEN,
         ),
@@ -203,6 +204,38 @@ def false_flags(found: Everything) -> Table:
         tuple(rows),
         (BETWEEN,),
     )
+
+
+RIVALS = {
+    "network": "fit of 2 h",
+    "network, fit": "fit of 2 h",
+    "hiera unet": "least squares",
+    "hiera ls": "least squares",
+}
+"""Who a contestant must not be worse than: the same fit without the network."""
+
+
+def goals(found: Everything) -> tuple[Table, ...]:
+    """What the network set out to reach, beside what it did; no table without a network."""
+    rows: list[tuple[Cell, ...]] = []
+    for name in (n for n in RIVALS if n in found.whole):
+        scores = [s for s in found.whole[name] if s.rig != "stranger"]
+        own = any(s.half is not None for s in scores)
+        calibrating = found.calibrating[name]
+        widths = judge.own_factors(calibrating, 0) if own else judge.constant_widths(calibrating, 0)
+        told = [s for s in scores if np.isfinite(s.off).any()]
+        rival = found.whole.get(RIVALS[name], [])
+        rows += [
+            (name, "90 % intervals hold", "0.88 to 0.92", judge.coverage(scores, widths, own=own)[0]),
+            (name, "parameter error over bound, median / 0.67", "<= 1.5", judge.median_over_bound(told) / 0.6745),
+            (name, "parameter error over bound, RMS", "<= 1.5", judge.over_bound(told)),
+            (name, "changes recovered by 2", ">= 0.95", judge.share_recovered(found.whole[name], 2.0)),
+            (name, f"changes in which worse than {RIVALS[name]}", "0", judge.worse(found.whole[name], rival)),
+        ]
+    if not rows:
+        return ()
+    notes = (f"Worse: RMSE after the change larger by more than {judge.WORSE - 1.0:.0%} and by {judge.WORSE_K:g} K.",)
+    return (Table("goals", "Against the goals", ("by", "what", "goal", "found"), tuple(rows), notes),)
 
 
 def cost(results: Results) -> Table:

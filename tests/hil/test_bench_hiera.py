@@ -121,3 +121,17 @@ def test_an_unknown_rig_is_refused():
     done = CliRunner().invoke(command, ["hiera", "--rig", "mars"])
     assert done.exit_code == 2
     assert "simulated, virtual, stranger" in done.output
+
+
+def test_an_untrained_network_predicts_what_its_evidence_does_and_a_fit_from_it_as_well(tmp_path):
+    pytest.importorskip("torch", reason="torch is not installed: the network takes no part")
+    pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
+    from hil.bench.hiera_network import contestants
+    from tests.twin.hiera.test_service import ensemble_card
+
+    both = contestants(ensemble_card(tmp_path), features())
+    alone, then_fit, fit = scored(both["network"]), scored(both["network, fit"]), scored(fitted)
+    assert alone.half is not None and np.isfinite(alone.error).all()
+    assert np.nanmedian(np.abs(alone.rmse - fit.rmse)) < 0.03
+    assert then_fit.recovered <= fit.recovered
+    assert alone.cpu_s > fit.cpu_s

@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from tests.twin.hiera.records import NETWORK, SIGMA_K, deviation, features, made
-from twin.calibrators.hiera_unet.series import STEP_S, series
+from twin.calibrators.hiera_unet.channels import table
+from twin.calibrators.hiera_unet.evidence import estimate
+from twin.calibrators.hiera_unet.features import Features
+from twin.calibrators.hiera_unet.parameters import Deviations
+from twin.calibrators.hiera_unet.series import STEP_S, Series, series
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.network import TwinFileError
+from twin.steady import steady_state
+from twin.twinfile import parse
 
 N = 1500
 FIRST = CONTEXT - TARGET
@@ -140,6 +146,8 @@ def test_a_record_that_is_too_short_or_lacks_a_column_is_refused(record):
     whole = columns(record)
     with pytest.raises(TwinFileError, match="less than one step"):
         series(NETWORK, np.array([0.0]), {name: values[:1] for name, values in whole.items()})
+    with pytest.raises(TwinFileError, match="correct its stamps"):
+        series(NETWORK, np.array([0.0, 1e9]), {name: values[:2] for name, values in whole.items()})
     with pytest.raises(TwinFileError, match="fan_speed_pct"):
         series(NETWORK, record.time, {k: v for k, v in whole.items() if k != "fan_speed_pct"})
 
@@ -150,3 +158,50 @@ def test_the_clock_is_zero_where_the_record_does_not_tell_the_time(record, frame
     start = (N - CONTEXT) * STEP_S / 3600.0
     assert told.clock[0, 0] == pytest.approx(np.cos(2.0 * np.pi * (6.0 + start) / 24.0))
     assert np.abs(told.clock).max() <= 1.0
+
+
+THREE = """
+format = 1
+name = "three"
+
+[inputs]
+heater_power_W = { nominal = 2000.0, lower = 0.0, upper = 5000.0, unit = "W" }
+pump_speed_pct = { nominal = 100.0, lower = 0.0, upper = 100.0, unit = "%" }
+fan_speed_pct = { nominal = 80.0, lower = 0.0, upper = 100.0, unit = "%" }
+T_ambient_C = { nominal = 25.0, lower = -40.0, upper = 60.0, unit = "degC" }
+
+[elements]
+boiler = { kind = "node", capacitance = 8000.0 }
+cooler = { kind = "node", capacitance = 6000.0 }
+store = { kind = "node", capacitance = 90000.0 }
+ring = { kind = "flow", path = ["boiler", "cooler", "store"], pump = "pump_speed_pct", nominal = 9.0 }
+fins = { kind = "radiator", node = "cooler", fan = "fan_speed_pct", pump = "pump_speed_pct", UA_100 = 150.0 }
+shell = { kind = "ambient_loss", node = "store", hA = 6.0 }
+element = { kind = "heat_source", node = "boiler", driver = "heater_power_W" }
+T_out_C = { kind = "sensor", node = "boiler", columns = ["T_out_C"] }
+T_store_C = { kind = "sensor", node = "store", columns = ["T_store_C"] }
+
+[sets.tracked]
+members = ["fins.UA_100", "shell.hA", "element.factor"]
+"""
+
+
+def test_another_loop_with_a_volume_that_nothing_reads_gets_windows_of_its_own():
+    """Nothing here knows the shipped loop's four volumes, its sensors or its size."""
+    network = parse(THREE)
+    deviations = Deviations.of(network, "tracked")
+    own = Features(network, table(network), deviations)
+    n, rng = 1500, np.random.default_rng(0)
+    inputs = np.tile(network.nominal_inputs, (n, 1))
+    inputs[500:, 0] *= 0.8
+    inputs[900:, 2] *= 0.7
+    time = np.arange(n) * STEP_S
+    values = deviations.full(np.array([-0.3, 0.0, 0.0]), network.values)
+    clean = own.kernel.trace(values, steady_state(network, inputs[0], values), time, inputs)[0][0]
+    readings = clean + SIGMA_K * rng.standard_normal(clean.shape)
+    found = own.frame(Series(time, inputs, readings, np.full(readings.shape, np.nan)), n, network.values)
+    assert found.x.shape == (CONTEXT, len(own.table)) and found.base.shape == (TARGET, 2)
+    assert not found.m[:, list(own.table.names).index("balance_cooler")].any()
+    assert 0.2 < np.abs(found.x[:, list(own.table.names).index("reading_T_out_C")]).mean() < 5.0
+    fit = estimate(own, found, network.values)
+    assert fit.theta[0] == pytest.approx(-0.3, abs=0.03)

@@ -69,7 +69,7 @@ def since_last(event: np.ndarray) -> Array:
 
 
 def _stepped(share: Array, steps: int) -> np.ndarray:
-    """Whether any column moved by more than STEP_SHARE against its mean over half a minute, lately."""
+    """Whether any column moved by more than STEP_SHARE within half a minute, lately."""
     if not share.shape[1]:
         return np.zeros(len(share), dtype=bool)
     back = max(int(30.0 / STEP_S), 1)

@@ -16,6 +16,8 @@ from twin.kernel import clean_time
 from twin.network import Array, Network, TwinFileError
 
 STEP_S = 5.0
+MOST_STEPS = 6_307_200
+"""A year."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,8 @@ def series(
         extra: further columns to take along where the record has them.
 
     Raises:
-        TwinFileError: a column that the twin needs is missing, time goes back, or the record is shorter than a step.
+        TwinFileError: a column that the twin needs is missing, time goes back, or the record is shorter than a step or
+            longer than a year.
     """
     t = clean_time(time_s)
     inputs, measured = network.select(columns)
@@ -91,6 +94,11 @@ def series(
     if len(t) < 2 or t[-1] - t[0] < STEP_S:
         raise TwinFileError(f"the record covers less than one step of {STEP_S:g} s; give a longer one")
     n = int((t[-1] - t[0]) / STEP_S + 1e-9) + 1
+    if n > MOST_STEPS:
+        raise TwinFileError(
+            f"the record covers {(t[-1] - t[0]) / 86400.0:.0f} days, more than the {MOST_STEPS * STEP_S / 86400.0:.0f} "
+            "that fit; correct its stamps or cut it"
+        )
     # Sensors take the nearest stamp, inputs the one before.
     near = np.clip(np.floor((t - t[0]) / STEP_S + 0.5 - 1e-9).astype(np.intp), 0, n - 1)
     before = np.minimum(((t - t[0]) / STEP_S + 1e-9).astype(np.intp), n - 1)
