@@ -36,10 +36,10 @@ class LossWeights:
     balance: float = 0.30
     smooth: float = 0.08
     uncertainty: float = 0.15
-    parameter: float = 3.0
+    parameter: float = 10.0
     delta: float = 0.01
     slow: float = 0.1
-    through: float = 0.03
+    through: float = 0.1
 
 
 @dataclass(frozen=True)
