@@ -14,7 +14,11 @@ from twin.calibrators.hiera_unet.heads import OutputHead, ParameterHead, Queries
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the network says of B windows. The calibrated output is f_DT(u, theta) + delta, eq. 8.
+    """What the network says of B windows.
+
+    Without evidence the calibrated output is f_DT(u, theta) + delta, eq. 8. With it, it is f_DT(u, theta_e) + delta,
+    where theta_e is the evidence: what a fit explains of this record, whatever it had to bend for it. What of that is
+    a parameter that moved, and what the twin lacks, is for theta to say.
 
     Attributes:
         theta: (B, P) deviations in their own units. log_variance: (B, P) of theta / bound.
@@ -77,6 +81,12 @@ class HieraUNet(nn.Module):
     def count(self) -> int:
         """Number of weights."""
         return sum(p.numel() for p in self.parameters())
+
+
+def evidence_of(config: Config, meta: Tensor) -> Tensor | None:
+    """The deviations (B, P) of the evidence among the static numbers (B, M); None for a network without."""
+    p = config.parameters
+    return meta[:, -2 * p - 1 : -p - 1].float() if config.evidence else None
 
 
 def _start(module: nn.Module) -> None:

@@ -30,7 +30,8 @@ class Hiding:
 class LossWeights:
     """Balance, smoothness and uncertainty as published; parameters, corrections and slow corrections this project's.
 
-    `through`: share of the outputs' gradient that goes through the twin into the parameters.
+    `through`: share of the outputs' gradient that goes through the twin into the parameters. The twin run with them
+    alone has a loss of its own where the outputs are calibrated from the evidence.
     """
 
     balance: float = 0.30
@@ -39,7 +40,7 @@ class LossWeights:
     parameter: float = 10.0
     delta: float = 0.01
     slow: float = 0.1
-    through: float = 0.1
+    through: float = 0.05
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import torch
 
 from twin.calibrators.hiera_unet.batches import Batch, Simulate
 from twin.calibrators.hiera_unet.hiding import blind
-from twin.calibrators.hiera_unet.network import HieraUNet
+from twin.calibrators.hiera_unet.network import HieraUNet, evidence_of
 from twin.calibrators.hiera_unet.windows import Windows
 from twin.network import Array
 
@@ -93,11 +93,12 @@ def outcome(
             b = Batch.of(windows.take(slice(first, first + batch)), device)
             m = blind(b.m, answer, config.target) if hidden else b.m
             p = network(b.x, m, b.regime, b.clock, b.meta, causal=causal)
-            y = simulate(p.theta, b.rows) + p.delta
             true = np.where(b.rows.known, b.rows.theta, np.nan)
-            count = config.parameters
-            given = b.meta[:, -2 * count - 1 : -count - 1] if config.evidence else torch.full_like(p.theta, torch.nan)
-            rival = simulate(given, b.rows) - b.goal if config.evidence else torch.full_like(y, torch.nan)
+            given = evidence_of(config, b.meta)
+            twin = simulate(p.theta if given is None else given, b.rows)
+            rival = torch.full_like(twin, torch.nan) if given is None else twin - b.goal
+            y = twin + p.delta
+            own = torch.full_like(p.theta, torch.nan) if given is None else given
             rows = {
                 "error": y - b.goal,
                 "scale": torch.exp(p.log_scale.clamp(-6, 6)) * tolerances,
@@ -113,7 +114,7 @@ def outcome(
             log_variance = p.log_variance.clamp(-12, 6).float().cpu().numpy()
             parts["theta_sd"].append(np.exp(0.5 * log_variance) * bounds)
             parts["theta_error"].append(theta - true)
-            parts["evidence_error"].append(given.double().cpu().numpy() - true)
+            parts["evidence_error"].append(own.double().cpu().numpy() - true)
             parts["changed"].append(b.rows.changed)
     return Outcome(**{name: np.concatenate(values) for name, values in parts.items()})
 

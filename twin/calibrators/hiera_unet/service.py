@@ -175,7 +175,7 @@ class HieraUNetCalibrator:
     def _evidently(self, frame: Frame, evidence: Evidence, said: Said, row: Windows) -> Evidently:
         needed = self.features.table.indices("u", "y", "r")
         half = self.ensemble.half_widths(said, int(row.regime[0, -1]))
-        full = self.features.deviations.full(said.theta, row.nominal[0])
+        full = self.features.deviations.full(evidence.theta, row.nominal[0])
         time = np.arange(TARGET, dtype=np.float64) * 5.0
         twin = self.features.kernel.trace(full, frame.state, time, frame.held[-TARGET:])[0][0]
         error = frame.target - twin - said.delta

@@ -21,7 +21,7 @@ from twin.calibrators.hiera_unet.balance import Balance
 from twin.calibrators.hiera_unet.batches import Batch, Simulate
 from twin.calibrators.hiera_unet.config import Config, HieraError
 from twin.calibrators.hiera_unet.hiding import hide
-from twin.calibrators.hiera_unet.network import HieraUNet, Prediction, decayed
+from twin.calibrators.hiera_unet.network import HieraUNet, Prediction, decayed, evidence_of
 from twin.calibrators.hiera_unet.plan import Plan
 from twin.calibrators.hiera_unet.sampling import Sampler
 from twin.calibrators.hiera_unet.windows import Windows
@@ -114,10 +114,12 @@ class Trainer:
     def loss(self, p: Prediction, batch: Batch, pairs: Tensor, structural: bool) -> dict[str, Tensor]:
         """Every part, and their weighted sum as ``loss``."""
         w, bounds, tolerances = self.plan.weights, self.bounds, self.tolerances
+        given = evidence_of(self.config, batch.meta)
         # A kelvin of output moves a deviation a hundred times as hard as its own label does. Unscaled, that alone would
         # fill the clipped gradient, and corrections would not be learned.
         theta = w.through * p.theta + (1.0 - w.through) * p.theta.detach()
-        twin = batch.base if structural else self.physics.simulate(theta, batch.rows)
+        moved = batch.base if structural else self.physics.simulate(theta, batch.rows)
+        twin = moved if given is None else self.physics.simulate(given, batch.rows)
         error = twin + p.delta - batch.goal
         price, slow = losses.correction_price(p.delta, tolerances)
         parts = {"data": losses.data_loss(error, tolerances), "delta": price}
@@ -138,6 +140,9 @@ class Trainer:
             parts["parameter"] = losses.parameter_loss(p.theta, batch.theta, batch.known, bounds)
             parts["smooth"] = losses.smooth_loss(p.theta, bounds, pairs)
             parts["slow"] = slow
+            if given is not None:
+                parts["twin"] = losses.data_loss(moved - batch.goal, tolerances)
+                total = total + parts["twin"]
             total = total + w.parameter * parts["parameter"] + w.smooth * parts["smooth"] + w.slow * slow
             if likely:
                 wrong = p.theta - batch.theta
