@@ -8,6 +8,9 @@ from pathlib import Path
 
 import click
 
+PIECES = ("gates", "evidence", "residuals", "hiding", "structure", "balance")
+"""As `hil.training.ablation` has them, which is not loaded for a list of options."""
+
 
 @click.group()
 def command() -> None:
@@ -35,6 +38,7 @@ def command() -> None:
 @click.option("--device", default="cpu", show_default=True, help="cpu or cuda.")
 @click.option("--threads", default=0, help="Of the processor; 0 takes what there is.")
 @click.option("--half/--single", default=None, help="bfloat16 products or not.  [default: bfloat16 on cuda]")
+@click.option("--without", multiple=True, type=click.Choice(PIECES), help="Leave a piece out; may be repeated.")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), default=Path("training"), show_default=True,
     help="Folder for weights, card and picture, and for what a cut training goes on from.",
@@ -42,7 +46,7 @@ def command() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def loop_command(
     name: str, seed: int, data: Path, count: int, steps: int, batch: int, minutes: float | None,
-    device: str, threads: int, half: bool | None, out: Path, as_json: bool,
+    device: str, threads: int, half: bool | None, without: tuple[str, ...], out: Path, as_json: bool,
 ) -> None:  # fmt: skip
     """Train one member for the coolant loop on simulated rigs.
 
@@ -62,18 +66,19 @@ def loop_command(
     from twin.calibrators.hiera_unet.plan import Plan
 
     ready(device, threads)
-
     if not (data / "manifest.json").exists():
         with Steps("simulating", 1.0, quiet=as_json) as bar:
             generate(0, count, data, bar.update)
     windows = read(data, features_of())
     plan = Plan(steps=steps, batch=batch, seed=seed, half=device != "cpu" if half is None else half)
-    stem = f"loop_{name}_{seed}"
+    less = tuple(dict.fromkeys(without))
+    stem = "_".join(("loop", name, *(("without", *less) if less else ()), str(seed)))
     typed = f"hil train loop --config {name} --seed {seed} --steps {steps} --batch {batch} --device {device}"
+    typed += "".join(f" --without {piece}" for piece in less)
     with Steps("training", steps, quiet=as_json, begun=begun(out / stem)) as bar:
         done = train(
             windows, name, plan, out / stem, out / f"{stem}.safetensors", minutes=minutes, command=typed,
-            say=bar.update, device=device,
+            say=bar.update, device=device, without=less,
         )  # fmt: skip
         bar.cut = done.card is None
     if as_json:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.training.ablation import without as leave_out
 from hil.training.data import Data
 from hil.training.ensemble import assemble
 from hil.training.picture import draw
@@ -48,13 +49,14 @@ class Outcome:
 
 def train(
     data: Data, name: str, plan: Any, folder: Path, out: Path, *, minutes: float | None, command: str, say: Say,
-    device: str = "cpu",
+    device: str = "cpu", without: tuple[str, ...] = (),
 ) -> Outcome:  # fmt: skip
     """Go on with the training in `folder` for some minutes, or to its end; then write the network to `out`.
 
     Args:
         name: of the configuration. plan: `twin.calibrators.hiera_unet.plan.Plan`. out: the weights' path.
         minutes: after which to stop; None for no limit. command: as typed, for the card.
+        without: pieces to leave out, see `hil.training.ablation`.
 
     Raises:
         HieraError: the training in `folder` is another one.
@@ -65,7 +67,8 @@ def train(
 
     config = config_for(name, data.network, data.table, data.deviations)
     physics = physics_of(data.network, data.table, data.deviations)
-    trainer = Trainer(config, data.train, physics, plan, device, data.digest)
+    config, plan, data = leave_out(without, config, plan, data)
+    trainer = Trainer(config, data.train, physics, plan, device, " ".join((data.digest, *without)))
     at, curves_at = folder / "training.pt", folder / "curves.jsonl"
     folder.mkdir(parents=True, exist_ok=True)
     if at.exists():
@@ -89,7 +92,7 @@ def train(
     if trainer.done < plan.steps:
         return Outcome(*came)
     identity = identity_of(data.network, data.table, data.deviations)
-    card, metrics = _finish(trainer, data, identity, curves, out, command)
+    card, metrics = _finish(trainer, data, identity, curves, out, command, without)
     assemble(data, out.parent, out.stem.rpartition("_")[0])
     drawn = draw(curves, out.with_suffix(".png"), f"{data.table.name} {name}, seed {plan.seed}: {plan.steps} steps")
     return Outcome(*came, card, drawn, tuple(_sentence(mode, m) for mode, m in metrics.items()))
@@ -129,7 +132,8 @@ def _figures(metrics: dict[str, Any]) -> tuple[float, ...]:
 
 
 def _finish(
-    trainer: Any, data: Data, identity: Any, curves: list[dict[str, Any]], out: Path, command: str
+    trainer: Any, data: Data, identity: Any, curves: list[dict[str, Any]], out: Path, command: str,
+    without: tuple[str, ...],
 ) -> tuple[Path, dict[str, Any]]:  # fmt: skip
     """Envelope, leakage and metrics of the averaged weights, and everything written."""
     from twin.calibrators.hiera_unet.batches import Batch
@@ -154,6 +158,7 @@ def _finish(
         "name": out.stem,
         "seed": trainer.plan.seed,
         "command": command,
+        "without": list(without),
         "plan": trainer.plan.document(),
         "data": {**data.manifest, "sha256": data.digest},
         "data_kind": "simulated: random rigs of this structure, the virtual rig's plant; no record of a real rig",

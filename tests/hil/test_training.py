@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ from click.testing import CliRunner
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be written")
 
+from hil.commands.train import PIECES as command_pieces  # noqa: E402
 from hil.commands.train import command  # noqa: E402
 from hil.training import session  # noqa: E402
+from hil.training.ablation import PIECES, without  # noqa: E402
 from hil.training.data import Data, read  # noqa: E402
 from hil.training.ensemble import assemble  # noqa: E402
 from hil.training.generate import features_of  # noqa: E402
@@ -23,6 +26,7 @@ from twin.calibrators.hiera_unet import binding  # noqa: E402
 from twin.calibrators.hiera_unet.checkpoint import Identity, load  # noqa: E402
 from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
 from twin.calibrators.hiera_unet.device import ready  # noqa: E402
+from twin.calibrators.hiera_unet.hiding import hide  # noqa: E402
 from twin.calibrators.hiera_unet.plan import Plan  # noqa: E402
 from twin.calibrators.hiera_unet.train import Physics  # noqa: E402
 from twin.network import TwinFileError  # noqa: E402
@@ -77,6 +81,28 @@ def test_members_of_other_data_and_leaking_ones_are_left_out(data: Data, tmp_pat
         assert assemble(data, tmp_path, "fake_small") is None
         card.write_text(json.dumps(document))
     assert assemble(data, tmp_path, "fake_small") is not None
+
+
+def test_what_is_left_out_is_gone_and_the_rest_is_not() -> None:
+    features = features_of()
+    config, plan = binding.config_for("small", features.network, features.table, features.deviations), Plan()
+    rng = np.random.default_rng(0)
+    n = len(features.table)
+    base = fake.windows(2)
+    some = replace(base, x=rng.normal(size=(2, 1440, n)), m=np.ones((2, 1440, n), dtype=bool),
+                   meta=np.ones((2, config.meta)))  # fmt: skip
+    data = Data(features.network, features.table, features.deviations, some, some, some, some, {}, "d")
+    same = without((), config, plan, data)
+    assert same == (config, plan, data)
+    one, two, less = without(tuple(PIECES), config, plan, data)
+    assert not one.gated and not one.evidence and two.structure == 0.0 and two.weights.balance == 0.0
+    residual = features.table.indices("r")
+    assert not less.test.m[..., residual].any() and less.test.m.sum() == 2 * 1440 * (n - len(residual))
+    assert less.train.meta[:, : len(features.table.figures)].all() and not less.train.meta[:, -19:].any()
+    mask = torch.ones(3, 1440, n, dtype=torch.bool)
+    calm = replace(two.hiding, dropped=0.0, burst=0.0)
+    assert hide(mask, torch.ones(n, dtype=torch.bool), 120, calm, torch.Generator()).all()
+    assert set(PIECES) == set(command_pieces)
 
 
 def test_a_folder_without_data_is_refused(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ def test_a_training_that_was_cut_goes_on_as_if_it_had_not_been(tmp_path: Path) -
     assert [second.step() for _ in range(3)] == expected[3:]
     for a, b in zip(whole.average.parameters(), second.average.parameters(), strict=True):
         assert torch.equal(a, b)
-    other = Trainer(fake.config(), windows, PHYSICS, replace(plan, rate=2e-3))
+    other = Trainer(fake.config(), windows, PHYSICS, replace(plan, rate=5e-3))
     with pytest.raises(HieraError, match="another configuration, plan or data"):
         other.restore(first.state())
 
@@ -128,7 +128,7 @@ def test_losses_judge_only_what_is_known() -> None:
     known = torch.tensor([[False, True]])
     loss = losses.parameter_loss(theta, true, known, torch.ones(2))
     loss.backward()
-    torch.testing.assert_close(loss.detach(), torch.tensor(0.1))
+    torch.testing.assert_close(loss.detach(), torch.tensor(0.01))
     assert theta.grad is not None and theta.grad[0, 0] == 0 and torch.isfinite(theta.grad).all()
 
 

@@ -26,8 +26,8 @@ def hide(mask: Tensor, told: Tensor, target: int, rules: Hiding, rng: torch.Gene
         return torch.rand(*shape, generator=rng).to(device)
 
     gone = torch.zeros(b, n, dtype=torch.bool, device=device)
-    blocks = -(-target // rules.block_steps)
-    some = (draw(b, blocks) < draw(b, 1)).repeat_interleave(rules.block_steps, 1)[:, :target]
+    count = -(-target // rules.block_steps)
+    some = (draw(b, count) < draw(b, 1)).repeat_interleave(rules.block_steps, 1)[:, :target] & rules.blocks
     gone[:, n - target :] = (draw(b, 1) < rules.whole) | some
     length = 2 + (draw(b, 1) * (rules.burst_steps - 2)).long()
     start = (draw(b, 1) * n).long()

@@ -12,12 +12,13 @@ from twin.calibrators.hiera_unet.config import HieraError
 class Hiding:
     """What is hidden from a window in training.
 
-    `whole`: chance that all of the target is hidden; otherwise random blocks of `block_steps` are. `dropped`: chance
-    that a window loses whole channels, each with the chance `each`. `burst`: chance that it loses all measurements
-    for 2 to `burst_steps` steps.
+    `whole`: chance that all of the target is hidden; otherwise, if `blocks`, random ones of `block_steps` are.
+    `dropped`: chance that a window loses whole channels, each with the chance `each`. `burst`: chance that it loses
+    all measurements for 2 to `burst_steps` steps.
     """
 
     whole: float = 0.7
+    blocks: bool = True
     block_steps: int = 20
     dropped: float = 0.3
     each: float = 0.1
@@ -27,14 +28,18 @@ class Hiding:
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Balance, smoothness and uncertainty as published; parameters, corrections and slow corrections this project's."""
+    """Balance, smoothness and uncertainty as published; parameters, corrections and slow corrections this project's.
+
+    `through`: share of the outputs' gradient that goes through the twin into the parameters.
+    """
 
     balance: float = 0.30
     smooth: float = 0.08
     uncertainty: float = 0.15
-    parameter: float = 3.0
+    parameter: float = 10.0
     delta: float = 0.01
     slow: float = 0.1
+    through: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -57,10 +62,10 @@ class Plan:
     pairs: int = 2
     moved: float = 0.3
     rate: float = 2e-3
-    warmup: float = 0.06
+    warmup: float = 0.03
     decay: float = 0.05
     clip: float = 1.0
-    ema: float = 0.998
+    ema: float = 0.995
     structure: float = 0.1
     sure: float = 0.1
     healthy: float = 0.02

@@ -103,7 +103,7 @@ class HieraUNetCalibrator:
         """
         from twin.calibrators.hiera_unet.device import ready
 
-        ready()
+        ready(threads=1)  # a forward pass is a few milliseconds; the other cores belong to whoever runs the rig
         from twin.calibrators.hiera_unet.binding import identity_of
         from twin.calibrators.hiera_unet.members import load_ensemble
 

@@ -114,7 +114,10 @@ class Trainer:
     def loss(self, p: Prediction, batch: Batch, pairs: Tensor, structural: bool) -> dict[str, Tensor]:
         """Every part, and their weighted sum as ``loss``."""
         w, bounds, tolerances = self.plan.weights, self.bounds, self.tolerances
-        twin = batch.base if structural else self.physics.simulate(p.theta, batch.rows)
+        # A kelvin of output moves a deviation a hundred times as hard as its own label does. Unscaled, that alone would
+        # fill the clipped gradient, and corrections would not be learned.
+        theta = w.through * p.theta + (1.0 - w.through) * p.theta.detach()
+        twin = batch.base if structural else self.physics.simulate(theta, batch.rows)
         error = twin + p.delta - batch.goal
         price, slow = losses.correction_price(p.delta, tolerances)
         parts = {"data": losses.data_loss(error, tolerances), "delta": price}
