@@ -17,7 +17,7 @@ $(STAMP): pyproject.toml constraints.txt
 # registry's build brings gigabytes of CUDA, so it is never fetched unasked: `pip install -e ".[ml]"` does that.
 torch:
 	@if $(PIP) download --no-index --no-deps -d $(VENV)/wheels $$(grep '^torch==' constraints.txt) >/dev/null 2>&1; \
-	then $(PIP) install -c constraints.txt $(VENV)/wheels/torch*.whl; \
+	then $(PIP) install -c constraints.txt $(VENV)/wheels/torch*.whl && $(PIP) install -c constraints.txt -e ".[ml]"; \
 	else echo "no CPU build of torch is at hand: the network calibrator is left out, all else works"; fi
 	@rm -rf $(VENV)/wheels
 

@@ -25,6 +25,7 @@ VERBS = {
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
     "track": "Replay the calibrators on a record",
+    "train": "Train the network calibrator",
     "twin": "Revisions of a twin: log, diff, revert",
 }
 

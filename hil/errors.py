@@ -32,6 +32,7 @@ def exit_code(error: BaseException) -> int | None:
         "EffectFileError",
         "DiagnosingError",
         "DiagnosisFolderError",
+        "HieraError",
     }:
         return USAGE
     if names & {"VirtualRigError", "ViewerError"}:

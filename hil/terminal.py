@@ -65,9 +65,14 @@ def error_table(errors: ErrorTable, title: str) -> Table:
 
 
 class Steps:
-    """A progress bar over `total` of something, with ETA; plain lines where the output is no terminal."""
+    """A progress bar over `total` of something, with ETA; plain lines where the output is no terminal.
 
-    def __init__(self, what: str, total: float, *, quiet: bool = False) -> None:
+    `begun` of it were done before. What ends early sets `cut`, so that the bar stays where it is.
+    """
+
+    def __init__(self, what: str, total: float, *, quiet: bool = False, begun: float = 0.0) -> None:
+        self.cut = False
+        self._begun = begun
         self._console = console(stderr=True, quiet=quiet)
         self._what = what
         self._progress = Progress(
@@ -82,7 +87,7 @@ class Steps:
             transient=False,
             disable=quiet or not self._console.is_terminal,
         )
-        self._task: TaskID = self._progress.add_task(what, total=total, note="")
+        self._task: TaskID = self._progress.add_task(what, total=total, completed=int(begun), note="")
         self._total = total
         self._began = self._last_line = time.monotonic()
         self._lines = not self._console.is_terminal
@@ -92,7 +97,7 @@ class Steps:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        if kind is None:
+        if kind is None and not self.cut:
             self._progress.update(self._task, completed=self._total)
         self._progress.stop()
 
@@ -100,9 +105,9 @@ class Steps:
         """`done` of the total are behind; `note` is shown beside the bar."""
         self._progress.update(self._task, completed=done, note=note)
         now = time.monotonic()
-        if self._lines and now - self._last_line >= LINE_EVERY_S and done > 0:
+        if self._lines and now - self._last_line >= LINE_EVERY_S and done > self._begun:
             self._last_line = now
-            eta = (now - self._began) * (self._total - done) / done
+            eta = (now - self._began) * (self._total - done) / (done - self._begun)
             self._console.print(f"{self._what}: {100 * done / self._total:3.0f} %, ETA {eta:.0f} s  {note}")
 
     def say(self, text: str) -> None:

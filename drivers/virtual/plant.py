@@ -6,7 +6,7 @@ from drivers.virtual import plant_kernel as k
 from drivers.virtual.ambient import Room
 from drivers.virtual.effect_physics import EffectPhysics, neutral_inputs
 from drivers.virtual.effects import Effect
-from drivers.virtual.geometry import CELLS, JUNCTION_LAG_S, Array, build_cells, section_cells
+from drivers.virtual.geometry import CELLS, JUNCTION_LAG_S, Array, Cells, build_cells, section_cells
 from drivers.virtual.water import enthalpy_of, temperature_of
 
 
@@ -17,11 +17,18 @@ class Plant:
     """
 
     def __init__(
-        self, *, seed: int = 0, period_s: float = 1.0, effects: tuple[Effect, ...] = (), start_C: float | None = None
+        self,
+        *,
+        seed: int = 0,
+        period_s: float = 1.0,
+        effects: tuple[Effect, ...] = (),
+        start_C: float | None = None,
+        cells: Cells | None = None,
     ) -> None:
+        """`cells`: another rig than the built one, of the same sections."""
         self.period_s = period_s
         self.steps = 0
-        self._cells = build_cells()
+        self._cells = build_cells() if cells is None else cells
         self._room = Room(seed, period_s)
         self._physics = EffectPhysics(effects, self._cells)
         self._lag = np.array(JUNCTION_LAG_S)

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.rigfile import Rig
 from drivers.virtual.effects import Effect
-from drivers.virtual.geometry import CHANNELS
+from drivers.virtual.geometry import CHANNELS, Array
 from drivers.virtual.instruments import Instruments
 from drivers.virtual.plant import Plant
 from drivers.virtual.registers import THERMOSTAT_C
@@ -34,8 +34,15 @@ def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: 
     Args:
         seed: of weather and noise. unit: the specimen, whose sensors' offsets stay from run to run.
     """
+    plant = Plant(seed=seed, period_s=rig.period_s, effects=effects)
+    return direct_run(profile, rig, plant, seed=seed, unit=unit, effects=effects)[0]
+
+
+def direct_run(
+    profile: Profile, rig: Rig, plant: Plant, *, seed: int, unit: int, effects: tuple[Effect, ...] = ()
+) -> tuple[Record, Array]:
+    """The same on a given plant; also the true temperatures of its junctions, (n, 9) degC, ordered as `CHANNELS`."""
     period = rig.period_s
-    plant = Plant(seed=seed, period_s=period, effects=effects)
     instruments = Instruments(seed, period, effects, unit)
     module = ThermocoupleModule(seed, effects, unit)
     points = bind(rig, profile.columns)
@@ -46,9 +53,11 @@ def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: 
     targets = profile.sample(np.arange(ticks, dtype=np.float64) * period).tolist()
     rows: list[list[float]] = []
     frames: list[bytes] = []
+    junctions: list[list[float]] = []
     plant.step(*_START)
     for target in targets:
         rows.append(instruments.read(plant))
+        junctions.append(plant.junction.tolist())
         frames.extend(module.sample(plant.time_s, plant.junction.tolist()))
         if plant.heater_water_C > THERMOSTAT_C:
             break
@@ -60,4 +69,4 @@ def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: 
     read = np.array(rows)
     for k, (name, step) in enumerate(zip(READ, RESOLUTION, strict=True)):
         columns[name] = np.round(read[:, k] / step) * step if step else read[:, k].astype(np.float32).astype(np.float64)
-    return Record(np.arange(len(rows), dtype=np.float64) * period, columns)
+    return Record(np.arange(len(rows), dtype=np.float64) * period, columns), np.array(junctions)

@@ -15,7 +15,7 @@ from hil.bench.problems import Problem, box, made_up, measured
 from hil.bench.report import Cell, Table
 from hil.bench.whole_record import whole_table
 from hil.terminal import Steps
-from twin.calibrators import NAMES, make
+from twin.calibrators import FITTING, make
 from twin.gauss_newton import Data, Prior, Scaling
 from twin.gauss_newton import Problem as GaussNewton
 from twin.kernel import masked
@@ -106,7 +106,7 @@ def measure(size: Size, seed: int, record: Record | None = None) -> tuple[tuple[
 def _one_window(problem: Problem, seed: int, scores: dict[str, _Score], absent: dict[str, None]) -> None:
     """Everyone fits one window; then all are measured against the best that anyone found."""
     found: dict[str, tuple[float, bool]] = {}
-    for name in NAMES:
+    for name in FITTING:
         # The first call fetches the calibrator's machine code; the clock runs for one as fresh that has it.
         calibrator = make(name, problem.network, problem.tunables, seed)
         fresh = calibrator.state()

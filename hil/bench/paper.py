@@ -23,10 +23,10 @@ from hil.bench.published import (
 from hil.bench.report import Cell, Table
 from hil.bench.tracked import Tracked, after, first_error, follow, heat_balance, windows_to_recover
 from hil.terminal import Steps
-from twin.calibrators import NAMES
+from twin.calibrators import FITTING
 from twin.network import Network
 
-CALIBRATORS = tuple(name for name in ("pso_paper", "pso", "least_squares", "kalman") if name in NAMES)
+CALIBRATORS = tuple(name for name in ("pso_paper", "pso", "least_squares", "kalman") if name in FITTING)
 CALM_S = 3600.0
 """An hour after the change every excursion counts as a later one."""
 

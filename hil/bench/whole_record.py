@@ -13,7 +13,7 @@ from hil.bench.machine import median
 from hil.bench.report import Cell, Table
 from hil.bench.windows import drive, steady_start
 from hil.terminal import Steps
-from twin.calibrators import NAMES, Calibration, Calibrator, Window, make
+from twin.calibrators import FITTING, Calibration, Calibrator, Window, make
 from twin.kernel import simulate
 from twin.network import Array, Network
 from twin.tracking import TwinTracker
@@ -69,7 +69,7 @@ def whole_table(network: Network, hours: float, seed: int) -> Table:
     time_s, inputs, readings = drifting(network, hours, seed)
     plan = [
         (name, tunables)
-        for name in NAMES
+        for name in FITTING
         for tunables in (("paper4",) if name == "pso_paper" else ("paper4", "nine", "twelve"))
     ]
     rows: list[tuple[Cell, ...]] = []

@@ -196,6 +196,48 @@ def records_command(seed: int, out: Path | None, as_json: bool) -> None:
     _finish("records", seed, tables, skipped, out, as_json)
 
 
+@command.command("hiera")
+@click.option("--network", type=INPUT_FILE, help="Card (.json) of a trained ensemble; without, it takes no part.")
+@click.option("--rig", "rigs", multiple=True, help="simulated, virtual or stranger; may be repeated.")
+@click.option("--calibrator", "calibrators", multiple=True, help="Of `hil track`; may be repeated; default: all.")
+@QUICK
+@SEED
+@OUT
+@JSON
+def hiera_command(
+    network: Path | None,
+    rigs: tuple[str, ...],
+    calibrators: tuple[str, ...],
+    quick: bool,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Who keeps a twin true on rigs that no network was trained on: swarm, least squares, filter, network.
+
+    \b
+    Example:
+      hil bench hiera --quick
+      hil bench hiera --network profiles/trained/loop_small.json --out docs/results
+    """
+    from dataclasses import replace
+
+    from hil.bench import hiera
+    from hil.bench.hiera_cases import RIGS as SCORED
+    from hil.terminal import Steps
+    from twin.calibrators import NAMES
+
+    for what, given, known in (("rig", rigs, SCORED), ("calibrator", calibrators, NAMES)):
+        unknown = [name for name in given if name not in known]
+        if unknown:
+            raise click.UsageError(f"no {what} {', '.join(unknown)}; there are {', '.join(known)}")
+    size = hiera.QUICK if quick else hiera.FULL
+    size = replace(size, rigs=rigs or size.rigs, trackers=calibrators or size.trackers)
+    with Steps("cases", 1.0, quiet=as_json) as steps:
+        tables, skipped = hiera.measure(size, seed, _data_folder(), steps.update, network)
+    _finish("hiera", seed, tables, skipped, out, as_json)
+
+
 @command.command("discovery")
 @click.option("--blind", is_flag=True, help="Seal the truth and the answers before comparing them; always done.")
 @click.option("--cases", default=40, show_default=True, help="Number of cases, a quarter of them healthy.")

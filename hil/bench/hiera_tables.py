@@ -1,0 +1,244 @@
+"""The tables of `hil bench hiera`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hil.bench import hiera_score as judge
+from hil.bench.hiera_score import Score
+from hil.bench.report import Cell, Table
+
+if TYPE_CHECKING:
+    from hil.bench.hiera import Everything, Results
+
+BETWEEN = "Middle 90 % when cases are drawn again (bootstrap over cases)."
+AHEAD = "Each ten minutes are predicted from what was known before they began."
+
+
+def tables(found: Everything, rigs: tuple[str, ...]) -> tuple[Table, ...]:
+    """All tables, in reading order."""
+    return (
+        errors(found.whole, rigs),
+        recovery(found.whole, rigs),
+        parameters(found.whole),
+        intervals(found.whole, found.calibrating, rigs),
+        lost(found),
+        false_flags(found),
+        cost(found.whole),
+        *goals(found),
+    )
+
+
+def _of(results: Results, rig: str) -> dict[str, list[Score]]:
+    return {name: [s for s in scores if s.rig == rig] for name, scores in results.items()}
+
+
+def _range(low: float, high: float, form: str = "{:.3f}") -> Cell:
+    return None if not np.isfinite([low, high]).all() else f"{form.format(low)} to {form.format(high)}"
+
+
+def errors(results: Results, rigs: tuple[str, ...]) -> Table:
+    """Errors of blind predictions, healthy and changed."""
+    rows: list[tuple[Cell, ...]] = []
+    for rig in rigs:
+        for name, scores in _of(results, rig).items():
+            if not scores:
+                continue
+            healthy = judge.interval(scores, lambda x: judge.pooled(x, lambda s: s.before))
+            changed = judge.interval(scores, lambda x: judge.pooled(x, lambda s: s.after))
+            rows.append((
+                rig, name, healthy[0], _range(*healthy[1:]), judge.typical(scores, lambda s: s.before), changed[0],
+                _range(*changed[1:]), judge.typical(scores, lambda s: s.after),
+            ))  # fmt: skip
+    return Table(
+        "errors",
+        "RMSE of predictions ten minutes ahead, K",
+        ("rig", "by", "healthy", "from to", "median", "changed", "from to ", "median "),
+        tuple(rows),
+        (
+            AHEAD,
+            BETWEEN,
+            "Changed: at least one whole window after the change. Against the true readings, where known.",
+        ),
+    )
+
+
+def recovery(results: Results, rigs: tuple[str, ...]) -> Table:
+    """How soon predictions are right again after a change."""
+    rows: list[tuple[Cell, ...]] = []
+    for rig in rigs:
+        for name, scores in _of(results, rig).items():
+            needed = [s.recovered for s in scores if not np.isnan(s.recovered)]
+            if not needed:
+                continue
+            one = judge.interval(scores, lambda x: judge.share_recovered(x, 2.0))
+            rows.append((
+                rig, name, len(needed), _count(float(np.median(needed))), judge.share_recovered(scores, 1.0), one[0],
+                _range(*one[1:], "{:.2f}"), float(np.mean(np.isinf(needed))),
+            ))  # fmt: skip
+    return Table(
+        "recovery",
+        "Targets until predictions are below 0.1 K again, the first whole one after the change being 1",
+        ("rig", "by", "changes", "median", "at 1", "by 2", "from to", "never"),
+        tuple(rows),
+        (
+            "By 2: after one whole window of the changed rig. Only changes that put the commissioned twin above 0.1 K "
+            "count.",
+            BETWEEN,
+        ),
+    )
+
+
+def _count(value: float) -> Cell:
+    return "never" if np.isinf(value) else value
+
+
+def parameters(results: Results) -> Table:
+    """Errors of deviations over their Cramer-Rao bounds."""
+    rows: list[tuple[Cell, ...]] = []
+    for rig in ("simulated", "virtual"):
+        for name, scores in _of(results, rig).items():
+            told = [s for s in scores if np.isfinite(s.off).any()]
+            if not told or name == "commissioned":
+                continue
+            value, low, high = judge.interval(told, judge.median_over_bound)
+            count = int(sum(np.isfinite(s.off).sum() for s in told))
+            rows.append((rig, name, count, value, _range(low, high, "{:.2f}"), judge.over_bound(told)))
+    return Table(
+        "parameters",
+        "Parameter errors over their Cramer-Rao bounds, where the data tells them",
+        ("rig", "by", "numbers", "median", "from to", "RMS"),
+        tuple(rows),
+        (
+            "0.67 is the median of an efficient estimate, 1 its RMS. The bound counts noise and an error of 0.02 K "
+            "that lasts a minute; a rig that is not its twin is off by more, whoever looks.",
+            BETWEEN,
+        ),
+    )
+
+
+def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> Table:
+    """Coverage and width of 90 % intervals."""
+    rows: list[tuple[Cell, ...]] = []
+    for rig in rigs:
+        for name, scores in _of(results, rig).items():
+            if not scores:
+                continue
+            widths = judge.constant_widths(calibrating[name], 0)
+            value, low, high = judge.interval(scores, _share(widths))
+            rows.append((rig, name, "constant", value, _range(low, high, "{:.2f}"), judge.coverage(scores, widths)[1]))
+            if any(s.half is not None for s in scores):
+                factors = judge.own_factors(calibrating[name], 0)
+                value, low, high = judge.interval(scores, _share(factors, own=True))
+                width = judge.coverage(scores, factors, own=True)[1]
+                rows.append((rig, name, "its own", value, _range(low, high, "{:.2f}"), width))
+    return Table(
+        "intervals",
+        "Intervals that promise 90 %",
+        ("rig", "by", "width is", "inside", "from to", "mean width K"),
+        tuple(rows),
+        (
+            "Constant: split conformal, one half width a sensor, from other rigs of both kinds. "
+            "Its own: the predicted width times a factor found on the same.",
+            BETWEEN,
+        ),
+    )
+
+
+def _share(widths: np.ndarray, *, own: bool = False) -> Callable[[list[Score]], float]:
+    """Share inside of a list of scores; each is counted once, however often it is drawn again."""
+    counted: dict[int, tuple[float, float, int]] = {}
+
+    def share(scores: list[Score]) -> float:
+        for s in scores:
+            if id(s) not in counted:
+                counted[id(s)] = judge.tally(s, widths, own=own)
+        known = sum(counted[id(s)][2] for s in scores)
+        return sum(counted[id(s)][0] for s in scores) / known if known else float("nan")
+
+    return share
+
+
+def lost(found: Everything) -> Table:
+    """Errors with channels hidden."""
+    rows: list[tuple[Cell, ...]] = []
+    shares = sorted(found.lost)
+    for rig in ("simulated", "virtual"):
+        for name, scores in _of(found.whole, rig).items():
+            if not scores:
+                continue
+            row: list[Cell] = [rig, name, judge.pooled(scores, _all), judge.typical(scores, _all)]
+            for share in shares:
+                fewer = _of(found.lost[share], rig).get(name, [])
+                row += [judge.pooled(fewer, _all), judge.typical(fewer, _all)]
+            rows.append(tuple(row))
+    columns: list[str] = ["rig", "by", "RMSE", "median"]
+    for share in shares:
+        columns += [f"RMSE -{share:.0%}", f"median -{share:.0%}"]
+    return Table(
+        "lost", "With a share of the channels lost, K", tuple(columns), tuple(rows),
+        ("Sensors and inputs alike, from half an hour on. A lost input holds its last value.",),
+    )  # fmt: skip
+
+
+def _all(s: Score) -> np.ndarray:
+    return np.ones(len(s.rmse), dtype=bool)
+
+
+def false_flags(found: Everything) -> Table:
+    """How often `calibrated` was said in vain."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, scores in found.whole.items():
+        said = np.concatenate([s.calibrated for s in scores])
+        if not said.any():
+            continue
+        value, low, high = judge.interval(scores, lambda x: judge.falsely_calibrated(x, found.threshold_K))
+        rows.append((name, float(said.mean()), value, _range(low, high, "{:.2f}")))
+    return Table(
+        "flags",
+        f"Said to be calibrated, and the next ten minutes missed by more than {found.threshold_K:g} K",
+        ("by", "said", "in vain", "from to"),
+        tuple(rows),
+        (BETWEEN,),
+    )
+
+
+RIVALS = {
+    "network": "fit of 2 h",
+    "network, fit": "fit of 2 h",
+    "hiera unet": "least squares",
+    "hiera ls": "least squares",
+}
+"""Who a contestant must not be worse than: the same fit without the network."""
+
+
+def goals(found: Everything) -> tuple[Table, ...]:
+    """What the network set out to reach, beside what it did; no table without a network."""
+    rows: list[tuple[Cell, ...]] = []
+    for name in (n for n in RIVALS if n in found.whole):
+        scores = [s for s in found.whole[name] if s.rig != "stranger"]
+        own = any(s.half is not None for s in scores)
+        calibrating = found.calibrating[name]
+        widths = judge.own_factors(calibrating, 0) if own else judge.constant_widths(calibrating, 0)
+        told = [s for s in scores if np.isfinite(s.off).any()]
+        rival = found.whole.get(RIVALS[name], [])
+        rows += [
+            (name, "90 % intervals hold", "0.88 to 0.92", judge.coverage(scores, widths, own=own)[0]),
+            (name, "parameter error over bound, median / 0.67", "<= 1.5", judge.median_over_bound(told) / 0.6745),
+            (name, "parameter error over bound, RMS", "<= 1.5", judge.over_bound(told)),
+            (name, "changes recovered by 2", ">= 0.95", judge.share_recovered(found.whole[name], 2.0)),
+            (name, f"changes in which worse than {RIVALS[name]}", "0", judge.worse(found.whole[name], rival)),
+        ]
+    if not rows:
+        return ()
+    notes = (f"Worse: RMSE after the change larger by more than {judge.WORSE - 1.0:.0%} and by {judge.WORSE_K:g} K.",)
+    return (Table("goals", "Against the goals", ("by", "what", "goal", "found"), tuple(rows), notes),)
+
+
+def cost(results: Results) -> Table:
+    """CPU time of one window."""
+    rows = tuple((name, 1e3 * float(np.median([s.cpu_s for s in scores]))) for name, scores in results.items())
+    return Table("cost", "CPU time, ms a window of ten minutes (one thread)", ("by", "ms"), rows)

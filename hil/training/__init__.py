@@ -1,0 +1,1 @@
+"""Training data for the network calibrator: simulated rigs and the virtual rig's plant, never recorded ones."""

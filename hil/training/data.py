@@ -1,0 +1,65 @@
+"""The windows of a training: generated campaigns of a folder, in parts that share no campaign."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twin.calibrators.hiera_unet.campaigns import PER_RIG
+from twin.calibrators.hiera_unet.channels import ChannelTable
+from twin.calibrators.hiera_unet.features import Features
+from twin.calibrators.hiera_unet.parameters import Deviations
+from twin.calibrators.hiera_unet.store import Store, windows_of
+from twin.calibrators.hiera_unet.windows import Windows
+from twin.network import Network, TwinFileError
+
+
+@dataclass(frozen=True)
+class Data:
+    """What one training is fed with.
+
+    Attributes:
+        train: seen by the optimiser. validation: looked at for the curves. conformal: sets intervals and envelope.
+        test: scored once, at the end. manifest, digest: how they were made, and its SHA-256.
+    """
+
+    network: Network
+    table: ChannelTable
+    deviations: Deviations
+    train: Windows
+    validation: Windows
+    conformal: Windows
+    test: Windows
+    manifest: dict[str, Any]
+    digest: str
+
+
+def read(folder: Path, features: Features, *, most: int | None = None) -> Data:
+    """The data of a folder.
+
+    Args:
+        most: campaigns of the training split, for a short look.
+
+    Raises:
+        TwinFileError: there are none, or they were made for another twin or channel table.
+    """
+    store = Store(folder, features)
+    unseen = store.campaigns("conformal")
+    # Campaigns of one rig follow each other: whole rigs go to either side.
+    looked = [k // PER_RIG % 3 == 0 for k in range(len(unseen))]
+    if not any(looked) or all(looked):
+        raise TwinFileError(
+            f"{folder} holds {len(unseen)} campaigns to set intervals with, which are of too few rigs; generate more"
+        )
+    return Data(
+        network=features.network,
+        table=features.table,
+        deviations=features.deviations,
+        train=store.windows("train", most=most),
+        validation=windows_of(features, [k for k, hit in zip(unseen, looked, strict=True) if hit]),
+        conformal=windows_of(features, [k for k, hit in zip(unseen, looked, strict=True) if not hit]),
+        test=store.windows("test"),
+        manifest=store.manifest,
+        digest=store.digest,
+    )

@@ -1,0 +1,100 @@
+"""The members of a folder as one calibrator: intervals that hold, and how good it is on windows that nothing has seen.
+
+`<name>.json` names the members with their checksums, the conformal factors, and what they do on the test split.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.training.data import Data
+
+MODES = {"blind": (False, True), "online": (True, False)}
+"""Symmetric with the target hidden, as a report may use it; causal with the target seen, as the service runs."""
+RESAMPLES = 200
+
+
+def assemble(data: Data, folder: Path, name: str) -> Path | None:
+    """Write the card of the ensemble of all members `<name>_<seed>` in `folder`; None where there is none.
+
+    Members of other data or another leakage than is allowed are left out, and the card says so.
+    """
+    from twin.calibrators.hiera_unet import conformal
+    from twin.calibrators.hiera_unet.binding import identity_of, physics_of
+    from twin.calibrators.hiera_unet.checkpoint import load
+    from twin.calibrators.hiera_unet.leakage import ALLOWED
+
+    identity = identity_of(data.network, data.table, data.deviations)
+    physics = physics_of(data.network, data.table, data.deviations)
+    found = {path: load(path, identity) for path in sorted(folder.glob(f"{name}_[0-9]*.safetensors"))}
+    left_out = {
+        path.name: "trained on other data" if m.card["data"]["sha256"] != data.digest else "its parameters leak"
+        for path, m in found.items()
+        if m.card["data"]["sha256"] != data.digest or m.card["leakage"] > ALLOWED
+    }
+    members = {path: m for path, m in found.items() if path.name not in left_out}
+    if not members:
+        return None
+    networks = [m.network for m in members.values()]
+    rng = np.random.default_rng(0)
+    document: dict[str, Any] = {
+        "format": 1,
+        "name": name,
+        "members": {path.name: m.card["weights"]["sha256"] for path, m in members.items()},
+        "left_out": left_out,
+        "data": data.digest,
+        "modes": {},
+    }
+    for mode, (causal, hidden) in MODES.items():
+        unseen = _outputs(networks, data.conformal, physics, causal, hidden)
+        outputs = conformal.fit(conformal.one_a_window(unseen.error, unseen.scale, rng), data.conformal.regime[:, -1])
+        score = np.abs(unseen.theta_error) / unseen.theta_sd
+        told = np.isfinite(score).sum(axis=0) >= conformal.LEAST
+        factors = [conformal.quantile(score[:, k], conformal.CONFIDENCE) if told[k] else None for k in range(len(told))]
+        test = _outputs(networks, data.test, physics, causal, hidden)
+        width = outputs.of(data.test.regime[:, -1])[:, None, :] * test.scale
+        theta_width = np.array([np.nan if f is None else f for f in factors]) * test.theta_sd
+        document["modes"][mode] = {
+            "outputs": outputs.document(),
+            "parameters": factors,
+            "test": test.metrics()
+            | {"interval90": _coverage(test.error, width, data.test.regime[:, -1])}
+            | {"parameter_interval90": _inside(test.theta_error[:, None], theta_width[:, None])},
+        }
+    card = folder / f"{name}.json"
+    card.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return card
+
+
+def _outputs(networks: list[Any], windows: Any, physics: Any, causal: bool, hidden: bool) -> Any:
+    from twin.calibrators.hiera_unet.ensemble import together
+    from twin.calibrators.hiera_unet.score import outcome
+
+    return together(
+        [outcome(n, windows, physics.simulate, physics.told, causal=causal, hidden=hidden) for n in networks]
+    )
+
+
+def _coverage(error: np.ndarray, half: np.ndarray, regime: np.ndarray) -> dict[str, Any]:
+    """Share inside and mean width of intervals, with a bootstrap over windows; by regime as well."""
+    found = _inside(error, half)
+    rng = np.random.default_rng(0)
+    shares = [
+        _inside(error[rows], half[rows])["share"] for rows in rng.integers(0, len(error), (RESAMPLES, len(error)))
+    ]
+    known = [s for s in shares if s is not None]
+    found["share_interval90"] = [float(v) for v in np.quantile(known, [0.05, 0.95])] if known else None
+    found["by_regime"] = {str(r): _inside(error[regime == r], half[regime == r]) for r in np.unique(regime)}
+    return found
+
+
+def _inside(error: np.ndarray, half: np.ndarray) -> dict[str, Any]:
+    good = np.isfinite(error) & np.isfinite(half)
+    if not good.any():
+        return {"share": None, "width": None, "windows": len(error)}
+    inside = np.abs(error) <= half
+    return {"share": float(inside[good].mean()), "width": float(2.0 * half[good].mean()), "windows": len(error)}

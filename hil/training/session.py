@@ -1,0 +1,189 @@
+"""One training from its data to its card, in as many pieces as it takes.
+
+A folder holds what it goes on from: `training.pt`, `curves.jsonl`. A finished network is weights, card and picture.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.training.ablation import without as leave_out
+from hil.training.data import Data
+from hil.training.ensemble import assemble
+from hil.training.picture import draw
+
+LOOK_EVERY = 250
+"""Steps between looks at unseen windows."""
+KEEP_EVERY_S = 60.0
+LOOKED_AT = 192
+"""Unseen windows that a look takes: the same ones each time."""
+LEAKED = 24
+"""Windows of the leakage diagnostic."""
+
+Say = Callable[[int, str], None]
+"""Called with the steps done and a note."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How far a training came: `done` of `steps`, `made` of them now in `seconds`.
+
+    At its end `card` and `picture` are what was written, and `lines` say how good it is.
+    """
+
+    done: int
+    steps: int
+    made: int
+    seconds: float
+    card: Path | None = None
+    picture: Path | None = None
+    lines: tuple[str, ...] = ()
+
+
+def train(
+    data: Data, name: str, plan: Any, folder: Path, out: Path, *, minutes: float | None, command: str, say: Say,
+    device: str = "cpu", without: tuple[str, ...] = (),
+) -> Outcome:  # fmt: skip
+    """Go on with the training in `folder` for some minutes, or to its end; then write the network to `out`.
+
+    Args:
+        name: of the configuration. plan: `twin.calibrators.hiera_unet.plan.Plan`. out: the weights' path.
+        minutes: after which to stop; None for no limit. command: as typed, for the card.
+        without: pieces to leave out, see `hil.training.ablation`.
+
+    Raises:
+        HieraError: the training in `folder` is another one.
+    """
+    from twin.calibrators.hiera_unet.binding import config_for, identity_of, physics_of
+    from twin.calibrators.hiera_unet.checkpoint import keep, kept
+    from twin.calibrators.hiera_unet.train import Trainer
+
+    config = config_for(name, data.network, data.table, data.deviations)
+    physics = physics_of(data.network, data.table, data.deviations)
+    config, plan, data = leave_out(without, config, plan, data)
+    trainer = Trainer(config, data.train, physics, plan, device, " ".join((data.digest, *without)))
+    at, curves_at = folder / "training.pt", folder / "curves.jsonl"
+    folder.mkdir(parents=True, exist_ok=True)
+    if at.exists():
+        trainer.restore(kept(at))
+    curves = [c for c in _read(curves_at) if c["step"] <= trainer.done]
+    first = trainer.done
+    began = last_kept = time.monotonic()
+    gathered: list[dict[str, float]] = []
+    while trainer.done < plan.steps and (minutes is None or time.monotonic() - began < 60.0 * minutes):
+        gathered.append(trainer.step())
+        if trainer.done % LOOK_EVERY == 0 or trainer.done == plan.steps:
+            curves.append(_look(trainer, data, gathered))
+            gathered = []
+            curves_at.write_text("".join(json.dumps(c) + "\n" for c in curves), encoding="utf-8")
+        if time.monotonic() - last_kept > KEEP_EVERY_S:
+            keep(trainer.state(), at)
+            last_kept = time.monotonic()
+        say(trainer.done, _note(curves))
+    keep(trainer.state(), at)
+    came = (trainer.done, plan.steps, trainer.done - first, time.monotonic() - began)
+    if trainer.done < plan.steps:
+        return Outcome(*came)
+    identity = identity_of(data.network, data.table, data.deviations)
+    card, metrics = _finish(trainer, data, identity, curves, out, command, without)
+    assemble(data, out.parent, out.stem.rpartition("_")[0])
+    drawn = draw(curves, out.with_suffix(".png"), f"{data.table.name} {name}, seed {plan.seed}: {plan.steps} steps")
+    return Outcome(*came, card, drawn, tuple(_sentence(mode, m) for mode, m in metrics.items()))
+
+
+def _look(trainer: Any, data: Data, gathered: list[dict[str, float]]) -> dict[str, Any]:
+    """One entry of the curves: means of the losses since the last, and how unseen windows fare."""
+    from twin.calibrators.hiera_unet.score import outcome
+
+    names = {n for parts in gathered for n in parts}
+    means = {n: float(np.mean([p[n] for p in gathered if n in p])) for n in sorted(names)}
+    rows = np.linspace(0, len(data.validation) - 1, min(LOOKED_AT, len(data.validation))).astype(np.intp)
+    unseen = outcome(
+        trainer.average, data.validation.take(rows), trainer.physics.simulate, trainer.physics.told
+    ).metrics()
+    return {
+        "step": trainer.done, "loss": means.pop("loss", float("nan")), "rate": trainer.rate(), "parts": means,
+        "unseen": unseen,
+    }  # fmt: skip
+
+
+def _note(curves: list[dict[str, Any]]) -> str:
+    if not curves:
+        return ""
+    now, fitted, _, theta, rival = _figures(curves[-1]["unseen"])
+    return (
+        f"loss {curves[-1]['loss']:.3f}, unseen {now:.4f} K (Gauss-Newton {fitted:.4f}), parameters {theta:.4f} "
+        f"({rival:.4f})"
+    )
+
+
+def _figures(metrics: dict[str, Any]) -> tuple[float, ...]:
+    from twin.calibrators.hiera_unet.score import average
+
+    names = ("mae", "mae_evidence", "mae_before", "theta_mae", "theta_mae_evidence")
+    return tuple(average(metrics[name]) for name in names)
+
+
+def _finish(
+    trainer: Any, data: Data, identity: Any, curves: list[dict[str, Any]], out: Path, command: str,
+    without: tuple[str, ...],
+) -> tuple[Path, dict[str, Any]]:  # fmt: skip
+    """Envelope, leakage and metrics of the averaged weights, and everything written."""
+    from twin.calibrators.hiera_unet.batches import Batch
+    from twin.calibrators.hiera_unet.checkpoint import Member, save
+    from twin.calibrators.hiera_unet.envelope import envelope
+    from twin.calibrators.hiera_unet.leakage import leakage
+    from twin.calibrators.hiera_unet.score import outcome
+
+    network, simulate, told = trainer.average.eval(), trainer.physics.simulate, trainer.physics.told
+    rows = np.random.default_rng(0).permutation(len(data.train))[: min(len(data.train), 1500)]
+    seen = outcome(network, data.train.take(rows), simulate, told, hidden=False)
+    unseen = outcome(network, data.conformal, simulate, told, hidden=False)
+    hull = envelope(seen.features, unseen.features)
+    probe = Batch.of(data.conformal.take(slice(0, LEAKED)), trainer.device)
+    metrics = {
+        mode: outcome(network, data.test, simulate, told, causal=causal, hidden=hidden).metrics()
+        for mode, causal, hidden in (
+            ("blind", False, True), ("blind_causal", True, True), ("seen_causal", True, False)
+        )
+    }  # fmt: skip
+    card = {
+        "name": out.stem,
+        "seed": trainer.plan.seed,
+        "command": command,
+        "without": list(without),
+        "plan": trainer.plan.document(),
+        "data": {**data.manifest, "sha256": data.digest},
+        "data_kind": "simulated: random rigs of this structure, the virtual rig's plant; no record of a real rig",
+        "leakage": leakage(network, probe.x, probe.m, probe.regime, probe.clock, probe.meta),
+        "metrics": metrics,
+        "curves": curves,
+    }
+    return save(Member(network, identity, hull, card), out), metrics
+
+
+def _sentence(mode: str, metrics: dict[str, Any]) -> str:
+    now, fitted, before, theta, rival = _figures(metrics)
+    return (
+        f"{mode.replace('_', ', ')}: {now:.4f} K mean absolute error on {metrics['windows']} unseen windows, "
+        f"Gauss-Newton {fitted:.4f} K, commissioned {before:.4f} K; parameters {theta:.4f}, Gauss-Newton {rival:.4f}"
+    )
+
+
+def begun(folder: Path) -> int:
+    """Steps that a training in `folder` has told of."""
+    curves = _read(folder / "curves.jsonl")
+    return int(curves[-1]["step"]) if curves else 0
+
+
+def _read(path: Path) -> list[dict[str, Any]]:
+    if not path.exists():
+        return []
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line]

@@ -1,0 +1,137 @@
+"""`hil bench hiera`: its scores mean what they say, and its cases hold what their names promise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hil.bench import hiera, hiera_cases, hiera_score
+from hil.bench.hiera_contestants import Answer, commissioned, fitted, roster, sheet, tracked
+from hil.commands.bench import command
+from hil.training.generate import features_of
+from twin.calibrators.hiera_unet.windows import TARGET
+
+
+@lru_cache(maxsize=1)
+def features():
+    return features_of()
+
+
+@lru_cache(maxsize=1)
+def heated():
+    """The virtual rig's plant with heated modules."""
+    return list(hiera_cases.virtual(features(), 0, 2))[1]
+
+
+@lru_cache(maxsize=1)
+def given():
+    return sheet(features(), heated())
+
+
+def scored(contestant) -> hiera_score.Score:
+    answer = contestant(features(), given())
+    return hiera_score.score(given(), answer, commissioned(features(), given()), 0.1)
+
+
+def test_a_case_changes_inside_the_window_that_it_says():
+    case = heated()
+    assert case.name == "modules heat" and case.kind == "tracked"
+    assert not case.campaign.amiss[: case.onset].any() and case.campaign.amiss[case.onset + 1 :].all()
+    assert case.first_after - 1 == case.onset // TARGET
+    assert set(range(case.first_after, case.first_after + 6)) <= set(case.targets)
+
+
+def test_the_commissioned_twin_does_not_recover_and_a_fit_does():
+    plain, fit = scored(commissioned), scored(fitted)
+    assert np.isinf(plain.recovered)
+    assert fit.recovered <= 3.0
+    assert hiera_score.pooled([fit], lambda s: s.after) < 0.3 * hiera_score.pooled([plain], lambda s: s.after)
+    assert hiera_score.pooled([plain], lambda s: s.before) < 0.1
+
+
+def test_a_tracker_predicts_ahead_with_what_it_knew_before():
+    done, plain = scored(tracked("least_squares")), scored(commissioned)
+    k = heated().targets.index(heated().first_after)
+    assert done.rmse[k - 1] == pytest.approx(plain.rmse[k - 1], rel=0.5)
+    assert done.rmse[k + 2] < 0.3 * plain.rmse[k + 2]
+
+
+def test_a_perfect_answer_scores_nought_and_recovers_at_once():
+    truth = heated().truth()
+    right = Answer(truth, given().theta, np.ones(len(truth), dtype=bool), 0.0)
+    found = hiera_score.score(given(), right, commissioned(features(), given()), 0.1)
+    assert found.recovered == 1.0
+    assert np.nanmax(found.rmse) == 0.0 and np.nanmax(np.abs(found.off)) == 0.0
+    assert hiera_score.falsely_calibrated([found], 0.1) == 0.0
+
+
+def test_a_case_without_a_change_is_not_counted_as_recovered():
+    healthy = next(hiera_cases.virtual(features(), 0, 1))
+    own = sheet(features(), healthy)
+    plain = commissioned(features(), own)
+    found = hiera_score.score(own, plain, plain, 0.1)
+    assert np.isnan(found.recovered)
+    assert np.isnan(hiera_score.share_recovered([found], 2.0))
+    assert found.before.all() and not found.after.any()
+
+
+def test_constant_widths_hold_their_share_of_exchangeable_errors():
+    rng, one = np.random.default_rng(0), scored(commissioned)
+    many = [replace(one, error=rng.normal(size=(10, 120, 4)) * [0.1, 0.2, 0.3, 0.4]) for _ in range(60)]
+    widths = hiera_score.constant_widths(many[:40], 0)
+    share, width = hiera_score.coverage(many[40:], widths)
+    assert share == pytest.approx(0.9, abs=0.04)
+    assert width == pytest.approx(2.0 * 1.645 * 0.25, rel=0.1)
+
+
+def test_own_widths_are_brought_to_their_promise():
+    rng, one = np.random.default_rng(1), scored(commissioned)
+    scale = np.exp(rng.normal(size=(60, 10, 1, 1)))
+    many = [replace(one, error=s * rng.normal(size=(10, 120, 4)), half=np.broadcast_to(s, (10, 120, 4))) for s in scale]
+    factors = hiera_score.own_factors(many[:40], 0)
+    assert hiera_score.coverage(many[40:], factors, own=True)[0] == pytest.approx(0.9, abs=0.04)
+
+
+def test_hiding_channels_hides_them_from_everyone_but_not_from_the_score():
+    case = heated()
+    fewer = hiera_cases.hidden(case, 0.25, 1)
+    both = np.hstack([fewer.campaign.series.inputs, fewer.campaign.series.measured])
+    assert np.isnan(both[400:]).all(axis=0).sum() == 2
+    np.testing.assert_array_equal(fewer.truth(), case.truth())
+
+
+def test_the_tables_of_a_small_run_name_every_contestant(tmp_path):
+    size = hiera.Size(
+        seeds=(0,), simulated=2, virtual=1, rigs=("simulated", "virtual", "stranger"), trackers=("least_squares",),
+        lost=(0.25,), calibrating=4,
+    )  # fmt: skip
+    tables, left_out = hiera.measure(size, 0, tmp_path, lambda share, note: None)
+    assert any("network" in line for line in left_out)
+    assert any("stranger" in line for line in left_out)
+    named = {row[1] for table in tables if table.key == "errors" for row in table.rows}
+    assert named == set(roster(("least_squares",)))
+    assert {t.key for t in tables} >= {"errors", "recovery", "parameters", "intervals", "lost", "flags", "cost"}
+
+
+def test_an_unknown_rig_is_refused():
+    done = CliRunner().invoke(command, ["hiera", "--rig", "mars"])
+    assert done.exit_code == 2
+    assert "simulated, virtual, stranger" in done.output
+
+
+def test_an_untrained_network_predicts_what_its_evidence_does_and_a_fit_from_it_as_well(tmp_path):
+    pytest.importorskip("torch", reason="torch is not installed: the network takes no part")
+    pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
+    from hil.bench.hiera_network import contestants
+    from tests.twin.hiera.test_service import ensemble_card
+
+    both = contestants(ensemble_card(tmp_path), features())
+    alone, then_fit, fit = scored(both["network"]), scored(both["network, fit"]), scored(fitted)
+    assert alone.half is not None and np.isfinite(alone.error).all()
+    assert np.nanmedian(np.abs(alone.rmse - fit.rmse)) < 0.03
+    assert then_fit.recovered <= fit.recovered
+    assert alone.cpu_s > fit.cpu_s

@@ -1,0 +1,76 @@
+"""Training data of the virtual rig's plant: the same again from a seed, and labelled with what is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.virtual.effects import Effect
+from drivers.virtual.geometry import build_cells
+from hil.training import generate as data
+from hil.training import plant_windows
+from twin.calibrators.hiera_unet.store import SPLITS
+
+FEATURES = data.features_of()
+IDS = FEATURES.deviations.ids
+
+
+def told(*effects: Effect) -> tuple[np.ndarray, np.ndarray]:
+    return plant_windows.told(FEATURES, effects, np.arange(0.0, 7200.0, 5.0))
+
+
+def test_a_campaign_is_the_same_again_and_its_twin_nearly_right():
+    first, again = plant_windows.campaign(FEATURES, 1, 1), plant_windows.campaign(FEATURES, 1, 1)
+    np.testing.assert_array_equal(first.series.measured, again.series.measured)
+    np.testing.assert_array_equal(first.truth, again.truth)
+    assert first.truth.shape == first.series.measured.shape
+    both = np.isfinite(first.series.measured).all(axis=1)
+    assert np.abs(np.median(first.series.measured[both] - first.truth[both], axis=0)).max() < 0.02 or first.what
+
+
+def test_heat_in_the_modules_is_a_known_deviation_from_its_onset_on():
+    theta, amiss = told(Effect("heat_source", "modules", "constant", "power_W", 140.0, onset_s=3600.0))
+    k = IDS.index("modules_power.power")
+    assert (theta[:720] == 0.0).all() and not amiss[:720].any()
+    assert theta[721:, k] == pytest.approx(140.0 / FEATURES.deviations.scale[k])
+    assert not np.delete(theta, k, axis=1).any()
+
+
+def test_a_lost_insulation_is_a_known_deviation():
+    shape = {"exponent": 1.0}
+    theta, _ = told(
+        Effect("heat_loss", "tank", "temperature_difference", "conductance_W_per_K", 7.0, ramp_s=3600.0, shape=shape)
+    )
+    k = IDS.index("tank_loss.hA")
+    assert theta[-1, k] == pytest.approx(7.0 / FEATURES.deviations.scale[k])
+    assert 0.0 < theta[360, k] < theta[-1, k]
+
+
+def test_what_only_stands_in_for_a_parameter_leaves_it_unknown_and_the_others_as_they_were():
+    theta, amiss = told(Effect("heat_rejection", "radiator", "constant", "lost_fraction", 0.2))
+    k = IDS.index("fins.UA_100")
+    assert np.isnan(theta[:, k]).all() and amiss.all()
+    assert not np.delete(theta, k, axis=1).any()
+
+
+def test_specimens_differ_by_section_and_keep_the_shape_of_the_rig():
+    built, other = build_cells(), plant_windows.scattered(np.random.default_rng(0))
+    assert not np.array_equal(built.outer, other.outer)
+    np.testing.assert_array_equal(built.section, other.section)
+    ratio = other.film / built.film
+    for k in range(built.film_exponent.size):
+        assert np.ptp(ratio[built.section == k]) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_generated_folder_has_its_splits_and_is_not_made_twice(tmp_path):
+    store = data.generate(3, 20, tmp_path)
+    assert store.manifest["windows"] >= 20
+    shards = store.manifest["shards"]
+    assert {entry["split"] for entry in shards.values()} == set(SPLITS)
+    assert len({entry["seed"] for entry in shards.values()}) == len(shards)
+    stamps = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.npz")}
+    again = data.generate(3, 20, tmp_path)
+    assert again.digest == store.digest
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.npz")} == stamps
+    test = store.windows("test")
+    assert len(test) and np.isfinite(test.x).all()

@@ -1,0 +1,212 @@
+"""The network as a calibrator: it moves what the record tells, and withholds the rest with a reason."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
+pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
+
+from twin.calibrators.hiera_unet import gates  # noqa: E402
+from twin.calibrators.hiera_unet.binding import config_for, identity_of  # noqa: E402
+from twin.calibrators.hiera_unet.channels import table  # noqa: E402
+from twin.calibrators.hiera_unet.checkpoint import Member, load, save  # noqa: E402
+from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.envelope import Envelope  # noqa: E402
+from twin.calibrators.hiera_unet.features import Features  # noqa: E402
+from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble  # noqa: E402
+from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
+from twin.calibrators.hiera_unet.parameters import Deviations  # noqa: E402
+from twin.calibrators.hiera_unet.refined import RefinedCalibrator  # noqa: E402
+from twin.calibrators.hiera_unet.service import HieraUNetCalibrator, Mode  # noqa: E402
+from twin.kernel import simulate  # noqa: E402
+from twin.tracking import TwinTracker  # noqa: E402
+from twin.twinfile import load as load_twin  # noqa: E402
+
+LOOP = load_twin(Path(__file__).resolve().parents[3] / "profiles" / "twins" / "loop.toml")
+DEVIATIONS = Deviations.of(LOOP)
+TABLE = table(LOOP)
+IDENTITY = identity_of(LOOP, TABLE, DEVIATIONS)
+HOURS = 1.2
+
+
+def untrained(seed: int = 0) -> Member:
+    """Says what the evidence says, and that it is sure of it."""
+    torch.manual_seed(seed)
+    net = HieraUNet(config_for("small", LOOP, TABLE, DEVIATIONS)).eval()
+    with torch.no_grad():
+        net.parameter_head.out.bias[len(DEVIATIONS) : 2 * len(DEVIATIONS)] = -8.0
+    width = len(net.config.queries) * net.config.query_dim
+    return Member(net, IDENTITY, Envelope(np.zeros(width), np.eye(width), 1e6), {"leakage": 0.0, "seed": seed})
+
+
+def ensemble_card(folder: Path, **other: Any) -> Path:
+    for seed in (0, 1):
+        save(replace(untrained(seed), card={"leakage": 0.0, **other}), folder / f"loop_small_{seed}.safetensors")
+    names = {f"loop_small_{s}.safetensors" for s in (0, 1)}
+    factors = {"confidence": 0.9, "overall": [2.0] * 4, "binned": {}, "counts": {}, "method": "split conformal"}
+    document = {
+        "name": "loop_small",
+        "members": {n: load(folder / n).card["weights"]["sha256"] for n in sorted(names)},
+        "modes": {"online": {"outputs": factors, "parameters": [None] * 9}},
+    }
+    card = folder / "loop_small.json"
+    card.write_text(json.dumps(document))
+    return card
+
+
+@pytest.fixture(scope="module")
+def ensemble(tmp_path_factory: pytest.TempPathFactory) -> Ensemble:
+    return load_ensemble(ensemble_card(tmp_path_factory.mktemp("trained")), IDENTITY)
+
+
+def record(change: dict[str, float], hours: float = HOURS, seed: int = 0) -> tuple[Any, Any, Any]:
+    """The loop, excited, with values that changed before the record began."""
+    rng = np.random.default_rng(seed)
+    n = int(hours * 3600)
+    t = np.arange(n, dtype=np.float64)
+    level = lambda low, high, every: np.repeat(rng.uniform(low, high, n // every + 1), every)[:n]  # noqa: E731
+    u = np.column_stack([level(400, 900, 700), level(60, 100, 1100), level(30, 90, 900), np.full(n, 22.0)])
+    clean = simulate(LOOP.with_values(change), t, u, np.array([35.0, 32.0, 29.0, 30.0]))
+    return t, u, clean + 0.05 * rng.standard_normal(clean.shape)
+
+
+def calibrator(ensemble: Ensemble, mode: Mode = "controlled") -> HieraUNetCalibrator:
+    return HieraUNetCalibrator(LOOP, ensemble, Features(LOOP, TABLE, DEVIATIONS), mode)
+
+
+def tracked(ensemble: Ensemble, mode: Mode = "controlled", hours: float = HOURS) -> Any:
+    tracker = TwinTracker(LOOP, calibrator(ensemble, mode))
+    return tracker, tracker.push(*record(CHANGE, hours)).calibrations
+
+
+CHANGE = {"fins.UA_100": 45.0, "tank_loss.hA": 8.0}
+
+
+def test_a_change_is_followed_and_what_cannot_be_told_is_held_with_its_code(ensemble: Ensemble) -> None:
+    tracker, done = tracked(ensemble, hours=2.2)
+    assert all("SHORT_RECORD" in c.flags[0] and len(c.frozen) == 9 for c in done[:2])
+    last = done[-1]
+    assert abs(last.values["fins.UA_100"] - 45.0) < 2.0
+    assert abs(last.values["tank_loss.hA"] - 8.0) < 1.5
+    assert "heater_to_modules.resistance" in last.frozen
+    assert any(
+        f.startswith("LOW_SENSITIVITY: the record does not tell heater_to_modules.resistance") for f in last.flags
+    )
+    assert last.values["heater_to_modules.resistance"] == 5.0
+    table_of = tracker.table()
+    assert all(row["tracked"] < row["static"] for row in table_of.values())
+
+
+@pytest.mark.parametrize("mode", ["shadow", "advisory"])
+def test_only_controlled_mode_moves_the_twin(ensemble: Ensemble, mode: Mode) -> None:
+    _, done = tracked(ensemble, mode)
+    assert all(c.values["fins.UA_100"] == 60.0 for c in done)
+    assert any("proposes fins.UA_100" in f for f in done[-1].flags) == (mode == "advisory")
+
+
+def test_it_goes_on_from_its_saved_state(ensemble: Ensemble) -> None:
+    t, u, y = record(CHANGE)
+    whole, first, second = (TwinTracker(LOOP, calibrator(ensemble)) for _ in range(3))
+    expected = whole.push(t, u, y).calibrations[-1]
+    cut = 3100
+    first.push(t[:cut], u[:cut], y[:cut])
+    second.restore(json.loads(json.dumps(first.state())))
+    found = second.push(t[cut:], u[cut:], y[cut:]).calibrations[-1]
+    assert found.values == expected.values and found.flags == expected.flags
+
+
+def test_least_squares_led_by_the_network_explains_a_window_no_worse_than_alone(ensemble: Ensemble) -> None:
+    t, u, y = record(CHANGE)
+    alone = TwinTracker(LOOP, "least_squares")
+    led = TwinTracker(LOOP, RefinedCalibrator(LOOP, calibrator(ensemble)))
+    first, second = (tracker.push(t, u, y).calibrations for tracker in (alone, led))
+    assert [c.flags[-1].split(":")[0] for c in second[:2]] == ["on its own"] * 2
+    assert first[0].values == second[0].values
+    assert second[-1].error_K < 1.02 * first[-1].error_K
+    assert abs(second[-1].values["fins.UA_100"] - 45.0) < 1.5
+    again = TwinTracker(LOOP, RefinedCalibrator(LOOP, calibrator(ensemble)))
+    again.restore(json.loads(json.dumps(led.state())))
+    assert again.values == led.values
+
+
+def test_it_proposes_every_five_minutes_however_the_stream_is_cut(ensemble: Ensemble) -> None:
+    t, u, y = record(CHANGE)
+    own = [calibrator(ensemble) for _ in range(2)]
+    whole = TwinTracker(LOOP, own[0])
+    spread = whole.push(t, u, y).spread
+    pieces = TwinTracker(LOOP, own[1])
+    for first in range(0, len(t), 1111):
+        pieces.push(*(a[first : first + 1111] for a in (t, u, y)))
+    assert list(own[0].records) == list(own[1].records)
+    times = np.array([r["time_s"] for r in own[0].records])
+    assert len(times) == int(HOURS * 12) and np.abs(np.diff(times) - 300.0).max() <= 31.0
+    json.dumps(list(own[0].records), allow_nan=False)
+    assert spread is not None and np.isnan(spread[:300]).all() and (spread[400:] > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("damage", "code"), [("flat", "FLAT_RECORD"), ("shuffled", "SHUFFLED_RECORD"), ("hidden", "MISSING_REQUIRED")]
+)
+def test_a_record_that_says_nothing_is_refused_with_the_reason(ensemble: Ensemble, damage: str, code: str) -> None:
+    t, u, y = record(CHANGE)
+    if damage == "flat":
+        y[:] = 30.0
+    elif damage == "shuffled":
+        y = np.random.default_rng(1).permutation(y)
+    else:
+        y[600:] = np.where(np.random.default_rng(1).random(y[600:].shape) < 0.02, y[600:], np.nan)
+        y[600:, :2] = np.nan
+    done = TwinTracker(LOOP, calibrator(ensemble)).push(t, u, y).calibrations
+    judged = [c for c in done if c.kind != "skipped"]
+    assert judged and any(f.startswith(code) for f in judged[-1].flags)
+    assert all(c.values == dict(zip(DEVIATIONS.ids, LOOP.values[DEVIATIONS.index], strict=True)) for c in judged)
+
+
+def test_an_ensemble_of_something_else_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(HieraError, match="no trained network"):
+        load_ensemble(tmp_path / "none.json", IDENTITY)
+    card = ensemble_card(tmp_path)
+    with pytest.raises(HieraError, match="another channel table"):
+        load_ensemble(card, replace(IDENTITY, table="other"))
+    save(untrained(7), tmp_path / "loop_small_0.safetensors")
+    with pytest.raises(HieraError, match="not the one that"):
+        load_ensemble(card, IDENTITY)
+    with pytest.raises(HieraError, match="hang on a record's last moments"):
+        load_ensemble(ensemble_card(tmp_path, leakage=0.2), IDENTITY)
+
+
+def open_gates() -> gates.Evidently:
+    rng = np.random.default_rng(0)
+    return gates.Evidently(
+        hidden=0.1, steps=1440, measured=rng.normal(size=(120, 2)), noise=np.ones(2), condition=30.0,
+        told=np.array([True, True]), half_width=np.array([0.1, 0.2]), missed=np.array([0.1, np.nan]),
+        sd=np.array([0.1, 0.1]), prior=np.array([0.4, 0.4]), distance=0.5, leakage=0.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("other", "code", "held"),
+    [
+        ({}, "", [False, False]),
+        ({"hidden": 0.3}, "MISSING_REQUIRED", [True, True]),
+        ({"steps": 100}, "SHORT_RECORD", [True, True]),
+        ({"told": np.array([False, False])}, "LOW_SENSITIVITY", [True, True]),
+        ({"told": np.array([True, False])}, "LOW_SENSITIVITY", [False, True]),
+        ({"half_width": np.array([0.1, 0.9])}, "HIGH_UNCERTAINTY", [True, True]),
+        ({"sd": np.array([0.3, 0.1])}, "HIGH_UNCERTAINTY", [True, False]),
+        ({"distance": 1.2}, "OUT_OF_ENVELOPE", [True, True]),
+        ({"missed": np.array([0.5, np.nan])}, "CONTRADICTORY_EVENT", [True, True]),
+        ({"leakage": 0.1}, "LEAKAGE", [True, True]),
+    ],
+)  # fmt: skip
+def test_each_gate_closes_for_its_own_reason(other: dict[str, Any], code: str, held: list[bool]) -> None:
+    found = gates.reasons(replace(open_gates(), **other), ("a", "b"))
+    assert {r.code for r in found} == ({code} if code else set())
+    assert gates.held(found, ("a", "b")).tolist() == held

@@ -1,0 +1,46 @@
+"""The network that is shipped: it loads, it is small, its card says what it is and where it stands."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
+pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
+
+from twin.calibrators import make  # noqa: E402
+from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.service import TRAINED, HieraUNetCalibrator  # noqa: E402
+from twin.twinfile import load  # noqa: E402
+
+PROFILES = Path(__file__).resolve().parents[3] / "profiles"
+CARD = TRAINED / "loop_small.json"
+MOST_MB = 10.0
+
+
+@pytest.mark.skipif(not CARD.exists(), reason="no trained network is shipped")
+def test_the_shipped_ensemble_fits_the_shipped_twins_and_says_where_it_comes_from() -> None:
+    for name in ("loop.toml", "virtual.toml"):
+        found = make("hiera_unet", load(PROFILES / "twins" / name))
+        assert isinstance(found, HieraUNetCalibrator) and found.ensemble.members
+    document = json.loads(CARD.read_text())
+    for member in document["members"]:
+        card = json.loads((TRAINED / member).with_suffix(".json").read_text())
+        assert {"seed", "command", "plan", "data", "metrics", "curves", "leakage"} <= card.keys()
+        assert card["data"]["sha256"] == document["data"]
+        before, after = (card["metrics"]["blind"][key] for key in ("mae_before", "mae"))
+        assert all(a < b for a, b in zip(after, before, strict=True))
+    assert sum(p.stat().st_size for p in TRAINED.iterdir()) < MOST_MB * 1e6
+    assert not re.search(r"/(tmp|home|root)/", "".join(p.read_text() for p in TRAINED.glob("*.json")))
+
+
+def test_a_twin_without_a_trained_network_is_refused_with_the_reason() -> None:
+    if CARD.exists():
+        with pytest.raises(HieraError, match=r"trained for a twin of another structure|no trained network"):
+            make("hiera_unet", load(PROFILES / "twins" / "loop_six.toml"))
+    else:
+        with pytest.raises(HieraError, match=r"no trained network .* train one with `hil train loop`"):
+            make("hiera_unet", load(PROFILES / "twins" / "loop.toml"))

@@ -1,0 +1,62 @@
+"""What ties a network to a twin: its sizes, its identity, and the physics that training needs."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from twin.calibrators.hiera_unet import evidence
+from twin.calibrators.hiera_unet.balance import balance_of
+from twin.calibrators.hiera_unet.channels import ChannelTable
+from twin.calibrators.hiera_unet.checkpoint import Identity
+from twin.calibrators.hiera_unet.config import Config, named
+from twin.calibrators.hiera_unet.parameters import REACH, Deviations, kernel_of, rated_power
+from twin.calibrators.hiera_unet.regimes import COUNT
+from twin.calibrators.hiera_unet.series import STEP_S
+from twin.calibrators.hiera_unet.store import structure
+from twin.calibrators.hiera_unet.train import Physics
+from twin.calibrators.hiera_unet.twin_layer import TwinLayer
+from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows
+from twin.network import Network
+
+
+def config_for(name: str, network: Network, table: ChannelTable, deviations: Deviations) -> Config:
+    """Configuration ``full`` or ``small`` with the sizes of a twin and its channel table.
+
+    Raises:
+        HieraError: no such configuration.
+    """
+    return named(
+        name,
+        groups=tuple(table.groups.values()),
+        bounds=(REACH,) * len(deviations),
+        tolerances=(network.rules.calibrated_K,) * len(network.sensors),
+        meta=len(table.figures) + evidence.tokens(len(deviations)),
+        regimes=COUNT,
+        evidence=True,
+        step_s=STEP_S,
+        context=CONTEXT,
+        target=TARGET,
+    )
+
+
+def identity_of(network: Network, table: ChannelTable, deviations: Deviations) -> Identity:
+    """What weights trained for this twin and table belong to."""
+    return Identity(structure(network), table.digest, deviations.ids, network.sensor_names)
+
+
+def physics_of(network: Network, table: ChannelTable, deviations: Deviations) -> Physics:
+    """The twin inside the graph, its energy balance, and the channels that tell the answer."""
+    layer = TwinLayer(kernel_of(network, deviations.ids), deviations)
+
+    def simulate(theta: Tensor, rows: Windows) -> Tensor:
+        state, inputs, nominal = (
+            torch.from_numpy(np.ascontiguousarray(a)) for a in (rows.state, rows.inputs, rows.nominal)
+        )
+        out: Tensor = layer(theta, state, inputs, nominal)
+        return out
+
+    told = np.zeros(len(table), dtype=bool)
+    told[table.indices("y", "r")] = True
+    return Physics(simulate, told, balance_of(network), rated_power(network))

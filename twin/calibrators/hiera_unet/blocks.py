@@ -1,0 +1,169 @@
+"""Blocks of the encoder and decoder: attention in windows with a relative-time bias, grouped layers, half kernels.
+
+Tokens are (B, n, d). In one dimension neighbouring tokens are contiguous, so a window is a view: (B * n / w, w, d).
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+INVALID, FUTURE = -1e4, -1e5
+"""Added to the score of a key that holds nothing, and of one that is not there yet.
+
+Finite, so that a row without any valid key stays finite; the future far below the invalid, so that such a row looks
+at invalid keys of its past and never at valid ones of its future.
+"""
+
+
+class LagBias(nn.Module):
+    """B_tau of eq. 5: a learned bias a head as a function of the time between query and key.
+
+    Piecewise linear between `knots` knots, evenly spaced in sign(dt) log(1 + |dt| / stride) over the window. It sees
+    true times, so a gap counts by its length and not by how many tokens it has.
+    """
+
+    def __init__(self, heads: int, knots: int, window: int, stride: int) -> None:
+        super().__init__()
+        self.stride, self.half = stride, (knots - 1) // 2
+        self.reach = float(torch.log1p(torch.tensor(float(window))))
+        self.table = nn.Parameter(torch.zeros(knots, heads))
+
+    def forward(self, time: Tensor) -> Tensor:
+        """Time of the tokens in steps (..., w) -> bias (..., heads, w, w)."""
+        dt = (time[..., :, None] - time[..., None, :]) / self.stride
+        place = torch.sign(dt) * torch.log1p(dt.abs()) * (self.half / self.reach)
+        knots = torch.arange(-self.half, self.half + 1, device=time.device, dtype=time.dtype)
+        hats = (1.0 - (place.clamp(-self.half, self.half)[..., None] - knots).abs()).clamp(min=0.0)
+        return (hats @ self.table.to(hats.dtype)).movedim(-1, -3)
+
+
+def masking(valid: Tensor, causal: bool) -> Tensor:
+    """Validity of keys (..., w) -> what is added to their scores, (..., 1, w, w)."""
+    w = valid.shape[-1]
+    score = torch.where(valid > 0, 0.0, INVALID)[..., None, None, :].expand(*valid.shape[:-1], 1, w, w)
+    if causal:
+        later = torch.ones(w, w, dtype=torch.bool, device=valid.device).triu(1)
+        score = torch.where(later, FUTURE, score)
+    return score
+
+
+class Block(nn.Module):
+    """Attention in windows, then a two-layer perceptron, each on normalised tokens and added to what was there."""
+
+    def __init__(self, dim: int, heads: int, ratio: int = 4) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm1, self.norm2 = nn.LayerNorm(dim), nn.LayerNorm(dim)
+        self.qkv, self.proj = nn.Linear(dim, 3 * dim), nn.Linear(dim, dim)
+        self.mlp = nn.Sequential(nn.Linear(dim, ratio * dim), nn.GELU(), nn.Linear(ratio * dim, dim))
+
+    def forward(self, x: Tensor, score: Tensor, window: int, read: Tensor | None = None) -> Tensor:
+        """
+        Args:
+            x: (B, n, d). score: (B, n / window or 1, heads or 1, window, window), added to the attention scores.
+            read: (B, r, d) tokens that every token of a window may read; they are never written. Without them a
+                metadata token would carry the future of one block into the past of the next.
+        """
+        b, n, d = x.shape
+        q, k, v = self._split(x.reshape(-1, window, d))
+        score = score.expand(b, n // window, *score.shape[2:]).reshape(-1, *score.shape[2:])
+        if read is not None:
+            _, more_k, more_v = (t.repeat_interleave(n // window, 0) for t in self._split(read))
+            k, v = torch.cat([k, more_k], 2), torch.cat([v, more_v], 2)
+            score = F.pad(score, (0, read.shape[1]))
+        # A float mask on purpose: it carries the bias, and a boolean one is no faster.
+        out = F.scaled_dot_product_attention(q, k, v, attn_mask=score.to(q.dtype))
+        x = x + self.proj(out.transpose(1, 2).reshape(b, n, d))
+        return x + self.mlp(self.norm2(x))
+
+    def _split(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """(B', w, d) -> q, k, v, each (B', heads, w, d / heads)."""
+        q, k, v = self.qkv(self.norm1(x)).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        return q, k, v
+
+
+class GroupLinear(nn.Module):
+    """A linear layer a group: (..., G, i) -> (..., G, o), no weight between groups."""
+
+    def __init__(self, groups: int, width_in: int, width_out: int) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.empty(groups, width_in, width_out))
+        self.bias = nn.Parameter(torch.zeros(groups, width_out))
+        nn.init.trunc_normal_(self.weight, std=0.02)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return torch.einsum("...gi,gio->...go", x, self.weight) + self.bias
+
+
+class GroupNorm(nn.Module):
+    """Normalisation inside each group: one over all groups would already mix them."""
+
+    def __init__(self, groups: int, dim: int) -> None:
+        super().__init__()
+        self.weight, self.bias = nn.Parameter(torch.ones(groups, dim)), nn.Parameter(torch.zeros(groups, dim))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return F.layer_norm(x, x.shape[-1:]) * self.weight + self.bias
+
+
+class GroupBlock(nn.Module):
+    """The first local block: what `Block` does, for each channel group by itself with one head."""
+
+    def __init__(self, groups: int, dim: int, knots: int, window: int, ratio: int = 4) -> None:
+        super().__init__()
+        self.window = window
+        self.norm1, self.norm2 = GroupNorm(groups, dim), GroupNorm(groups, dim)
+        self.qkv, self.proj = GroupLinear(groups, dim, 3 * dim), GroupLinear(groups, dim, dim)
+        self.up, self.down = GroupLinear(groups, dim, ratio * dim), GroupLinear(groups, ratio * dim, dim)
+        self.bias = LagBias(groups, knots, window, 1)
+
+    def forward(self, x: Tensor, valid: Tensor, causal: bool) -> Tensor:
+        """
+        Args:
+            x: (B, n, G, d). valid: (B, n, G), share of the group's channels that are there.
+        """
+        b, n, g, d = x.shape
+        w = self.window
+        windows = self.qkv(self.norm1(x)).reshape(b * n // w, w, g, 3, d).permute(3, 0, 2, 1, 4)
+        q, k, v = windows  # each (windows, G, w, d)
+        keys = masking(valid.reshape(-1, w, g).transpose(1, 2), causal)[:, :, 0]  # (windows, G, w, w)
+        score = keys + self.bias(torch.arange(w, device=x.device, dtype=torch.float32))
+        out = F.scaled_dot_product_attention(q, k, v, attn_mask=score.to(q.dtype))
+        x = x + self.proj(out.transpose(1, 2).reshape(b, n, g, d))
+        return x + self.down(F.gelu(self.up(self.norm2(x))))
+
+
+class HalfConv(nn.Module):
+    """Depth-wise convolution in time whose weights are one half kernel.
+
+    Causal: y_t = sum_j w_j x_(t-j). Symmetric: the mean of that and its mirror image, y_t = sum_j w_j (x_(t-j) +
+    x_(t+j)) / 2; so both have the same response to anything slow.
+    """
+
+    def __init__(self, dim: int, taps: int) -> None:
+        super().__init__()
+        self.weight, self.bias = nn.Parameter(torch.empty(dim, taps)), nn.Parameter(torch.zeros(dim))
+        nn.init.trunc_normal_(self.weight, std=taps**-0.5)
+
+    def forward(self, x: Tensor, causal: bool) -> Tensor:
+        """(B, n, d) -> (B, n, d)."""
+        dim, taps = self.weight.shape
+        past = self.weight.flip(-1)
+        if causal:
+            kernel, pad = past, (taps - 1, 0)
+        else:
+            kernel = torch.cat([past[:, :-1], 2.0 * past[:, -1:], self.weight[:, 1:]], -1) / 2.0
+            pad = (taps - 1, taps - 1)
+        return F.conv1d(F.pad(x.transpose(1, 2), pad), kernel[:, None, :], self.bias, groups=dim).transpose(1, 2)
+
+
+def upsample(coarse: Tensor, factor: int, causal: bool) -> Tensor:
+    """(B, n, d) -> (B, n * factor, d): linear between centres, or, causal, the last coarse token that is complete."""
+    if not causal:
+        return F.interpolate(coarse.transpose(1, 2), scale_factor=factor, mode="linear").transpose(1, 2)
+    held = coarse.repeat_interleave(factor, dim=1)
+    # A coarse token is complete with the last fine token that it covers: one fine token sooner than its successor
+    # begins. Before the first is complete there is nothing.
+    return F.pad(held, (0, 0, factor - 1, 0))[:, : held.shape[1]]

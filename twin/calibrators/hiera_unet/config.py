@@ -1,0 +1,144 @@
+"""Every choice that fixes the network, as plain data: what is not in here is not in a checkpoint's identity."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+TOWER_GROUPS = (6, 9, 10, 6, 12, 9)
+"""Channels a group of the table that the published counts belong to: 52 in all."""
+
+
+class HieraError(ValueError):
+    """A configuration, checkpoint or batch that cannot be used; the message is one plain sentence."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Sizes of one network. Steps are those of the record; four stages see it at strides 1, 5, 30 and 120 steps.
+
+    Attributes:
+        groups: channels in each group of the channel table, in its order.
+        bounds: (P,) range of each parameter deviation in its own unit (1.1 for a log-multiplier that may triple).
+        tolerances: (Y,) engineering tolerance of each output in its own unit; errors are weighed with them.
+        regimes: number of operating regimes. clock: numbers that tell the time of day and year.
+        meta: static numbers a window. With `evidence` the last 2 P + 1 of them are an independent estimate of the
+            deviations, its standard deviations, and the logarithm of its condition number.
+        evidence: whether the parameter head corrects that estimate; without, it starts from the commissioned twin.
+        gated: whether a skip passes a gate; without, it is concatenated directly.
+        step_s: length of a step. context, target: steps seen, and steps to explain at their end.
+        margin: steps before the target that the decoder works out as well, so that cropping alters nothing.
+        group_dim: width of a group's own tokens. dims, depths, windows: width, blocks and attention window (tokens)
+            of each stage. merges: how many tokens become one before stages 2, 3 and 4. head_dim: of attention.
+    """
+
+    name: str
+    groups: tuple[int, ...]
+    bounds: tuple[float, ...]
+    tolerances: tuple[float, ...]
+    meta: int
+    regimes: int = 8
+    clock: int = 6
+    evidence: bool = False
+    gated: bool = True
+    step_s: float = 5.0
+    context: int = 1440
+    target: int = 120
+    margin: int = 90
+    group_dim: int = 32
+    dims: tuple[int, ...] = (96, 192, 384, 512)
+    depths: tuple[int, ...] = (2, 2, 4, 2)
+    windows: tuple[int, ...] = (16, 24, 16, 12)
+    merges: tuple[int, ...] = (5, 6, 4)
+    head_dim: int = 32
+    group_window: int = 16
+    meta_tokens: int = 3
+    queries: tuple[str, ...] = ("ambient", "hydraulic", "airflow", "degradation")
+    query_dim: int = 32
+    gate_dim: int = 32
+    head_hidden: int = 128
+    taps: int = 7
+    knots: int = 13
+
+    def __post_init__(self) -> None:
+        tokens = self.context
+        for stage, window in enumerate(self.windows):
+            if tokens % window or self.dims[stage] % self.head_dim:
+                raise HieraError(
+                    f"configuration {self.name!r}: stage {stage + 1} has {tokens} tokens of width {self.dims[stage]}, "
+                    f"which windows of {window} and heads of {self.head_dim} do not divide; choose sizes that do"
+                )
+            if stage < len(self.merges):
+                tokens //= self.merges[stage]
+        if self.evidence and self.meta < 2 * self.parameters + 1:
+            raise HieraError(
+                f"configuration {self.name!r}: {self.meta} static numbers cannot hold the evidence of "
+                f"{self.parameters} parameters ({2 * self.parameters + 1} numbers); set meta or evidence"
+            )
+        if (self.target + self.margin) % self.strides[1] or self.target + self.margin > self.context:
+            raise HieraError(
+                f"configuration {self.name!r}: target and margin together must be a multiple of {self.strides[1]} "
+                f"steps within the context, not {self.target + self.margin}"
+            )
+
+    @property
+    def channels(self) -> int:
+        return sum(self.groups)
+
+    @property
+    def parameters(self) -> int:
+        return len(self.bounds)
+
+    @property
+    def outputs(self) -> int:
+        return len(self.tolerances)
+
+    @property
+    def strides(self) -> tuple[int, ...]:
+        """Steps a token stands for, by stage."""
+        out = [1]
+        for merge in self.merges:
+            out.append(out[-1] * merge)
+        return tuple(out)
+
+    def document(self) -> dict[str, Any]:
+        """Plain data for a JSON file."""
+        return {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
+
+    @classmethod
+    def of(cls, document: dict[str, Any]) -> Config:
+        """The configuration that `document` gave.
+
+        Raises:
+            HieraError: it has other fields than this version's.
+        """
+        fields: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in document.items()}
+        try:
+            return cls(**fields)
+        except TypeError as error:
+            raise HieraError(f"the configuration is of another version ({error}); train again") from error
+
+
+SMALL: dict[str, Any] = {"group_dim": 8, "dims": (32, 64, 96, 128), "depths": (1, 1, 2, 2), "head_dim": 16}
+"""What the small configuration has otherwise than the full one."""
+
+PAPER: dict[str, Any] = {
+    "groups": TOWER_GROUPS,
+    "bounds": (0.25, 0.18, 0.15, 1.0),
+    "tolerances": (0.3, 0.4, 0.02, 0.025),
+    "meta": 6,
+    "step_s": 60.0,
+}
+"""Channels, parameters and outputs that the counts of 18,623,359 and 1,055,362 weights belong to."""
+
+
+def named(name: str, **sizes: Any) -> Config:
+    """Configuration ``full`` or ``small`` with the sizes that a twin and its channel table give.
+
+    Raises:
+        HieraError: no such configuration.
+    """
+    if name not in ("full", "small"):
+        raise HieraError(f"no configuration {name!r}; there are: full, small")
+    chosen: dict[str, Any] = {**(SMALL if name == "small" else {}), **sizes}
+    return Config(name=name, **chosen)

@@ -1,0 +1,118 @@
+"""When a proposal of the network may become the twin's parameters: all gates must be open.
+
+Each closed gate is a code with a sentence. A code with a parameter's name holds that parameter only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.network import Array
+
+HIDDEN = 0.25
+"""Share of what is required that may be hidden."""
+SHORTEST_STEPS = 360
+"""Half an hour of record, before which nothing is proposed."""
+UNSURE_K = 0.8
+"""Half width of an output's 90 % interval."""
+VAGUE = 0.5
+"""Standard deviation of a parameter, as a share of what was known of it before any data."""
+UNEXPLAINED = 3.0
+"""Error of the calibrated outputs that were measured, in half widths of their intervals."""
+ROUGH = 12.0
+"""Median change from step to step, in noises of a step: more is no record of a thing that has a thermal mass."""
+FLAT_STEPS = 120
+LEAKS = 0.05
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why something is withheld: a code, the parameter where it is about one, a plain sentence."""
+
+    code: str
+    sentence: str
+    parameter: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.code}: {self.sentence}"
+
+
+@dataclass(frozen=True)
+class Evidently:
+    """What the gates look at.
+
+    Attributes:
+        hidden: share of what is required that is hidden, since the record began. steps: of record seen.
+        measured: (n, Y) degC, the target. noise: (Y,) K of one step. condition: of all parameters together.
+        told: (P,) bool, tells them apart. half_width: (Y,) K mean half widths. missed: (Y,) K, root mean square of
+            measured minus calibrated over the target, NaN where nothing was measured.
+        sd, prior: (P,) of the deviations, now and before any data. distance: from the envelope, 1 at its limit.
+        leakage: how far deviations hang on the last moments.
+    """
+
+    hidden: float
+    steps: int
+    measured: Array
+    noise: Array
+    condition: float
+    told: np.ndarray
+    half_width: Array
+    missed: Array
+    sd: Array
+    prior: Array
+    distance: float
+    leakage: float
+
+
+def unreadable(hidden: float, steps: int, measured: Array, noise: Array) -> tuple[Reason, ...]:
+    """Gates on the record itself, before anything is computed from it."""
+    found = []
+    if steps < SHORTEST_STEPS:
+        found.append(Reason("SHORT_RECORD", f"only {steps * 5 / 60:.0f} minutes of record have been seen"))
+    if hidden > HIDDEN:
+        found.append(Reason("MISSING_REQUIRED", f"{hidden:.0%} of the required channels are hidden"))
+    change = np.abs(np.diff(measured, axis=0))
+    known = np.isfinite(change)
+    if known.any() and len(measured) >= FLAT_STEPS and (change[known] == 0.0).all():
+        found.append(Reason("FLAT_RECORD", "no thermometer has moved at all"))
+    middle = [float(np.median(c[k])) / s for c, k, s in zip(change.T, known.T, noise, strict=True) if k.any()]
+    if middle and min(middle) > ROUGH:
+        found.append(Reason("SHUFFLED_RECORD", "readings jump from step to step as no rig does; are rows in order?"))
+    return tuple(found)
+
+
+def reasons(e: Evidently, ids: tuple[str, ...]) -> tuple[Reason, ...]:
+    """Every closed gate, those on the record first."""
+    found = list(unreadable(e.hidden, e.steps, e.measured, e.noise))
+    if not e.told.any():
+        found.append(
+            Reason("LOW_SENSITIVITY", f"the record tells no parameter apart (condition number {e.condition:.0f})")
+        )
+    widest = float(np.max(e.half_width))
+    if widest > UNSURE_K:
+        found.append(Reason("HIGH_UNCERTAINTY", f"an output is known to no better than {widest:.2f} K"))
+    if e.distance > 1.0:
+        found.append(Reason("OUT_OF_ENVELOPE", f"{e.distance:.1f} times as far from what was trained on as is allowed"))
+    missed = e.missed / np.maximum(e.half_width, 1e-9)
+    if np.isfinite(missed).any() and np.nanmax(missed) > UNEXPLAINED:
+        found.append(
+            Reason("CONTRADICTORY_EVENT", "neither parameters nor corrections explain what was measured: a jump?")
+        )
+    if e.leakage > LEAKS:
+        found.append(Reason("LEAKAGE", f"shuffling the last moments moves a parameter by {e.leakage:.0%} of its range"))
+    for k, name in enumerate(ids):
+        if not e.told[k] and e.told.any():
+            found.append(Reason("LOW_SENSITIVITY", f"the record does not tell {name}: held", name))
+        elif e.sd[k] > VAGUE * e.prior[k]:
+            found.append(Reason("HIGH_UNCERTAINTY", f"{name} is known too vaguely: held", name))
+    return tuple(found)
+
+
+def held(found: tuple[Reason, ...], ids: tuple[str, ...]) -> np.ndarray:
+    """Which parameters (P,) may not move: all of them where a gate for the whole window is closed."""
+    if any(not r.parameter for r in found):
+        return np.ones(len(ids), dtype=bool)
+    closed = {r.parameter for r in found}
+    return np.array([name in closed for name in ids])

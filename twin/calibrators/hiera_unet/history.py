@@ -1,0 +1,76 @@
+"""The last two hours of a stream, as the network reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from twin.calibrators.base import from_plain, plain
+from twin.calibrators.hiera_unet.series import STEP_S, Series, binned
+from twin.calibrators.hiera_unet.windows import CONTEXT
+from twin.network import Array
+
+SPAN_S = CONTEXT * STEP_S
+
+
+class History:
+    """Raw samples of the last two hours, and the even steps they fall into.
+
+    Steps lie on a grid from the first sample ever pushed on, so that a window's steps never depend on when it is asked
+    for. A reading counts for the step whose stamp is nearest, an input for the step that it lies in.
+    """
+
+    def __init__(self, inputs: int, sensors: int) -> None:
+        self._origin: float | None = None
+        self._time = np.zeros(0)
+        self._inputs, self._measured = np.zeros((0, inputs)), np.zeros((0, sensors))
+
+    @property
+    def last_s(self) -> float:
+        """Time of the latest sample; minus infinity before the first."""
+        return float(self._time[-1]) if self._time.size else -np.inf
+
+    def push(self, time: Array, inputs: Array, measured: Array) -> None:
+        """Samples in order: time (n,) s, inputs (n, c), measured (n, m) degC with NaN where masked.
+
+        Those that are there already are left out.
+        """
+        new = time > self.last_s
+        if not new.any():
+            return
+        time, inputs, measured = time[new], inputs[new], measured[new]
+        if self._origin is None:
+            self._origin = float(time[0])
+        self._time = np.concatenate([self._time, time])
+        self._inputs = np.vstack([self._inputs, inputs])
+        self._measured = np.vstack([self._measured, measured])
+        keep = self._time >= self._time[-1] - SPAN_S - 2.0 * STEP_S
+        self._time, self._inputs, self._measured = self._time[keep], self._inputs[keep], self._measured[keep]
+
+    def series(self) -> Series:
+        """The steps up to the latest sample."""
+        assert self._origin is not None
+        place = (self._time - self._origin) / STEP_S
+        before, near = np.floor(place + 1e-9).astype(np.intp), np.floor(place + 0.5 - 1e-9).astype(np.intp)
+        first, n = int(before[0]), int(before[-1] - before[0]) + 1
+        measured = binned(self._measured, np.clip(near - first, 0, n - 1), n)
+        return Series(
+            time=np.asarray(self._origin + STEP_S * np.arange(first, first + n), dtype=np.float64),
+            inputs=binned(self._inputs, before - first, n),
+            measured=measured,
+            spread=np.full(measured.shape, np.nan),
+        )
+
+    def state(self) -> dict[str, Any]:
+        """Plain data to go on from."""
+        arrays = {"time": self._time, "inputs": self._inputs, "measured": self._measured}
+        return {"origin": self._origin, **{key: plain(a) for key, a in arrays.items()}}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state` gave."""
+        self._origin = state["origin"]
+        self._time = from_plain(state["time"]).reshape(-1)
+        self._inputs = from_plain(state["inputs"]).reshape(-1, self._inputs.shape[1])
+        self._measured = from_plain(state["measured"]).reshape(-1, self._measured.shape[1])

@@ -1,0 +1,93 @@
+"""Losses of eq. 9 to 11, dimensionless, each a mean over what may be judged.
+
+L = L_data + 0.30 L_bal + 0.08 L_smooth + 0.15 L_unc, with the published weights; and, not in eq. 11: the known
+parameters, and a price on corrections, higher for their mean over the window, which parameters should explain.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+BETA = 0.5
+"""Power of the predicted scale by which a likelihood is weighed (Seitzer et al., ICLR 2022): without it the badly
+predicted steps lose their say, and the mean stalls."""
+LOG_RANGE = 6.0
+"""Log-scales beyond this are cut off, so that an exponential never overflows."""
+RESOLUTION = 0.02
+"""Least scale in units of the bound or tolerance."""
+
+
+def known_only(error: Tensor, known: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Errors with 0 for what is not known, and what is. A NaN that is only masked afterwards still spoils gradients."""
+    good = torch.isfinite(error) if known is None else known & torch.isfinite(error)
+    return torch.where(good, error, 0.0), good
+
+
+def mean_of(values: Tensor, good: Tensor) -> Tensor:
+    """Mean over entries where `good`; 0 where there is none."""
+    total = torch.where(good, values, 0.0).sum()
+    return total / good.sum().clamp(min=1)
+
+
+def data_loss(error: Tensor, tolerances: Tensor) -> Tensor:
+    """Eq. 9: mean |error| (B, n, Y) in units of the tolerances (Y,); NaN is not judged."""
+    e, good = known_only(error)
+    return mean_of(e.abs() / tolerances, good)
+
+
+def balance_loss(
+    delta: Tensor, storage: Tensor, exchange: Tensor, rated: float, judged: Tensor, step_s: float
+) -> Tensor:
+    """Eq. 10 for a twin that closes its own balance: power out of nowhere that the corrections imply, of 2.5 % rated.
+
+    A twin's own readings balance exactly, so corrected ones miss by what the corrections store and exchange. The
+    storage is taken between the first and the last tenth of the window, where noise does not drown it.
+
+    Args:
+        delta: (B, n, Y) K. storage: (Y,) J/K of what each output is of. exchange: (B, Y), W leaving the rig per K of
+            each output. rated: W. judged: (B,) bool, False where the balance is known not to hold.
+    """
+    edge = max(delta.shape[1] // 10, 1)
+    seconds = (delta.shape[1] - edge) * step_s
+    stored = ((delta[:, -edge:].mean(1) - delta[:, :edge].mean(1)) * storage).sum(-1) / seconds
+    lost = (delta.mean(1) * exchange).sum(-1)
+    return mean_of((stored + lost).abs() / (0.025 * rated), judged)
+
+
+def smooth_loss(theta: Tensor, bounds: Tensor, pairs: Tensor) -> Tensor:
+    """Mean |theta_k - theta_(k-1)| / bound over pairs (Q, 2) of rows that are windows of one rig in one condition."""
+    if not len(pairs):
+        return theta.sum() * 0.0
+    change = (theta[pairs[:, 0]] - theta[pairs[:, 1]]).abs() / bounds
+    return change.mean()
+
+
+def parameter_loss(theta: Tensor, true: Tensor, known: Tensor, bounds: Tensor) -> Tensor:
+    """Mean square of (theta - true) / bound over what is known (B, P) and identifiable.
+
+    Squares, because most parameters of most windows have not moved: the best absolute error is then to say so always.
+    """
+    e, good = known_only(theta - true, known)
+    return mean_of((e / bounds) ** 2, good)
+
+
+def laplace_loss(error: Tensor, log_scale: Tensor, tolerances: Tensor) -> Tensor:
+    """Negative log-likelihood of errors (B, n, Y) under Laplace laws of scale tolerance * exp(log_scale), by beta."""
+    s = log_scale.clamp(-LOG_RANGE, LOG_RANGE)
+    b = torch.exp(s) + RESOLUTION
+    e, good = known_only(error)
+    return mean_of((torch.log(b) + e.abs() / tolerances / b) * b.detach() ** BETA, good)
+
+
+def gaussian_loss(error: Tensor, log_variance: Tensor, bounds: Tensor, known: Tensor) -> Tensor:
+    """Negative log-likelihood of parameter errors (B, P), in units of the bounds, over what is known, by beta."""
+    v = torch.exp(log_variance.clamp(-2 * LOG_RANGE, LOG_RANGE)) + RESOLUTION**2
+    e, good = known_only(error, known)
+    return mean_of(0.5 * (torch.log(v) + (e / bounds) ** 2 / v) * v.detach() ** BETA, good)
+
+
+def correction_price(delta: Tensor, tolerances: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean square of corrections (B, n, Y) in tolerances, and that of their means over the window."""
+    d = delta / tolerances
+    return (d**2).mean(), (d.mean(1) ** 2).mean()

@@ -1,0 +1,115 @@
+"""A trained ensemble as it is loaded for service."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from twin.calibrators.hiera_unet.checkpoint import Identity, Member, load
+from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet.conformal import Factors
+from twin.calibrators.hiera_unet.ensemble import mixed
+from twin.calibrators.hiera_unet.gates import LEAKS
+from twin.calibrators.hiera_unet.leakage import leakage
+from twin.calibrators.hiera_unet.windows import Windows
+from twin.network import Array
+
+MODE = "online"
+
+
+@dataclass(frozen=True)
+class Said:
+    """What an ensemble says of one window on its causal branch.
+
+    Attributes:
+        theta, theta_sd: (P,) deviations and standard deviations, aleatoric and epistemic together.
+        delta, scale: (120, Y) corrections, and Laplace scales of the members' mixture, K.
+        distance: from the training envelope, 1 at its limit, the mean over members. attention: (Q, 12) for audit.
+    """
+
+    theta: Array
+    theta_sd: Array
+    delta: Array
+    scale: Array
+    distance: float
+    attention: Array
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Members and their conformal factors: `factors` of outputs, `parameters` (P,) with NaN where not known."""
+
+    name: str
+    members: tuple[Member, ...]
+    factors: Factors
+    parameters: Array
+    card: dict[str, Any]
+
+    def ask(self, window: Windows) -> Said:
+        """About one window (N = 1), on the causal branch with everything measured in sight."""
+        thetas, variances, deltas, scales, distances, attention = [], [], [], [], [], []
+        with torch.inference_mode():
+            for member in self.members:
+                config = member.network.config
+                p = member.network(*_tensors(window), causal=True)
+                bounds, tolerances = np.array(config.bounds), np.array(config.tolerances)
+                thetas.append(p.theta[0].double().numpy())
+                variances.append(np.exp(p.log_variance[0].clamp(-12, 6).double().numpy()) * bounds**2)
+                deltas.append(p.delta[0].double().numpy())
+                scales.append(np.exp(p.log_scale[0].clamp(-6, 6).double().numpy()) * tolerances)
+                distances.append(float(member.envelope.distance(p.features.double().numpy())[0]))
+                attention.append(p.attention[0].double().numpy())
+        theta, theta_variance = mixed(thetas, variances)
+        delta, variance = mixed(deltas, [2.0 * s**2 for s in scales])
+        return Said(
+            theta, np.sqrt(theta_variance), delta, np.sqrt(variance / 2.0), float(np.mean(distances)),
+            np.mean(attention, axis=0),
+        )  # fmt: skip
+
+    def half_widths(self, said: Said, regime: int) -> Array:
+        """Half widths (120, Y), K, of the outputs' intervals."""
+        return np.asarray(self.factors.of(np.array([regime]))[0] * said.scale)
+
+    def leakage(self, window: Windows) -> float:
+        """How far deviations hang on the last moments of a window: the worst member's."""
+        return max(leakage(m.network, *_tensors(window)) for m in self.members)
+
+
+def load_ensemble(card: Path, identity: Identity) -> Ensemble:
+    """The ensemble of a card, for the twin and table that `identity` names.
+
+    Raises:
+        HieraError: there is none, a member is missing or altered or belongs elsewhere, or its parameters leak.
+    """
+    try:
+        document = json.loads(card.read_text(encoding="utf-8"))
+        names: dict[str, str] = document["members"]
+        own = document["modes"][MODE]
+        factors = Factors.read(own["outputs"])
+        parameters = np.array([np.nan if f is None else f for f in own["parameters"]])
+    except FileNotFoundError as error:
+        raise HieraError(
+            f"there is no trained network {card}; train one with `hil train loop` and put it there, or choose another "
+            "calibrator"
+        ) from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise HieraError(f"the card {card} cannot be read ({error}); train again") from error
+    members = tuple(load(card.parent / name, identity) for name in names)
+    for (name, digest), member in zip(names.items(), members, strict=True):
+        if member.card["weights"]["sha256"] != digest:
+            raise HieraError(f"the member {name} is not the one that {card} names; train again")
+        if not float(member.card.get("leakage", np.inf)) <= LEAKS:
+            raise HieraError(f"the member {name} is disqualified: its parameters hang on a record's last moments")
+    if not members:
+        raise HieraError(f"the card {card} names no member; train again")
+    return Ensemble(str(document["name"]), members, factors, parameters, document)
+
+
+def _tensors(w: Windows) -> tuple[torch.Tensor, ...]:
+    single = (torch.from_numpy(np.ascontiguousarray(a)) for a in (w.x, w.m, w.regime, w.clock, w.meta))
+    return tuple(single)

@@ -1,0 +1,107 @@
+"""The Hiera-UNet: two hours of a record in; parameter deviations, output corrections and their spread out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor, nn
+
+from twin.calibrators.hiera_unet.config import Config
+from twin.calibrators.hiera_unet.decoder import Decoder
+from twin.calibrators.hiera_unet.encoder import Encoder
+from twin.calibrators.hiera_unet.heads import OutputHead, ParameterHead, Queries
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the network says of B windows.
+
+    Without evidence the calibrated output is f_DT(u, theta) + delta, eq. 8. With it, it is f_DT(u, theta_e) + delta,
+    where theta_e is the evidence: what a fit explains of this record, whatever it had to bend for it. What of that is
+    a parameter that moved, and what the twin lacks, is for theta to say.
+
+    Attributes:
+        theta: (B, P) deviations in their own units. log_variance: (B, P) of theta / bound.
+        delta: (B, 120, Y) corrections in the outputs' units. log_scale: (B, 120, Y) of the Laplace scale / tolerance.
+        attention: (B, Q, 12) what each query looked at. features: (B, Q * query_dim), place in the envelope.
+    """
+
+    theta: Tensor
+    log_variance: Tensor
+    delta: Tensor
+    log_scale: Tensor
+    attention: Tensor
+    features: Tensor
+
+
+class HieraUNet(nn.Module):
+    """Encoder, decoder and heads of one `Config`. Output never depends on `.training`.
+
+    With ``causal=True`` a correction depends on nothing later than its own step, with the same weights. Deviations
+    are one vector a window and see all of it in both modes: an online service uses those of the cycle before.
+    """
+
+    def __init__(self, config: Config) -> None:
+        super().__init__()
+        self.config = config
+        self.encoder = Encoder(config)
+        self.decoder = Decoder(config)
+        self.queries = Queries(config)
+        self.parameter_head = ParameterHead(config)
+        self.output_head = OutputHead(config)
+        self.apply(_start)
+        for head in (self.parameter_head, self.output_head):
+            nn.init.zeros_(head.out.weight)
+
+    def forward(
+        self,
+        x: Tensor,
+        m: Tensor,
+        regime: Tensor,
+        clock: Tensor,
+        meta: Tensor,
+        *,
+        causal: bool = False,
+        crop: bool = True,
+    ) -> Prediction:
+        """
+        Args:
+            x: (B, 1440, C) channels, normalised. m: (B, 1440, C), true or 1 where x is there. regime: (B, 1440)
+                integers. clock: (B, 1440, 6). meta: (B, M).
+            crop: see `Decoder`.
+        """
+        m = m.to(x.dtype)
+        scales = self.encoder(x * m, m, regime.long(), clock, meta, causal)
+        answers, attention = self.queries(scales[-1].h, scales[-1].valid)
+        d3, d1 = self.decoder(scales, answers.mean(1), causal, crop)
+        theta, log_variance, features = self.parameter_head(d3, scales[2].valid, answers, meta)
+        delta, log_scale = self.output_head(d1)
+        return Prediction(theta, log_variance, delta, log_scale, attention, features)
+
+    def count(self) -> int:
+        """Number of weights."""
+        return sum(p.numel() for p in self.parameters())
+
+
+def evidence_of(config: Config, meta: Tensor) -> Tensor | None:
+    """The deviations (B, P) of the evidence among the static numbers (B, M); None for a network without."""
+    p = config.parameters
+    return meta[:, -2 * p - 1 : -p - 1].float() if config.evidence else None
+
+
+def _start(module: nn.Module) -> None:
+    if isinstance(module, nn.Linear):
+        nn.init.trunc_normal_(module.weight, std=0.02)
+        nn.init.zeros_(module.bias)
+    elif isinstance(module, nn.Embedding):
+        nn.init.trunc_normal_(module.weight, std=0.02)
+
+
+def decayed(network: nn.Module) -> tuple[list[nn.Parameter], list[nn.Parameter]]:
+    """Weights that decay, and those that do not: vectors, biases, the bias tables and the queries."""
+    yes: list[nn.Parameter] = []
+    no: list[nn.Parameter] = []
+    for name, p in network.named_parameters():
+        plain = p.ndim < 2 or name.endswith(("bias", "bias.table", "query"))
+        (no if plain else yes).append(p)
+    return yes, no

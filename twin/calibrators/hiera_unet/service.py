@@ -1,0 +1,266 @@
+"""The network as a calibrator: a proposal every five minutes from the causal branch, and gates before it is written.
+
+The live twin takes parameters on at the end of its windows; the proposals between are kept as records. Modes: *shadow*
+computes and changes nothing; *advisory* says what it would do; *controlled* moves the live twin's parameters. The
+commissioned values are never overwritten, and deviations are always from them.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from twin.calibrators.base import Calibration, Estimate, Window, from_plain, plain
+from twin.calibrators.hiera_unet import gates
+from twin.calibrators.hiera_unet.channels import table
+from twin.calibrators.hiera_unet.evidence import Evidence, estimate, step_noise
+from twin.calibrators.hiera_unet.features import Features, Frame
+from twin.calibrators.hiera_unet.gates import Evidently, Reason
+from twin.calibrators.hiera_unet.history import History
+from twin.calibrators.hiera_unet.members import Ensemble, Said
+from twin.calibrators.hiera_unet.parameters import Deviations
+from twin.calibrators.hiera_unet.windows import TARGET, Windows
+from twin.calibrators.outcome import Report, conclude
+from twin.calibrators.posterior import STATE_SD, weighted
+from twin.gauss_newton import align
+from twin.network import Array, Network
+
+Mode = Literal["shadow", "advisory", "controlled"]
+CYCLE_S = 300.0
+RECORDS = 288
+"""Proposals that are remembered: a day's."""
+NORMAL90 = 1.645
+TRAINED = Path(__file__).resolve().parents[3] / "profiles" / "trained"
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One cycle: what the network says at a moment, and what may be written of it.
+
+    Attributes:
+        time_s: of the latest sample that it has seen. values, sd: (P,) parameters and standard errors in their own
+            units. held: (P,) bool, those that may not move. reasons: closed gates.
+        half_width: (Y,) K mean half widths of the outputs' 90 % intervals. condition: see `Calibration`.
+        attention: (Q, 12), what each query looked at. evaluations: simulations and forward passes.
+    """
+
+    time_s: float
+    values: Array
+    sd: Array
+    held: np.ndarray
+    reasons: tuple[Reason, ...]
+    half_width: Array
+    condition: float
+    attention: Array
+    evaluations: int
+
+    def document(self, ids: tuple[str, ...]) -> dict[str, Any]:
+        """Plain data for a log."""
+        return {
+            "time_s": self.time_s,
+            "values": dict(zip(ids, self.values.tolist(), strict=True)),
+            "standard_errors": dict(zip(ids, self.sd.tolist(), strict=True)),
+            "held": [i for i, h in zip(ids, self.held, strict=True) if h],
+            "reasons": [str(r) for r in self.reasons],
+            "half_width_K": self.half_width.tolist(),
+            "condition": self.condition,
+        }
+
+
+class HieraUNetCalibrator:
+    """The network calibrator; satisfies `Calibrator` and `Follower`. Deterministic.
+
+    `records`: the latest proposals as plain data, those at the ends of windows included.
+
+    Args:
+        ensemble: trained for this twin's structure and channel table.
+    """
+
+    name = "hiera_unet"
+
+    def __init__(self, network: Network, ensemble: Ensemble, features: Features, mode: Mode = "controlled") -> None:
+        self.network, self.ensemble, self.features, self.mode = network, ensemble, features, mode
+        self.ids = features.deviations.ids
+        self.history = History(len(network.input_columns), len(network.sensors))
+        self.records: deque[dict[str, Any]] = deque(maxlen=RECORDS)
+        self._leakage: float | None = None
+        self._due_s: float | None = None
+        self._asked_s = -np.inf
+        self._spread = np.full(len(network.sensors), np.nan)
+
+    @classmethod
+    def shipped(cls, network: Network, tunables: str = "nine", mode: Mode = "controlled") -> HieraUNetCalibrator:
+        """With the small ensemble under `profiles/trained`.
+
+        Raises:
+            HieraError: torch is missing, or there is no ensemble for this twin.
+            TwinFileError: no channel table fits the twin.
+        """
+        from twin.calibrators.hiera_unet.device import ready
+
+        ready(threads=1)  # a forward pass is a few milliseconds; the other cores belong to whoever runs the rig
+        from twin.calibrators.hiera_unet.binding import identity_of
+        from twin.calibrators.hiera_unet.members import load_ensemble
+
+        channels, deviations = table(network), Deviations.of(network, tunables)
+        card = TRAINED / f"{channels.name}_small.json"
+        ensemble = load_ensemble(card, identity_of(network, channels, deviations))
+        return cls(network, ensemble, Features(network, channels, deviations), mode)
+
+    def calibrate(self, window: Window) -> Calibration:
+        return self._concluded(window, self.propose(window))
+
+    def propose(self, window: Window) -> Proposal:
+        """What the network says at the end of a window."""
+        self.history.push(window.time, window.inputs, window.measured)
+        return self._propose()
+
+    def follow(self, time: Array, inputs: Array, measured: Array, state: Array) -> Estimate:
+        """Take in samples and propose whenever five minutes have passed; the spread is that of the latest proposal.
+
+        `filtered` is NaN: between windows the live twin's own readings stand.
+        """
+        nothing = np.full((len(time), len(self.network.sensors)), np.nan)
+        spread = nothing.copy()
+        at = 0
+        while at < len(time):
+            if self._due_s is None:
+                self._due_s = float(time[at]) + CYCLE_S
+            until = int(np.searchsorted(time, self._due_s))
+            if until > at:
+                self.history.push(time[at:until], inputs[at:until], measured[at:until])
+                spread[at:until] = self._spread
+                at = until
+            if at < len(time):
+                if time[at] - self._asked_s > CYCLE_S / 2.0:  # a window has not just ended
+                    self._propose()
+                self._due_s += CYCLE_S * (1.0 + np.floor((time[at] - self._due_s) / CYCLE_S))
+        return Estimate(nothing, spread)
+
+    def _propose(self) -> Proposal:
+        """One cycle on everything that was pushed."""
+        nominal, deviations = self.network.values, self.features.deviations
+        series = self.history.series()
+        frame = self.features.frame(series, len(series), nominal)
+        evidence = estimate(self.features, frame, nominal)
+        frame = self.features.explained(frame, nominal, evidence.theta, evidence.steps)
+        row = one(frame, evidence, nominal)
+        said = self.ensemble.ask(row)
+        if self._leakage is None and frame.begin == 0:
+            self._leakage = self.ensemble.leakage(row)
+        seen = self._evidently(frame, evidence, said, row)
+        found = gates.reasons(seen, self.ids)
+        values = deviations.values(said.theta, nominal)
+        proposal = Proposal(
+            time_s=self.history.last_s,
+            values=values,
+            sd=said.theta_sd * deviations.scaling(nominal).slope(values),
+            held=gates.held(found, self.ids),
+            reasons=found,
+            half_width=seen.half_width,
+            condition=evidence.condition,
+            attention=said.attention,
+            evaluations=evidence.evaluations + len(self.ensemble.members),
+        )
+        self._asked_s = proposal.time_s
+        self._spread = seen.half_width / NORMAL90
+        self.records.append(proposal.document(self.ids))
+        return proposal
+
+    def _evidently(self, frame: Frame, evidence: Evidence, said: Said, row: Windows) -> Evidently:
+        needed = self.features.table.indices("u", "y", "r")
+        half = self.ensemble.half_widths(said, int(row.regime[0, -1]))
+        full = self.features.deviations.full(evidence.theta, row.nominal[0])
+        time = np.arange(TARGET, dtype=np.float64) * 5.0
+        twin = self.features.kernel.trace(full, frame.state, time, frame.held[-TARGET:])[0][0]
+        error = frame.target - twin - said.delta
+        good = np.isfinite(error)
+        squares = np.where(good, error, 0.0) ** 2
+        count = good.sum(axis=0)
+        return Evidently(
+            hidden=float(1.0 - frame.m[frame.begin :, needed].mean()),
+            steps=len(frame.time) - frame.begin,
+            measured=frame.target,
+            noise=step_noise(self.features),
+            condition=evidence.condition,
+            told=evidence.told,
+            half_width=half.mean(axis=0),
+            missed=np.where(count > 0, np.sqrt(squares.sum(axis=0) / np.maximum(count, 1)), np.nan),
+            sd=said.theta_sd,
+            prior=self.features.deviations.prior_sd,
+            distance=said.distance,
+            leakage=self._leakage or 0.0,
+        )
+
+    def _concluded(self, window: Window, proposal: Proposal) -> Calibration:
+        network, held = self.network, proposal.held
+        index = network.index(self.ids)
+        now = window.parameters[index]
+        proposed = np.where(held, now, proposal.values)
+        values = proposed if self.mode == "controlled" else now
+        full = window.parameters.copy()
+        full[index] = values
+        data = weighted(window, network.sigma)
+        start = align(self.features.kernel, full, window.state, data, max(window.error_K, STATE_SD))
+        readings, end = self.features.kernel.trace(full, start, window.time, window.inputs)
+        misses = (readings[0] - window.measured) / network.sigma
+        good = np.isfinite(misses)
+        flags = [str(r) for r in proposal.reasons]
+        if self.mode == "advisory" and not held.all():
+            flags += [f"proposes {i} = {v:.4g}" for i, v, h in zip(self.ids, proposed, held, strict=True) if not h]
+        report = Report(
+            covariance=np.diag(proposal.sd**2),
+            flags=tuple(flags),
+            frozen=tuple(i for i, h in zip(self.ids, held, strict=True) if h),
+            condition=proposal.condition,
+        )
+        return conclude(
+            network, window, self.ids, values, start, readings[0], end[0],
+            cost=float(np.sqrt(np.mean(misses[good] ** 2))) if good.any() else 0.0,
+            evaluations=proposal.evaluations, report=report,
+        )  # fmt: skip
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "history": self.history.state(),
+            "leakage": self._leakage,
+            "due_s": self._due_s,
+            "asked_s": plain(np.array([self._asked_s])),
+            "spread": plain(self._spread),
+            "records": list(self.records),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self.history.restore(state["history"])
+        self._leakage, self._due_s = state["leakage"], state["due_s"]
+        self._spread = from_plain(state["spread"])
+        asked = float(from_plain(state["asked_s"])[0])
+        self._asked_s = asked if np.isfinite(asked) else -np.inf
+        self.records = deque(state["records"], maxlen=RECORDS)
+
+
+def one(frame: Frame, evidence: Evidence, nominal: Array) -> Windows:
+    """A window as a batch of one; truth, labels and what is not known of it are NaN."""
+    count, sensors = len(evidence.theta), frame.target.shape[1]
+    single = np.float32
+    return Windows(
+        x=frame.x[None].astype(single),
+        m=frame.m[None],
+        regime=frame.regime[None],
+        clock=frame.clock[None].astype(single),
+        meta=np.concatenate([frame.figures, evidence.tokens()])[None].astype(single),
+        target=frame.target[None].astype(single),
+        truth=np.full((1, TARGET, sensors), np.nan, dtype=single),
+        base=frame.base[None].astype(single),
+        state=frame.state[None],
+        inputs=frame.held[None, -TARGET:],
+        theta=np.full((1, count), np.nan, dtype=single),
+        known=np.zeros((1, count), dtype=bool),
+        changed=np.zeros(1, dtype=bool),
+        nominal=nominal[None],
+    )
