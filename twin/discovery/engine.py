@@ -38,7 +38,7 @@ HELD_OUT = 0.25
 WIDEN = 4.0
 """Factor on the variance that commissioning quotes for the tunables: what it quotes is of one record."""
 FINALISTS = 8
-SECOND_SHARE = 0.02
+SECOND_SHARE = 0.06
 """A further effect must win this share of the first one's gain: a large effect is never of quite the form assumed."""
 UNHEALTHY = 6.0
 """Times the noise of a bin that a healthy record's residual may reach."""
@@ -380,6 +380,11 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
             more = _finalists(others, ())
             say(f"fitting {len(more)} more")
             trials += _fitted(part, [(e,) for e in more])
+        if best is not None and enough(best.chi, start_chi, contest):
+            # What is well explained is not explained twice: a second effect at the same place would bend the first.
+            trials = [t for t in trials if not piled_up(t[0].entries)]
+            if not trials:
+                break
         order = rank(trials, contest, start)
         winner = order[0].fit
         if best is None and start - winner.total < threshold**2:
@@ -421,6 +426,7 @@ def _search(part: _Part, say: Callable[[str], None]) -> Finding:
         state=part.state,
         null=part.null,
         folds=folds,
+        beside=entries[0] if chosen and entries and entries[0].z >= threshold else None,
     )
 
 

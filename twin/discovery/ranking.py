@@ -55,7 +55,7 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Finding:
-    """What the search ended with; `fit` is None where nothing passed the threshold."""
+    """What the search ended with; `fit` is None where nothing passed the threshold, `beside` what still scores with it."""
 
     entries: tuple[Entry, ...]
     fit: Fit | None
@@ -69,6 +69,7 @@ class Finding:
     state: Array
     null: Null
     folds: tuple[Fold, ...] = ()
+    beside: Entry | None = None
 
     @property
     def threshold(self) -> float:

@@ -90,6 +90,14 @@ def conclude(
         others, alternatives = _others(finding, verdict)
         others = (*others, *twins_of(finding, groups, others))
         bigger = _bigger(finding, network)
+        if finding.beside is not None:
+            kind, where, driver = (x.replace("_", " ") for x in finding.beside.label)
+            notes = (
+                *notes,
+                f"beside that, {kind} at {where} ({driver}) would still score {finding.beside.z:.1f}: too little next to "
+                f"{math.sqrt(max(finding.start - finding.fit.total, 0.0)):.0f} to be told from an effect that is not "
+                "quite of the form assumed",
+            )
     for one in single:
         verdict, effects = single_one(one, network, verdict, effects, finding, start)
     for span in still:

@@ -18,6 +18,9 @@ from typing import ClassVar
 
 from twin.elements.base import Candidate, Drive, Element, Fragment, Names, ParameterSpec, Sites, place
 
+LUMPED_S = 25.0
+"""What the heat in an element's mass and the water on its way make of a step that is there at once."""
+
 
 @dataclass(frozen=True)
 class Actuator(Element):
@@ -73,7 +76,7 @@ class Actuator(Element):
                 Candidate("actuator", what, what, "new", {f"{name}.droop": 1.0}, "1", 0.05, -0.4, 0.8,
                     "falls short by {value} at full command", adds=table),
                 Candidate("actuator", what, "history", "new", {f"{name}.lag_s": 1.0}, "s", 60.0, 0.0, 3600.0,
-                    "follows its command late by {value}", adds=table, shapes=("step",)),
+                    "follows its command late by {value}", adds=table, shapes=("step",), lumped=LUMPED_S),
             ]  # fmt: skip
         return tuple(found)
 
