@@ -15,10 +15,12 @@ from twin.calibrators.hiera_unet.evidence import Belief, estimate
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble
 from twin.calibrators.hiera_unet.score import NINETY, Outcome, outcome
+from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.service import one
 from twin.calibrators.hiera_unet.train import Physics
 from twin.calibrators.hiera_unet.windows import Windows, concatenate
 
+Z90 = 1.645
 NARROWEST = 0.1
 """Least standard deviation of the network's belief, as a share of what was known before any data."""
 
@@ -58,7 +60,11 @@ class _Network:
         # Against a truth of nought, the errors are the predictions.
         certain = np.sqrt(np.mean((NINETY * said.scale) ** 2, axis=(1, 2)))
         calm = certain < features.network.rules.calibrated_K
-        return Answer(said.error, said.theta, calm, sum(given.cpu_s) + spent, NINETY * said.scale)
+        half = NINETY * said.scale
+        if not np.isfinite(given.case.campaign.truth).any():
+            # Intervals are for the rig; what is known of it here are readings with their noise.
+            half = np.hypot(half, Z90 * features.network.sigma / np.sqrt(STEP_S))
+        return Answer(said.error, said.theta, calm, sum(given.cpu_s) + spent, half)
 
     def then_fit(self, features: Features, given: Sheet) -> Answer:
         """Least squares with the network's deviations and their spread as the prior."""
