@@ -55,7 +55,7 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Finding:
-    """What the search ended with; `fit` is None where nothing passed the threshold, `beside` what still scores with it."""
+    """What the search ended with; `fit` is None where nothing passed the threshold, `beside` still scores with it."""
 
     entries: tuple[Entry, ...]
     fit: Fit | None

@@ -94,8 +94,8 @@ def conclude(
             kind, where, driver = (x.replace("_", " ") for x in finding.beside.label)
             notes = (
                 *notes,
-                f"beside that, {kind} at {where} ({driver}) would still score {finding.beside.z:.1f}: too little next to "
-                f"{math.sqrt(max(finding.start - finding.fit.total, 0.0)):.0f} to be told from an effect that is not "
+                f"beside that, {kind} at {where} ({driver}) would still score {finding.beside.z:.1f}: too little next "
+                f"to {math.sqrt(max(finding.start - finding.fit.total, 0.0)):.0f} to be told from an effect that is not "
                 "quite of the form assumed",
             )
     for one in single:
