@@ -95,8 +95,8 @@ def conclude(
             notes = (
                 *notes,
                 f"beside that, {kind} at {where} ({driver}) would still score {finding.beside.z:.1f}: too little next "
-                f"to {math.sqrt(max(finding.start - finding.fit.total, 0.0)):.0f} to be told from an effect that is not "
-                "quite of the form assumed",
+                f"to {math.sqrt(max(finding.start - finding.fit.total, 0.0)):.0f} to be told from an effect that is "
+                "not quite of the form assumed",
             )
     for one in single:
         verdict, effects = single_one(one, network, verdict, effects, finding, start)
