@@ -238,6 +238,12 @@ def _reasons(codes: list[NDArray[np.uint8]]) -> str:
     return f" ({', '.join(found)})" if found else ""
 
 
+def require_record_suffix(path: Path) -> None:
+    """Raise RecordError unless a record can be written under this name."""
+    if path.suffix not in (".parquet", ".csv"):
+        raise RecordError(f"{path} has suffix '{path.suffix}'; a record is written as .parquet or .csv")
+
+
 def write_record(record: Record, path: Path) -> None:
     """Write `record` to `path`, Parquet or CSV by its suffix, atomically; every number reads back exactly."""
     import pyarrow as pa
@@ -251,8 +257,7 @@ def write_record(record: Record, path: Path) -> None:
     for name, codes in record.quality.items():
         arrays[name + QUALITY] = pa.array(codes)
     table = pa.table(arrays)
-    if path.suffix not in (".parquet", ".csv"):
-        raise RecordError(f"{path} has suffix '{path.suffix}'; a record is written as .parquet or .csv")
+    require_record_suffix(path)
     with replacing(path) as unfinished:
         if path.suffix == ".csv":
             options = pacsv.WriteOptions(quoting_style="none")

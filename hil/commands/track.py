@@ -25,7 +25,9 @@ BLOCK_ROWS = 1200
     "--calibrator", "calibrators", multiple=True, default=("pso",), show_default=True, help="May be repeated."
 )
 @click.option("--seed", default=0, show_default=True, help="Seed of the calibrators.")
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Write predictions to this Parquet file.")
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path), help="Write predictions there, .parquet or .csv."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
 def command(record: Path, twin: Path, calibrators: tuple[str, ...], seed: int, out: Path | None, as_json: bool) -> None:
     """Replay RECORD (Parquet or CSV) past a static twin and tracked ones, and print their errors per sensor.
@@ -37,11 +39,13 @@ def command(record: Path, twin: Path, calibrators: tuple[str, ...], seed: int, o
     """
     import time
 
-    from hil.record import read_record
+    from hil.record import read_record, require_record_suffix
     from hil.terminal import Steps, console, error_table
     from hil.tracking import TrackingConfig, disturbance, make_trackers, track_arrays
     from hil.tracking import error_table as errors_of
 
+    if out is not None:
+        require_record_suffix(out)
     data = read_record(record)
     trackers = make_trackers(TrackingConfig(twin, tuple(data.columns), calibrators, seed))
     network = next(iter(trackers.values())).network
