@@ -195,6 +195,7 @@ def test_without_the_public_records_there_is_a_line_that_says_so(tmp_path: Path)
     assert not tables and "HIL_DATA" in left_out[0]
 
 
+@pytest.mark.skipif(not os.environ.get("HIL_SLOW"), reason="a study of minutes; set HIL_SLOW=1 to repeat it")
 def test_the_public_records_grow_what_is_published_of_them() -> None:
     folder = Path(os.environ.get("HIL_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
     if not (folder / "real").is_dir():
