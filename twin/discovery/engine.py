@@ -37,6 +37,8 @@ from twin.steady import steady_state
 HELD_OUT = 0.25
 WIDEN = 4.0
 """Factor on the variance that commissioning quotes for the tunables: what it quotes is of one record."""
+LATE = 0.85
+"""Share of the part that a fit sees, beyond which an onset leaves it too little of what follows."""
 FINALISTS = 8
 SECOND_SHARE = 0.06
 """A further effect must win this share of the first one's gain: a large effect is never of quite the form assumed."""
@@ -243,7 +245,7 @@ def _begins_late(whole: _Part, train: _Part, split: int) -> bool:
     """Whether what stands out in the whole record begins in the part that no fit was to see."""
     if not whole.entries or whole.best_z < train.threshold:
         return False
-    late = whole.entries[0].shape.onset_s > split * whole.grid.step_s
+    late = whole.entries[0].shape.onset_s > LATE * split * whole.grid.step_s
     return train.best_z < train.threshold or (late and whole.best_z > 1.5 * train.best_z)
 
 

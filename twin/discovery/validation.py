@@ -25,6 +25,8 @@ from twin.network import Array
 BLOCKS = 4
 REACH = 20.0
 """Typical sizes within which a size is thought to lie before any data."""
+TOLD = 3.0
+"""Standard errors that a size must be from nothing, by the rest of the record, for a block to be asked."""
 LOST_SHARE = 0.1
 """Of what the gaining blocks gain, what the losing ones may lose."""
 MUTE, MUTE_SHARE = 6.0, 0.01
@@ -48,7 +50,6 @@ def validate(contest: Contest, model: Model, fitted: Fit) -> tuple[Fold, ...]:
     without = left + effects @ sizes
     commissioned = without + slopes @ fitted.moved[:q]
     both = np.concatenate([slopes, effects], axis=2)
-    # A size that the other blocks say nothing of is nothing, not what the block itself would have it be.
     weak = np.diag([(REACH * e.candidate.typical) ** -2.0 for e in fitted.entries])
     precision, moved = block_diag(prior, weak), np.concatenate([fitted.moved[:q], sizes])
     start = float(contest.grid.time[0])
@@ -61,6 +62,8 @@ def validate(contest: Contest, model: Model, fitted: Fit) -> tuple[Fold, ...]:
             continue
         inside = contest.known[first:last]
         rest = slice(first, last)
+        if not _told(both, train & contest.known.T, precision, sizes):
+            continue
         tuned = _predict(slopes, without, train & contest.known.T, rest, prior, fitted.moved[:q])
         full = _predict(both, left, train & contest.known.T, rest, precision, moved)
         # Re-tuning may do worse elsewhere than leaving the twin alone; the effects have to beat the better of the two.
@@ -78,6 +81,16 @@ def holds(folds: tuple[Fold, ...]) -> bool:
     won, lost = sum(g for g in speaking if g > 0.0), -sum(g for g in speaking if g < 0.0)
     enough = sum(g > 0.0 for g in speaking) >= 0.75 * len(speaking) - 1e-9
     return not speaking or (enough and lost <= LOST_SHARE * won)
+
+
+def _told(slopes: Array, seen: np.ndarray, precision: Array, sizes: Array) -> bool:
+    """Whether the rows that are `seen` (m, b) tell the sizes (e,), the last columns of the slopes (b, m, c)."""
+    rows = slopes[seen.T]
+    hessian = rows.T @ rows + precision
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-30))
+    covariance = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / scale
+    return bool((sd[-len(sizes) :] * TOLD < np.abs(sizes)).all())
 
 
 def _predict(slopes: Array, left: Array, seen: np.ndarray, rest: slice, precision: Array, moved: Array) -> Array:
