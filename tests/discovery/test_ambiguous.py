@@ -55,6 +55,8 @@ def test_causes_alike_at_one_load_are_a_set_and_the_planned_record_names_the_rig
     settled = diagnose(network, record, healthy, more=(later,), limits=RIG)
     assert settled.verdict == "effect found" and settled.next_experiment is None
     assert [(e.kind, e.where, e.driver) for e in settled.effects] == [truth]
+    # Whatever decides between them, the answer's score is still that of the record that it explains.
+    assert settled.effects[0].z == pytest.approx(found.effects[0].z, rel=5e-4)
 
 
 def test_what_an_effect_follows_is_left_open_and_the_planned_record_tells(bench: Bench, healthy: Columns) -> None:
@@ -85,6 +87,14 @@ def test_a_plan_keeps_every_cause_below_the_hottest_that_the_rig_allows(bench: B
         read = Kernel(changed, ()).trace(changed.values, np.array([37.0, 36.8, 34.5, 34.0]), t, u)[0][0]
         hottest.append(float(read.max()))
     assert hottest[0] < cool.hottest_C < hottest[1] < RIG.hottest_C
+
+
+def test_no_plan_is_given_that_would_be_too_hot(bench: Bench, healthy: Columns) -> None:
+    record = run(bench.network, steady(8.0), truths(bench)[GAINED], 3.0)
+    colder = Limits(RIG.driven, float(record.measured.max()) - 4.0, "rig")
+    plan = diagnose(bench.network, record, healthy, limits=colder).next_experiment
+    assert plan is not None and not plan["possible"] and "steps" not in plan
+    assert "keep every reading below" in plan["why"]
 
 
 def test_without_a_rig_file_a_plan_stays_about_where_the_twin_has_been(bench: Bench, healthy: Columns) -> None:

@@ -18,7 +18,8 @@ Verdict = Literal["adequate", "effect found", "ambiguous", "unexplained"]
 class Effect:
     """One effect in the vocabulary of the diagnosis; `interval90` of `value` in `unit`; times in the record's own.
 
-    `says` is the effect in plain words, `evidence` what speaks for it.
+    `says` is the effect in plain words, `evidence` what speaks for it. `family_wise`: probability that noise alone
+    would score as much somewhere in the catalogue; NaN for what no scan has found.
     """
 
     kind: str
@@ -36,7 +37,7 @@ class Effect:
     evidence: str
     growth_s: float = 0.0
     says: str = ""
-    family_wise: float = 0.0
+    family_wise: float = float("nan")
 
 
 @dataclass(frozen=True)

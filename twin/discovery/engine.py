@@ -210,7 +210,7 @@ def diagnose(
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
         further = [_Part.of(known, on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
-        finding, said = _weighed(finding, further)
+        finding, said = _weighed(finding, train, further)
         notes += said
     if finding.fit is None:
         poor = too_little(whole.contest, whole.laws, known.book.candidates)
@@ -442,24 +442,32 @@ def _fitted(part: _Part, groups: list[tuple[Entry, ...]]) -> list[tuple[Fit, tup
     return trials
 
 
-def _weighed(finding: Finding, parts: list[_Part]) -> tuple[Finding, tuple[str, ...]]:
-    """The finding with its hypotheses ranked by all records, and what is to be said of the later ones."""
-    probe = parts[0].basis.probe
-    weighed = weigh(finding.ranked, parts, probe.network, probe.scaling.ids, finding.contest.grid.span_s)
-    for part in parts:
+def _weighed(finding: Finding, first: _Part, later: list[_Part]) -> tuple[Finding, tuple[str, ...]]:
+    """The finding with its hypotheses ranked by all records, and what is to be said of the later ones.
+
+    What is said of the answer itself, its score and the blocks left out, stays that of the first record.
+    """
+    network, ids = first.basis.probe.network, first.basis.probe.scaling.ids
+    weighed = weigh(finding.ranked, later, network, ids, finding.contest.grid.span_s)
+    for part in later:
         part.reset()
     order = rank(
-        [(w.fit, w.fit.entries) for w in weighed], finding.contest, finding.start + sum(p.contest.misfit for p in parts)
+        [(w.fit, w.fit.entries) for w in weighed], finding.contest, finding.start + sum(p.contest.misfit for p in later)
     )
-    best = order[0]
-    chis = next(w.chis for w in weighed if w.fit is best.fit)
+    at = next(i for i, w in enumerate(weighed) if w.fit is order[0].fit)
+    best = finding.ranked[at].fit
     notes = [
         f"with the answer, later record {number} still leaves {chi:.2f} of misfit where noise alone leaves "
         f"{part.contest.expected:.2f}; there is more in it, so diagnose that record by itself"
-        for number, (chi, part) in enumerate(zip(chis, parts, strict=True), start=1)
+        for number, (chi, part) in enumerate(zip(weighed[at].chis, later, strict=True), start=1)
         if chi > max(MORE_LEFT * part.contest.expected, MORE_SHARE * part.contest.chi)
     ]
-    return replace(finding, ranked=order, fit=best.fit, entries=best.entries), tuple(notes)
+    same = best is finding.fit
+    folds = finding.folds if same else validate(first.contest, Model.of(network, best.entries, ids), best)
+    first.reset()
+    return replace(
+        finding, ranked=order, fit=best, entries=best.entries, folds=folds, beside=finding.beside if same else None
+    ), tuple(notes)
 
 
 def _pairs(part: _Part) -> list[tuple[Entry, ...]]:

@@ -98,6 +98,12 @@ def plan(
     pairs = [(g[0], h[0]) for i, g in enumerate(groups) for h in groups[i + 1 :]]
     gain = max(finding.start - causes[0].fit.total, 0.0)
     best = designer.greedy(pairs, SETTLED * width(gain) + OWN_ERROR, SETTLED * SHARE)
+    if best.hottest_C > levels.hottest_C:
+        return _impossible(
+            causes,
+            f"nothing is planned, since no load, pump and fan keep every reading below {levels.hottest_C:.0f} degC "
+            "from where this record ends, to separate",
+        )
     need = SETTLED * (width(gain) + SHARE * float(best.gains.max()))
     if not any(_least(best, a, b) > need for a, b in pairs):
         return _impossible(causes, "no sequence of load, pump and fan within the limits separates them enough")

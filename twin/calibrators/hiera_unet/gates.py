@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.calibrators.hiera_unet.series import STEP_S
 from twin.network import Array
 
 HIDDEN = 0.25
@@ -70,7 +71,7 @@ def unreadable(hidden: float, steps: int, measured: Array, noise: Array) -> tupl
     """Gates on the record itself, before anything is computed from it."""
     found = []
     if steps < SHORTEST_STEPS:
-        found.append(Reason("SHORT_RECORD", f"only {steps * 5 / 60:.0f} minutes of record have been seen"))
+        found.append(Reason("SHORT_RECORD", f"only {steps * STEP_S / 60.0:.0f} minutes of record have been seen"))
     if hidden > HIDDEN:
         found.append(Reason("MISSING_REQUIRED", f"{hidden:.0%} of the required channels are hidden"))
     change = np.abs(np.diff(measured, axis=0))

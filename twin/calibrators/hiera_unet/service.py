@@ -24,6 +24,7 @@ from twin.calibrators.hiera_unet.gates import Evidently, Reason
 from twin.calibrators.hiera_unet.history import History
 from twin.calibrators.hiera_unet.members import Ensemble, Said
 from twin.calibrators.hiera_unet.parameters import Deviations
+from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.windows import TARGET, Windows
 from twin.calibrators.outcome import Report, conclude
 from twin.calibrators.posterior import STATE_SD, weighted
@@ -176,7 +177,7 @@ class HieraUNetCalibrator:
         needed = self.features.table.indices("u", "y", "r")
         half = self.ensemble.half_widths(said, int(row.regime[0, -1]))
         full = self.features.deviations.full(evidence.theta, row.nominal[0])
-        time = np.arange(TARGET, dtype=np.float64) * 5.0
+        time = np.arange(TARGET, dtype=np.float64) * STEP_S
         twin = self.features.kernel.trace(full, frame.state, time, frame.held[-TARGET:])[0][0]
         error = frame.target - twin - said.delta
         good = np.isfinite(error)
