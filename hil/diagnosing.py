@@ -21,8 +21,8 @@ from drivers.rigfile import file_sha256
 from hil import __version__
 from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
 from hil.record import Record, read_record
+from twin.discovery.basis import Columns
 from twin.discovery.diagnosis import Diagnosis
-from twin.discovery.engine import Columns
 from twin.network import InputSpec, Network, Revision
 from twin.revisions import save_revision
 from twin.twinfile import save

@@ -15,7 +15,7 @@ from hil.profile import Profile, ProfileError, read_profile
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from twin.discovery.engine import Columns
+    from twin.discovery.basis import Columns
     from twin.discovery.forecast import Forecast
     from twin.discovery.lint import Label
     from twin.network import Network

@@ -25,8 +25,8 @@ from drivers.points import ConfigurationError, Quality
 from hil.journal import JournalReader, JournalWriter, Samples
 
 if TYPE_CHECKING:
+    from twin.discovery.basis import Columns
     from twin.discovery.diagnosis import Diagnosis
-    from twin.discovery.engine import Columns
 
 SURE = 0.9
 """Confidence of every effect that an adoption asks for."""

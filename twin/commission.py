@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from twin.calibrators.base import rmse
 from twin.calibrators.identifiability import CANNOT_TELL, condition
-from twin.gauss_newton import Data, Fit, Prior, Scaling, descend
+from twin.gauss_newton import SE90, Data, Fit, Prior, Scaling, descend
 from twin.kernel import Kernel, clean_time, held, masked
 from twin.network import Array, Network, Revision, TwinFileError
 
@@ -27,7 +27,6 @@ FEWEST, FEWEST_IN_TIME = 10, 50
 """Residuals from which their size says something, and from which their autocorrelation does."""
 INITIAL_SD_K = 5.0
 """How little the first readings are taken to say about the initial state: most records begin in motion."""
-SE90 = 1.6449
 
 
 @dataclass(frozen=True)

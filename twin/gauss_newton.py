@@ -28,6 +28,8 @@ REACH = 1.0
 """Longest step, in prior standard deviations of each parameter: a flat direction has no derivative to trust beyond."""
 PIECE = 600
 """Samples linearised at once."""
+SE90 = 1.6449
+"""Standard errors from a mean to either end of a 90 % interval."""
 _STEP = 1.0e-5
 
 

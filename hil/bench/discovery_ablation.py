@@ -20,8 +20,9 @@ import numpy as np
 
 from hil.bench.discovery_score import family, same_driver
 from hil.bench.discovery_worker import Request, serve
+from twin.discovery.basis import basis
 from twin.discovery.contest import Contest
-from twin.discovery.engine import HELD_OUT, basis
+from twin.discovery.engine import HELD_OUT
 from twin.discovery.grid import on_grid
 from twin.discovery.laws import Book, Law
 from twin.discovery.null import FALSE_ALARMS, null_scores

@@ -17,7 +17,7 @@ from hil.bench.records import FITTED_TEST, TWINS
 from hil.bench.report import Cell, Table, number
 from hil.public_records import PIPE_TESTS, Columns, dry_cooler, heated_pipe, tclab, wet_tower
 from hil.terminal import Steps
-from twin.discovery.growth import Added, Growth, grow, grow_at_rest
+from twin.discovery.growing.growth import Added, Growth, grow, grow_at_rest
 from twin.kernel import simulate
 from twin.network import Network
 from twin.steady import steady_readings

@@ -7,7 +7,8 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import inputs_of, run, steady
-from twin.discovery.engine import Columns, diagnose
+from twin.discovery.basis import Columns
+from twin.discovery.engine import diagnose
 from twin.discovery.experiment import Limits
 from twin.kernel import Kernel
 from twin.network import Network

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.engine import Columns, diagnose, foresee
+from twin.discovery.basis import Columns
+from twin.discovery.engine import diagnose, foresee
 from twin.network import TwinFileError
 
 HEATED = ("heat_source", "modules", "constant")

@@ -6,8 +6,9 @@ import numpy as np
 
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
+from twin.discovery.basis import Columns
 from twin.discovery.catalogue import catalogue
-from twin.discovery.engine import Columns, diagnose
+from twin.discovery.engine import diagnose
 from twin.discovery.lint import examine, lint, richest
 from twin.kernel import simulate
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.discovery.conftest import Bench
+from twin.discovery.basis import Columns, basis
 from twin.discovery.catalogue import catalogue, extended, sized
 from twin.discovery.contest import Contest
-from twin.discovery.engine import Columns, basis
 from twin.discovery.formulas import Formulas, follow
 from twin.discovery.grid import centred, filled, on_grid
 from twin.discovery.laws import Book

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from hil.bench.discovery_records import measure
-from twin.discovery.alike import together
 from twin.discovery.catalogue import catalogue, sites_of
-from twin.discovery.growth import Growth, grow, grow_at_rest
-from twin.discovery.likelihood import Spectrum, cosines, judged
-from twin.discovery.resting import Resting
+from twin.discovery.growing.alike import together
+from twin.discovery.growing.growth import Growth, grow, grow_at_rest
+from twin.discovery.growing.likelihood import Spectrum, cosines, judged
+from twin.discovery.growing.resting import Resting
 from twin.kernel import Kernel, simulate
 from twin.network import Array, Network, TwinFileError
 from twin.steady import steady_readings

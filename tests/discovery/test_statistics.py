@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
+from twin.discovery.basis import Columns, basis
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Fold
-from twin.discovery.engine import Columns, basis, diagnose
+from twin.discovery.engine import diagnose
 from twin.discovery.fitting import fit
 from twin.discovery.grid import on_grid
 from twin.discovery.model import Model

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.engine import Columns, diagnose
+from twin.discovery.basis import Columns
+from twin.discovery.engine import diagnose
 from twin.network import Array
 
 SENSOR, COUNT = "T_modules_C", 6

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.engine import Columns, diagnose
+from twin.discovery.basis import Columns
+from twin.discovery.engine import diagnose
 
 
 def test_water_that_flows_less_for_a_time_is_told_from_heat_and_from_readings(bench: Bench, healthy: Columns) -> None:

@@ -19,7 +19,7 @@ from hil.session import setpoint_limits
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
 from tests.twin.conftest import LOOP
-from twin.discovery.engine import Columns
+from twin.discovery.basis import Columns
 from twin.network import Network
 from twin.twinfile import load
 

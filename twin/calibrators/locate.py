@@ -18,6 +18,7 @@ import numpy as np
 from twin.calibrators.base import Calibration, Window
 from twin.elements import Parameter
 from twin.elements.heat_source import HeatSource
+from twin.gauss_newton import SE90
 from twin.kernel import Kernel, masked
 from twin.network import Array, Network, TwinFileError
 
@@ -35,7 +36,6 @@ STATE_SD = 0.05
 """K, of the state that the live twin entered the window with."""
 RESPONSE_ERROR = 0.1
 """Relative standard error taken for a lumped volume's response to heat."""
-SE90 = 1.6449
 _PROBE_W = 10.0
 _STATE_STEP = 1e-2
 

@@ -23,7 +23,7 @@ from twin.network import Array, Network
 from twin.revisions import with_elements
 
 if TYPE_CHECKING:
-    from twin.discovery.engine import Basis
+    from twin.discovery.basis import Basis
     from twin.discovery.ranking import Finding
 
 BETTER = 0.8

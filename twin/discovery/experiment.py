@@ -15,7 +15,7 @@ from twin.discovery.search import Entry
 from twin.network import Array, Network
 
 if TYPE_CHECKING:
-    from twin.discovery.engine import Basis
+    from twin.discovery.basis import Basis
     from twin.discovery.ranking import Finding, Ranked
 
 MARGIN_K = 3.0

@@ -12,13 +12,13 @@ from twin.discovery.diagnosis import Diagnosis, Effect, Verdict
 from twin.discovery.members import Members, Odd, odd_one
 from twin.discovery.readings import Stuck
 from twin.discovery.words import amount, clock, when
+from twin.gauss_newton import SE90
 from twin.network import Array, Network
 
 if TYPE_CHECKING:
-    from twin.discovery.engine import Columns
+    from twin.discovery.basis import Columns
     from twin.discovery.ranking import Finding
 
-SE90 = 1.6449
 SMEARED = 1.5
 """Thresholds that may be left where an error was taken off in block means: its edges are sharper than they."""
 

@@ -25,14 +25,15 @@ from twin.discovery.ranking import Finding, Ranked, enough, piled_up
 from twin.discovery.readings import Stuck
 from twin.discovery.search import Entry
 from twin.discovery.sites import drivers_of, signatures, sites_of, unknown
-from twin.discovery.thermometers import SE90, standing
 from twin.discovery.thermometers import single as single_one
+from twin.discovery.thermometers import standing
 from twin.discovery.validation import holds
 from twin.discovery.words import sentence, summarise
+from twin.gauss_newton import SE90
 from twin.network import Array, Network
 
 if TYPE_CHECKING:
-    from twin.discovery.engine import Basis
+    from twin.discovery.basis import Basis
 
 SURE = 0.8
 """Share of the weight that one kind at one place must have to be named alone."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.discovery.likelihood import Spectrum, cosines, judged
+from twin.discovery.growing.likelihood import Spectrum, cosines, judged
+from twin.discovery.growing.wardrobe import Wardrobe
 from twin.discovery.search import Entry
-from twin.discovery.wardrobe import Wardrobe
 from twin.gauss_newton import Scaling
 from twin.network import Array
 

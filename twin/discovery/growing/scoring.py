@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.discovery.likelihood import Spectrum
+from twin.discovery.growing.likelihood import Spectrum
+from twin.discovery.growing.unaided import Fit, Problem
+from twin.discovery.growing.wardrobe import Wardrobe, unsized
 from twin.discovery.search import Entry
-from twin.discovery.unaided import Fit, Problem
-from twin.discovery.wardrobe import Wardrobe, unsized
 from twin.elements.base import Candidate
 from twin.network import Array
 

@@ -11,11 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.discovery.alike import together
 from twin.discovery.catalogue import catalogue, extended, sites_of
+from twin.discovery.growing.alike import together
+from twin.discovery.growing.resting import Resting
 from twin.discovery.laws import Law
 from twin.discovery.model import Model
-from twin.discovery.resting import Resting
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
 from twin.elements.base import Candidate

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.discovery.likelihood import Spectrum, table
-from twin.discovery.scoring import answer_of, scores
-from twin.discovery.unaided import Fit, Problem
+from twin.discovery.growing.likelihood import Spectrum, table
+from twin.discovery.growing.scoring import answer_of, scores
+from twin.discovery.growing.unaided import Fit, Problem
 
 DRAWS = 100
 TAIL = 3.14

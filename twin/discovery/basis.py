@@ -1,0 +1,132 @@
+"""What is known before a record is looked at: the noise, the tunables and how far they are trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.commission import inflation, weak_prior
+from twin.discovery import noise as noises
+from twin.discovery.contest import Contest
+from twin.discovery.grid import Grid, filled, on_grid
+from twin.discovery.laws import Book
+from twin.discovery.probe import Probe, Run, posterior
+from twin.discovery.search import Structure, scan, structure_of
+from twin.gauss_newton import Prior
+from twin.network import Array, Network, TwinFileError
+
+WIDEN = 4.0
+"""Factor on the variance that commissioning quotes for the tunables: what it quotes is of one record."""
+UNHEALTHY = 6.0
+"""Times the noise of a bin that a healthy record's residual may reach."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A record as a network sees it: time (N,) s, inputs (N, c), measured (N, m) degC.
+
+    `members` holds the single thermometers (N, c) of every sensor that is the mean of several.
+    """
+
+    time_s: Array
+    inputs: Array
+    measured: Array
+    members: Mapping[str, Array] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, network: Network, time_s: ArrayLike, columns: Mapping[str, ArrayLike]) -> Columns:
+        """Select a network's columns; raises TwinFileError where some are missing."""
+        inputs, measured = network.select(columns)
+        single = {
+            s.name: np.column_stack([np.asarray(columns[c], dtype=np.float64) for c in s.measured])
+            for s in network.sensors
+            if len(s.measured) > 1 and all(c in columns for c in s.measured)
+        }
+        return cls(np.asarray(time_s, dtype=np.float64), inputs, measured, single)
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What is known before the record is looked at; `tried` (2, c) are the lowest and highest inputs, but for short
+    moments, of the healthy record, or of the record where there is none."""
+
+    probe: Probe
+    book: Book
+    noise: noises.Noise
+    prior: Prior
+    warnings: tuple[str, ...]
+    tried: Array
+    structure: Mapping[str, Structure] = field(default_factory=dict)
+
+
+def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
+    """Noise and prior from a healthy record, or from the record itself.
+
+    Raises:
+        TwinFileError: the healthy record does not fit the twin.
+    """
+    ids = network.tunables("commission" if "commission" in network.sets else None)
+    if not ids:
+        raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
+    probe, book = Probe(network, ids), Book(network)
+    if healthy is not None:
+        grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
+        state, run, residual, good = free_run(probe, grid)
+        rms = np.sqrt(np.nanmean(np.where(good, residual, np.nan) ** 2, axis=0))
+        raw = network.sigma
+        worst = int(np.nanargmax(rms / raw))
+        if rms[worst] > UNHEALTHY * raw[worst]:
+            raise TwinFileError(
+                f"the healthy record does not fit the twin: {network.sensor_names[worst]} is off by {rms[worst]:.2f} K "
+                f"(noise {raw[worst]:.2f} K); commission the twin on this record first, or give one that is healthy"
+            )
+        known = posterior(network, probe, grid, state, inflation(np.where(good, residual, np.nan), grid.sigma), WIDEN)
+        learned = noises.learn(residual, grid.sigma, grid.step_s, run.readings)
+        known_structure = structure_of(Contest(probe, grid, state, run, learned, known), book.laws(grid, run))
+        if learned.step_s != record.step_s:
+            learned = learned.at_step(record.step_s)
+        return Basis(probe, book, learned, known, (), _tried(grid), known_structure)
+    state, _, residual, good = free_run(probe, record)
+    prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)
+    learned = noises.learn(residual, record.sigma, record.step_s)
+    warning = (
+        "no healthy record was given: the noise floor is taken from this record itself, so small effects are not seen "
+        "and parameters are trusted less; give --healthy for a sharper answer"
+    )
+    own = _from_itself(probe, book, record, state, learned, prior)
+    return Basis(probe, book, own, prior, (warning,), _tried(record))
+
+
+def _tried(grid: Grid) -> Array:
+    tried: Array = np.percentile(grid.inputs, (2.0, 98.0), axis=0)
+    return tried
+
+
+def _from_itself(probe: Probe, book: Book, grid: Grid, state: Array, noise: noises.Noise, prior: Prior) -> noises.Noise:
+    """Noise of what is left after the best three hypotheses have taken what they can, twice."""
+    run = probe.run(grid, state)
+    candidates = book.laws(grid, run)
+    for _ in range(2):
+        contest = Contest(probe, grid, state, run, noise, prior)
+        chosen: list[Array] = []
+        for _ in range(3):
+            found = scan(contest, candidates, np.stack(chosen) if chosen else None)
+            if not found or found[0].z < 3.0:
+                break
+            chosen.append(found[0].vector)
+        sizes = contest.estimate(np.stack(chosen) if chosen else np.empty((0, contest.sites, contest.b))).sizes
+        moved = contest.moved(np.array(chosen), sizes)
+        left = contest.left_over(np.array(chosen), sizes, moved)
+        noise = noises.learn_blocks(left, grid.sigma, contest.step_s, grid.step_s, noise)
+    return noise
+
+
+def free_run(probe: Probe, grid: Grid) -> tuple[Array, Run, Array, np.ndarray]:
+    state = probe.first_state(grid)
+    run = probe.run(grid, state)
+    off = grid.measured - run.readings
+    good = np.isfinite(off)
+    return state, run, filled(off, good), good

@@ -1,0 +1,145 @@
+"""Sets of effects that may be missing, built up in a beam: each of the best sets is fitted with one effect more."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from twin.discovery.growing.scoring import Scored, scores
+from twin.discovery.growing.unaided import Fit, Problem
+from twin.discovery.growing.wardrobe import name_of, unsized
+from twin.discovery.ranking import plausibility
+from twin.discovery.search import Entry
+from twin.elements.base import Candidate
+from twin.network import Array
+
+BEAM = 3
+"""Sets that are built upon, by likelihood and as many by squares."""
+
+Label = tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class FittedSet:
+    """Some effects, fitted. `score`: -2 log likelihood with what effects cost before any data."""
+
+    problem: Problem
+    fit: Fit
+    score: float
+
+    @property
+    def ids(self) -> frozenset[str]:
+        return frozenset(name_of(e.candidate) for e in self.fit.entries)
+
+    @property
+    def squares(self) -> float:
+        return float(np.nansum((self.fit.residual / self.problem.samples.sigma) ** 2))
+
+
+class Beam:
+    """All sets of effects that have been fitted: `known`, and by their size `levels`."""
+
+    def __init__(self, empty: Problem, width: int) -> None:
+        self.empty, self.width = empty, width
+        self._price = math.log(max(int(np.isfinite(empty.samples.measured).sum()), 2))
+        self.known: dict[frozenset[str], FittedSet] = {}
+        self.levels: list[list[FittedSet]] = [[self._fitted(((empty, empty.start()),))]]
+
+    def extended(self, old: FittedSet, entry: Entry, *sizes: float) -> FittedSet:
+        """A set with one effect more, begun at the twin file's values, at the smaller set's, and at other sizes."""
+        problem = self.empty.with_entries((*old.fit.entries, entry))
+        starts = [(problem, problem.start()), (problem, problem.start(old.fit))]
+        for size in sizes:
+            other = self.empty.with_entries((*old.fit.entries, replace(entry, size=size)))
+            starts.append((other, other.start(old.fit)))
+        return self._fitted(tuple(starts))
+
+    def reduced(self, old: FittedSet, entry: Entry) -> FittedSet:
+        """A set without one of its effects, and without what stands on it."""
+        gone = {name_of(entry.candidate)} | {
+            name_of(e.candidate)
+            for e in old.fit.entries
+            if any(name.rsplit(".", 1)[0] in entry.candidate.adds for name in e.candidate.changes)
+        }
+        rest = tuple(e for e in old.fit.entries if name_of(e.candidate) not in gone)
+        problem = self.empty.with_entries(rest)
+        return self._fitted(((problem, problem.start()), (problem, problem.start(old.fit))))
+
+    def deepen(self) -> bool:
+        """Fit sets of one effect more; False where it does not pay to go on."""
+        last = self.levels[-1]
+        chosen = {s.ids: s for order in (by_score, by_squares) for s in sorted(last, key=order)[: self.width]}
+        found: dict[frozenset[str], FittedSet] = {}
+        for old in chosen.values():
+            for scored in self._finalists(old):
+                new = self.extended(old, scored.entry, scored.asked)
+                found[new.ids] = new
+            for new in self._siblings(old):
+                found[new.ids] = new
+        if not found:
+            return False
+        self.levels.append(list(found.values()))
+        before, now = (min(s.score for s in level) for level in self.levels[-2:])
+        # Two may be needed where neither does anything alone; three that do no better than two are the end.
+        return len(self.levels) <= 2 or now < before
+
+    def _fitted(self, starts: tuple[tuple[Problem, Array], ...]) -> FittedSet:
+        """One set from several starts; problems that differ in nothing but their scales."""
+        entries = starts[0][0].entries
+        key = frozenset(name_of(e.candidate) for e in entries)
+        if key not in self.known:
+            problem, fit = min(((p, p.fit(v)) for p, v in starts), key=lambda f: f[1].cost)
+            price = sum(self._price - 2.0 * math.log(plausibility(e)) for e in entries)
+            self.known[key] = FittedSet(problem, fit, fit.cost + price)
+        return self.known[key]
+
+    def _siblings(self, old: FittedSet) -> list[FittedSet]:
+        """Of each effect that has others of its kind (other time constants), the neighbours while they do better."""
+        family: dict[Any, list[Candidate]] = defaultdict(list)
+        for candidate in self.empty.wardrobe.candidates:
+            if len(candidate.changes) > 1 and candidate.driver == "history":
+                family[_family(candidate)].append(candidate)
+        found = []
+        for members in family.values():
+            members.sort(key=lambda c: sorted(c.changes.values()))
+            at = [i for i, c in enumerate(members) if old.ids | {name_of(c)} in self.known]
+            if len(members) < 2 or not at:
+                continue
+            best = min(at, key=lambda i: self.known[old.ids | {name_of(members[i])}].score)
+            tried = set(at)
+            while new := {i for i in (best - 1, best + 1) if 0 <= i < len(members)} - tried:
+                size = self.known[old.ids | {name_of(members[best])}].fit.entries[-1].size
+                for i in new:
+                    found.append(self.extended(old, unsized(members[i], max(size, members[i].typical * 1e-3))))
+                tried |= new
+                best = min(tried, key=lambda i: self.known[old.ids | {name_of(members[i])}].score)
+        return found
+
+    def _finalists(self, old: FittedSet) -> list[Scored]:
+        """The best candidates of each label: what re-tuning can nearly imitate shows its worth in the fit alone."""
+        found = scores(self.empty.wardrobe, old.problem, old.fit)
+        kept: dict[str, Scored] = {}
+        for order in (lambda s: -s.squares, lambda s: -s.likely):
+            seen: Counter[tuple[Label, str]] = Counter()
+            for scored in sorted(found, key=order):
+                form = scored.entry.label, scored.entry.candidate.unit
+                seen[form] += 1
+                if seen[form] == 1:
+                    kept.setdefault(name_of(scored.entry.candidate), scored)
+        return list(kept.values())
+
+
+def _family(candidate: Candidate) -> Any:
+    return candidate.kind, candidate.where, candidate.unit, tuple(sorted(candidate.changes))
+
+
+def by_score(one: FittedSet) -> float:
+    return one.score
+
+
+def by_squares(one: FittedSet) -> float:
+    return one.squares

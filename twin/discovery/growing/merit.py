@@ -1,0 +1,177 @@
+"""Whether an effect of a fitted set has earned its place there: in the likelihood, and on data that were hidden."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.discovery.equivalence import width
+from twin.discovery.growing.beam import Beam, FittedSet, Label, by_score
+from twin.discovery.growing.calibration import by_chance
+from twin.discovery.growing.likelihood import cosines, judged
+from twin.discovery.growing.unaided import Samples
+from twin.discovery.growing.wardrobe import name_of
+from twin.discovery.search import Entry
+
+NEEDED = 25.0
+"""Least fall of -2 log likelihood that an effect must bring, whatever chance could bring on this record."""
+CHECKED = 400
+"""Sets, from the best, of which each member is asked whether it is needed."""
+REFUSED = 6
+"""Near misses that are told."""
+FOLDS, PIECES = 4, 12
+"""Folds of the cross-validation, and pieces of the record that are dealt out to them in turn."""
+BETTER_FOLDS = 3
+SAME = 0.02
+"""Share by which a fold's error may be worse and still count as the same."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """An effect that was fitted and not added, and why."""
+
+    kind: str
+    where: str
+    driver: str
+    why: str
+
+
+class Merit:
+    """Judges the sets of a beam."""
+
+    def __init__(self, beam: Beam) -> None:
+        self._beam = beam
+        self._more: tuple[Samples, ...] = ()
+        self._told: dict[frozenset[str], float] = {}
+        self._chance: dict[frozenset[str], float] = {}
+        rows = len(beam.empty.samples.time)
+        piece = np.arange(rows) * PIECES // rows
+        self._folds = [piece % FOLDS == f for f in range(FOLDS)]
+
+    def earned(self) -> FittedSet:
+        """The best set of which every member earns its place."""
+        every = sorted((s for level in self._beam.levels for s in level), key=by_score)
+        for one in every[:CHECKED]:
+            if self._weakest(one) is None:
+                return one
+        best = every[0]
+        while best.fit.entries:
+            weakest = self._weakest(best)
+            if weakest is None:
+                break
+            best = self._beam.reduced(best, weakest)
+        return best
+
+    def weighed(self, best: FittedSet, more: tuple[Samples, ...]) -> FittedSet:
+        """The set that foretells further records best, without another fit.
+
+        Of sets that do as well as each other it is the one; and an effect that the record nearly carries joins them
+        where they carry it with it.
+        """
+        if not more:
+            return best
+        limit = width(self._beam.levels[0][0].score - best.score)
+        alike = [
+            s for s in self._beam.known.values()
+            if len(s.ids) == len(best.ids) and abs(s.score - best.score) < limit and self._weakest(s) is None
+        ]  # fmt: skip
+        self._more, told = more, self.elsewhere
+        best = min((*alike, best), key=lambda s: s.score + told(s))
+        while True:
+            larger = [
+                s
+                for s in self._beam.known.values()
+                if best.ids < s.ids and len(s.ids) == len(best.ids) + 1 and s.score < best.score
+            ]
+            larger = [s for s in larger if told(s) < told(best)]
+            larger.sort(key=lambda s: s.score + told(s))
+            joined = next((s for s in larger if self._weakest(s) is None), None)
+            if joined is None:
+                return best
+            best = joined
+
+    def refused(self, best: FittedSet) -> tuple[Refused, ...]:
+        """The effects that would take most of what is left, and why they were not added."""
+        found: dict[Label, Refused] = {}
+        for one in sorted(self._beam.known.values(), key=by_score):
+            if not best.ids < one.ids or len(one.ids) != len(best.ids) + 1 or len(found) == REFUSED:
+                continue
+            entry = _new(best, one)
+            why = self._why_not(best, one, entry)
+            if best.fit.cost - one.fit.cost > 1.0 and entry.label not in found:
+                found[entry.label] = Refused(*entry.label, why or "its set holds others that are not needed")
+        return tuple(found.values())
+
+    def elsewhere(self, one: FittedSet) -> float:
+        """-2 log likelihood of the further records, everything but their initial states as fitted to the first."""
+        if not self._more:
+            return 0.0
+        if one.ids not in self._told:
+            self._told[one.ids] = sum(_foretelling(one, samples) for samples in self._more)
+        return self._told[one.ids]
+
+    def _weakest(self, found: FittedSet) -> Entry | None:
+        """A member without which the set does as well; of several the one that is missed least."""
+        for entry in found.fit.entries:
+            # Most sets fall to a smaller one that has been fitted already.
+            rest = self._beam.known.get(found.ids - {name_of(entry.candidate)})
+            if not self._more and rest is not None and rest.fit.cost - found.fit.cost < NEEDED:
+                return entry
+        smaller = ((self._beam.reduced(found, e), e) for e in found.fit.entries)
+        for without, entry in sorted(smaller, key=lambda p: p[0].score):
+            if self._why_not(without, found, entry):
+                return entry
+        return None
+
+    def _why_not(self, without: FittedSet, found: FittedSet, entry: Entry) -> str:
+        """Why an effect has not earned its place in a set, "" where it has, in all records together."""
+        gain = without.fit.cost - found.fit.cost + self.elsewhere(without) - self.elsewhere(found)
+        if gain < NEEDED:
+            return f"gains {gain:.0f} where {NEEDED:.0f} are asked for"
+        if _at_bound(entry):
+            return "ends on the bound of what is possible"
+        chance = self._by_chance(without)
+        if gain < chance:
+            return f"gains {gain:.0f} where {chance:.0f} come by chance"
+        better, share = self.foretold(without, found)
+        if better < BETTER_FOLDS or share >= 1.0:
+            return f"foretells {better} of {FOLDS} hidden parts no worse, with {share:.2f} of their squares"
+        return ""
+
+    def _by_chance(self, without: FittedSet) -> float:
+        if without.ids not in self._chance:
+            self._chance[without.ids] = by_chance(without.problem, without.fit)
+        return self._chance[without.ids]
+
+    def foretold(self, without: FittedSet, found: FittedSet) -> tuple[int, float]:
+        """Folds that a set foretells no worse than a smaller one, and its squares over the other's, on hidden rows."""
+        better, squares = 0, np.zeros(2)
+        for rows in self._folds:
+            pair = []
+            for one in (without, found):
+                samples = one.problem.samples
+                part = one.problem.with_entries(one.fit.entries, samples.without(rows))
+                v = part.descend(part.start(one.fit))
+                off = (samples.measured - part.readings(v[None, :])[0])[rows] / samples.sigma
+                pair.append(float(np.nansum(off**2)))
+            squares += pair
+            better += pair[1] <= pair[0] * (1.0 + SAME)
+        return better, float(squares[1] / max(squares[0], 1e-12))
+
+
+def _new(small: FittedSet, large: FittedSet) -> Entry:
+    """The effect that one set has and the other has not."""
+    return next(e for e in large.fit.entries if name_of(e.candidate) not in small.ids)
+
+
+def _foretelling(one: FittedSet, samples: Samples) -> float:
+    """-2 log likelihood of another record, everything but its initial state as fitted to the first."""
+    problem = one.problem.with_entries(one.fit.entries, samples)
+    left = cosines(problem.residual(problem.carried(one.fit)), problem.present)
+    return judged(left, samples.sigma)[0]
+
+
+def _at_bound(entry: Entry) -> bool:
+    c = entry.candidate
+    return entry.size <= c.lower or entry.size >= c.upper

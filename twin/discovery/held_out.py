@@ -1,0 +1,50 @@
+"""Errors over the part of a record that no fit saw."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.discovery.basis import Columns
+from twin.discovery.diagnosis import SensorError
+from twin.discovery.grid import Grid, bridged
+from twin.discovery.model import Model
+from twin.discovery.ranking import Finding
+from twin.network import Array, Network
+
+
+def errors(finding: Finding, network: Network, record: Columns, grid: Grid, split: int) -> dict[str, SensorError]:
+    """RMSE per sensor over the held-out part, of free runs from the record's beginning."""
+    time, inputs = record.time_s, bridged(network, record.time_s, record.inputs)
+    late = time >= grid.time[split]
+    runs = []
+    for values, state, entries in (
+        (network.values, finding.state, ()),
+        (finding.retuned.values, finding.retuned.state, ()),
+        *(((finding.fit.values, finding.fit.state, finding.fit.entries),) if finding.fit else ()),
+    ):
+        model = Model.of(network, entries, finding.contest.probe.scaling.ids)
+        sizes = np.array([[e.size for e in entries]])
+        runs.append(model.run(time, inputs, state[None, : len(network.nodes)], values[None, :], sizes)[0])
+    if finding.fit is None:
+        runs.append(runs[1])
+    out = {}
+    for j, name in enumerate(network.sensor_names):
+        off = [np.where(late, record.measured[:, j] - run[:, j], np.nan) for run in runs]
+        raw = [_rms(x) for x in off]
+        means = [_rms(binned(x, time, grid)) for x in off]
+        if np.isfinite(raw[0]):
+            out[name] = SensorError(raw[0], raw[1], raw[2], float(network.sigma[j]), (means[0], means[1], means[2]))
+    return out
+
+
+def binned(values: Array, time: Array, grid: Grid) -> Array:
+    where = np.minimum(((time - grid.time[0]) / grid.step_s + 1e-9).astype(np.intp), len(grid.time) - 1)
+    good = np.isfinite(values)
+    count = np.bincount(where[good], minlength=len(grid.time))
+    total = np.bincount(where[good], values[good], len(grid.time))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _rms(values: Array) -> float:
+    good = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(good**2))) if good.size else float("nan")
