@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 ONE, ZERO = "1.0", "0.0"
 
@@ -52,9 +53,10 @@ def affine(text: str, variables: Iterable[str], known: Mapping[str, Form]) -> Fo
     return _form(ast.parse(text, mode="eval").body, frozenset(variables), known)
 
 
-def names_in(text: str) -> set[str]:
+@lru_cache(maxsize=20_000)  # networks that differ in one element share nearly all of their text
+def names_in(text: str) -> frozenset[str]:
     """Names that occur in an expression."""
-    return {node.id for node in ast.walk(ast.parse(text, mode="eval")) if isinstance(node, ast.Name)}
+    return frozenset(node.id for node in ast.walk(ast.parse(text, mode="eval")) if isinstance(node, ast.Name))
 
 
 def shared_call(text: str, apart: Collection[str]) -> str | None:

@@ -12,7 +12,9 @@ what keeps a term from being credited with what re-tuning does (Plumlee, J. Am. 
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -64,8 +66,9 @@ class Contest:
         expected: misfit per block and sensor where there is nothing but noise.
         slopes: (b * m, q + k) whitened, of tunables and initial state. residual: (b * m,) whitened, of that run.
         memory: blocks until what a block of heat did to the readings has gone by nineteen parts in twenty.
-        gram: (sites * b, sites * b). score: (sites * b,). misfit: those squares less what
+        gram: (sites * b, sites * b), the same for every run. score: (sites * b,). misfit: those squares less what
             tunables and initial state can still take up, to first order.
+        memo: what a search has worked out from `gram` and will want again.
     """
 
     def __init__(self, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: Prior) -> None:
@@ -89,6 +92,7 @@ class Contest:
         cross = self.slopes.T @ self._columns
         self._taken = np.linalg.solve(self._normal, cross)
         self.gram = self._columns.T @ self._columns - cross.T @ self._taken
+        self.memo: dict[Hashable, Any] = {}
         self.count = int(self.known.sum())
         self.expected = float(np.mean(1.0 / np.array(CAUTION)[bands(self.b, self.step_s)]))
         self.look_at(run)
@@ -174,9 +178,14 @@ class Contest:
         weight = p[active].ravel()
         inner = self.gram[np.ix_(columns, columns)] * np.outer(weight, weight)
         gram = inner.reshape(len(active), self.b, len(active), self.b).sum(axis=(0, 2))
-        given = self.score[:, None] if scores is None else scores
-        score = (given[columns] * weight[:, None]).reshape(len(active), self.b, -1).sum(axis=0)
-        return gram, score[:, 0] if scores is None else score
+        if scores is None:
+            return gram, self.scored(p)
+        return gram, (scores[columns] * weight[:, None]).reshape(len(active), self.b, -1).sum(axis=0)
+
+    def scored(self, p: Array) -> Array:
+        """Score (b,) of one law's blocks, p (sites, b)."""
+        score: Array = (self.score.reshape(self.sites, self.b) * p).sum(axis=0)
+        return score
 
     def joint(self, vectors: Array) -> tuple[Array, Array]:
         """Gram matrix (e, e) and score (e,) of e effects, `vectors` (e, sites, b)."""

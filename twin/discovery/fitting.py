@@ -13,8 +13,9 @@ import numpy as np
 from twin.discovery.contest import Contest
 from twin.discovery.model import Model
 from twin.discovery.probe import Run
-from twin.discovery.search import LAST_SHARE, Entry
+from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
+from twin.discovery.sweep import LAST_SHARE
 from twin.network import Array
 
 ROUNDS = 12

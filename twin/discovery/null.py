@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.discovery.contest import Contest
 from twin.discovery.laws import Law
-from twin.discovery.search import courses_of
+from twin.discovery.sweep import Courses
 from twin.network import Array
 
 DRAWS = 128
@@ -51,7 +51,8 @@ class Null:
 def null_scores(contest: Contest, laws: list[Law], draws: int = DRAWS, seed: int = 0) -> Null:
     """Best scores of records of noise in this contest, every candidate in all its shapes from every onset."""
     scores = contest.noise_scores(np.random.default_rng(seed), draws)
-    families = [c[:, ::EVERY].astype(np.float32) for c in courses_of(contest)]
+    known = Courses.of(contest)
+    families = [c[:, ::EVERY].astype(np.float32) for c in (known.steps, known.growths)]
     best = np.zeros(draws)
     for law in laws:
         p = contest.vector(law)

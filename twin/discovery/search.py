@@ -11,7 +11,8 @@ import numpy as np
 
 from twin.discovery.contest import Contest, Estimate
 from twin.discovery.laws import Law
-from twin.discovery.shapes import Shape, family
+from twin.discovery.shapes import Shape
+from twin.discovery.sweep import LAST_SHARE, Courses, Given, Squares
 from twin.elements.base import Candidate
 from twin.network import Array
 
@@ -21,8 +22,6 @@ STRUCTURE = 0.25
 """Typical sizes that what a twin's structure leaves may amount to."""
 EARLY_S = 3600.0
 """Onsets up to this are as good as the beginning."""
-LAST_SHARE = 0.95
-"""Onsets are looked for up to this share of the record; an effect needs some time to show."""
 WORTH_GROWING = 4.0
 """Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
 _TINY = 1e-12
@@ -94,27 +93,6 @@ def allowed(candidate: Candidate, size: float) -> bool:
     return candidate.lower <= size <= candidate.upper
 
 
-def courses_of(contest: Contest) -> tuple[Array, Array]:
-    """Courses over the blocks, steps (b, i) and growths (b, j), from every onset looked at."""
-    _, steps, _, grown = _courses(contest)
-    return steps, grown
-
-
-def _courses(contest: Contest) -> tuple[Array, Array, list[Shape], Array]:
-    """Onsets, s, of steps, their courses, shapes that grow and their courses."""
-    edges_s = contest.edges * contest.grid.step_s
-    onsets = edges_s[: max(int(contest.b * LAST_SHARE), 1)]
-    steps = np.stack([Shape("step", float(t)).block_means(edges_s) for t in onsets], axis=1)
-    # Growth begins so gently that every third block is enough; `refine` looks between them.
-    grown = [
-        Shape(name, float(t), growth)
-        for name in ("ramp", "saturating")
-        for growth in family(name, float(edges_s[-1]))
-        for t in onsets[::3]
-    ]
-    return onsets, steps, grown, np.stack([shape.block_means(edges_s) for shape in grown], axis=1)
-
-
 def scan(
     contest: Contest, laws: list[Law], given: Array | None = None, structure: Mapping[str, Structure] = NO_STRUCTURE
 ) -> list[Entry]:
@@ -125,21 +103,28 @@ def scan(
         structure: what the same laws seem to be in a healthy record, by candidate. The twin is lumped and the rig is
             not; of an effect that is there from the beginning only the difference to that counts.
     """
-    onsets, steps, grown, courses = _courses(contest)
+    known = Courses.of(contest)
+    onsets, steps, grown, courses = known.onsets, known.steps, known.grown, known.growths
+    beside = Given(contest, given) if given is not None and len(given) else None
     soon = np.array([shape.onset_s <= EARLY_S and shape.growth_s <= 4.0 * EARLY_S for shape in grown])
     found: list[Entry] = []
     for law in laws:
-        p = contest.vector(law)
-        gram, score = _less_given(contest, p, given)
-        least = _TINY * max(float(np.diag(gram).sum()), _TINY)
-        bottom = np.maximum(_late_sums(gram)[: len(onsets)], least)
+        squares = Squares.of(contest, law)
+        p, score, bottom, growing = squares.blocks, contest.scored(squares.blocks), squares.steps, squares.growths
+        if beside is not None:
+            share = beside.share(p)
+            score = score - beside.score(share)
+            bottom = bottom - (share[::-1].cumsum(axis=0)[::-1][: len(onsets)] ** 2).sum(axis=1)
+            growing = growing - ((share.T @ courses) ** 2).sum(axis=0)
+        least = _TINY * max(float(squares.steps.max()), _TINY)
+        bottom = np.maximum(bottom, least)
         size, gain = _gains(law, score @ steps, bottom)
         bare = gain.copy()
-        known = structure.get(law.candidate.id)
+        healthy = structure.get(law.candidate.id)
         gain[np.abs(size) < law.candidate.lumped] = 0.0
-        if known is not None:
+        if healthy is not None:
             early = onsets <= EARLY_S
-            gain[early] = known.gated(gain[early], size[early], bottom[early])
+            gain[early] = healthy.gated(gain[early], size[early], bottom[early])
         best = int(np.argmax(gain))
         if gain[best] > 0.0:
             vector = p * steps[:, best]
@@ -147,11 +132,11 @@ def scan(
             found.append(_entry(law, shape, vector, size[best], bottom[best], gain[best], bare[best]))
         if law.candidate.shapes == ("step",) or gain[best] < WORTH_GROWING:
             continue
-        bottom = np.maximum((courses * (gram @ courses)).sum(axis=0), least)
+        bottom = np.maximum(growing, least)
         size, gain = _gains(law, score @ courses, bottom)
         bare = gain.copy()
-        if known is not None:
-            gain[soon] = known.gated(gain[soon], size[soon], bottom[soon])
+        if healthy is not None:
+            gain[soon] = healthy.gated(gain[soon], size[soon], bottom[soon])
         for first in range(0, len(grown), len(onsets[::3])):
             best = first + int(np.argmax(gain[first : first + len(onsets[::3])]))
             if gain[best] > 0.0:
@@ -187,25 +172,6 @@ def structure_of(contest: Contest, laws: list[Law]) -> dict[str, Structure]:
             spread = (prior * error / (prior + error)) ** 0.5
             found[c.id] = Structure(min(max(size, c.lower), c.upper), spread)
     return found
-
-
-def _late_sums(gram: Array) -> Array:
-    """Squares (b,) of steps that begin with each block: sums of the lower right corners of a Gram matrix (b, b)."""
-    sums: Array = np.diag(gram[::-1, ::-1].cumsum(axis=0).cumsum(axis=1))[::-1]
-    return sums
-
-
-def _less_given(contest: Contest, p: Array, given: Array | None) -> tuple[Array, Array]:
-    """Gram matrix and score of a law's blocks with given effects projected out."""
-    gram, score = contest.small(p)
-    if given is None or not len(given):
-        return gram, score
-    flat = given.reshape(len(given), -1)
-    onto = contest.gram @ flat.T
-    cross = (onto.reshape(contest.sites, contest.b, -1) * p[:, :, None]).sum(axis=0)
-    known = flat @ onto
-    inverse = np.linalg.pinv(known, rcond=1e-10, hermitian=True)
-    return gram - cross @ inverse @ cross.T, score - cross @ inverse @ (flat @ contest.score)
 
 
 def refine(contest: Contest, entry: Entry) -> Entry:
