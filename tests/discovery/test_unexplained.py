@@ -16,13 +16,32 @@ def test_water_that_flows_less_for_a_time_is_told_from_heat_and_from_readings(be
     less = bench.record(14.0, changed=bench.with_values(circuit__factor=0.8), onset_h=4.0, until_h=8.0)
     found = diagnose(bench.network, less, healthy)
     assert found.verdict == "unexplained"
-    assert (found.effects[0].kind, found.effects[0].where) == ("unknown", "loop")
+    gone = found.effects[0]
+    assert (gone.kind, gone.where, gone.driver) == ("unknown", "loop", "history")
+    assert gone.value == pytest.approx(-0.2, rel=0.15) and gone.onset_s == pytest.approx(4.0 * 3600.0, abs=300.0)
+    assert found.description["end_s"] == pytest.approx(8.0 * 3600.0, abs=300.0)
+    assert "from 4 h 0" in found.summary and "no longer" in found.summary
     assert found.courses[0].site == "flow" and found.description["signature"] == "transport"
     assert min(found.description["behind"].values()) > 1000.0
     assert "like water that flows otherwise" in found.summary
     during = (found.courses[0].hours > 4.5) & (found.courses[0].hours < 7.5)
     assert found.courses[0].mean[during].mean() == pytest.approx(-0.2, rel=0.1)
     assert found.empirical is None
+
+
+def test_several_that_last_are_not_believed_where_one_came_and_went(bench: Bench, healthy: Columns) -> None:
+    """A little less flow for a time: a step, its opposite and a bend imitate it to within noise."""
+    less = bench.record(14.0, changed=bench.with_values(circuit__factor=0.95), onset_h=4.0, until_h=8.0)
+    found = diagnose(bench.network, less, healthy)
+    assert found.verdict == "unexplained" and found.network is None
+    assert found.effects[0].where == "loop" and found.effects[0].value == pytest.approx(-0.05, rel=0.3)
+
+
+def test_what_lasts_is_not_said_to_have_ended(bench: Bench, healthy: Columns) -> None:
+    more = bench.with_element("leak", {"kind": "heat_source", "node": "tank", "power": {"value": 40.0}})
+    found = diagnose(bench.network, bench.record(14.0, changed=more, onset_h=5.0), healthy)
+    assert found.verdict in ("effect found", "ambiguous")
+    assert (found.effects[0].kind, found.effects[0].where) == ("heat_source", "tank")
 
 
 def test_a_reading_that_is_off_now_and_then_is_told_from_heat_and_from_flow(bench: Bench, healthy: Columns) -> None:

@@ -93,6 +93,7 @@ def diagnose(
         known=known,
         whole=whole.contest,
         laws=whole.laws,
+        lasting=whole.entries,
         grid=grid,
         split=split,
         errors=errors(finding, network, record, grid, split),

@@ -18,10 +18,11 @@ LEFT = 1.3
 LEFT_SHARE = 0.03
 """Or this share of the misfit that it began with: no effect is of quite the form assumed."""
 _TYPICALS = 20.0
-_PRIOR = {
+KINDS = {
     "heat_source": 1.0, "heat_loss": 1.0, "heat_rejection": 1.0, "flow": 0.7, "thermal_mass": 0.7, "sensor": 0.7,
     "coupling": 0.4, "delay": 0.5, "actuator": 0.3,
 }  # fmt: skip
+"""How likely a kind of effect is before any data, relative to a heat source."""
 _MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
 """What an actuator moves: a pump that turns slower is a flow that is less."""
 _RARE = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
@@ -123,7 +124,7 @@ def _prior(entries: tuple[Entry, ...]) -> float:
 
 def plausibility(entry: Entry) -> float:
     """How likely such an effect is before any data, relative to a constant heat source."""
-    value = _PRIOR.get(entry.candidate.kind, 0.5) * _RARE.get(entry.candidate.driver, 1.0)
+    value = KINDS.get(entry.candidate.kind, 0.5) * _RARE.get(entry.candidate.driver, 1.0)
     if entry.shape.name != "step" and entry.candidate.kind == "actuator":
         value *= 0.2
     return value * (0.5 if entry.shape.name == "saturating" else 1.0)

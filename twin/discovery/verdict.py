@@ -25,6 +25,7 @@ from twin.discovery.ranking import Finding, Ranked, enough, piled_up
 from twin.discovery.readings import Stuck
 from twin.discovery.search import Entry
 from twin.discovery.sites import drivers_of, signatures, sites_of, unknown
+from twin.discovery.spells import as_effect, came_and_went, described, explains
 from twin.discovery.thermometers import single as single_one
 from twin.discovery.thermometers import standing
 from twin.discovery.validation import holds
@@ -46,6 +47,7 @@ def conclude(
     known: Basis,
     whole: Contest,
     laws: list[Law],
+    lasting: list[Entry],
     grid: Grid,
     split: int,
     errors: dict[str, SensorError],
@@ -69,8 +71,15 @@ def conclude(
     empirical: Empirical | None = None
     groups = lint(network)
     found = courses(whole, sites_of(network, whole, laws))
+    claimed = finding.fit is not None and good
+    spell = came_and_went(whole, laws, lasting, finding.entries if claimed else ())
     if finding.fit is None and enough(finding.start / scale, 0.0, finding.contest):
         verdict = "adequate"
+    elif spell is not None and (claimed or explains(spell, found[0])):
+        verdict = "unexplained"
+        description, effects = described(spell) | signatures(found), (as_effect(spell, whole, start),)
+        alternatives = _near_misses(finding)
+        empirical = offer(finding, known, grid, split, found, errors)
     elif finding.fit is None or not good:
         verdict = "unexplained"
         if found:

@@ -9,6 +9,7 @@ from twin.discovery.equivalence import OPEN
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
 from twin.discovery.sites import spoken
+from twin.elements.base import Candidate
 
 if TYPE_CHECKING:
     from twin.discovery.ranking import Finding
@@ -16,14 +17,7 @@ if TYPE_CHECKING:
 
 def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0) -> str:
     """The effect in plain words; `grown` is the share of its size that it has reached."""
-    c = entry.candidate
-    who = {"loop": "The loop", "modules": "The modules"}.get(c.where)
-    if who is None:
-        who = c.where if c.kind == "sensor" else f"The {c.where.replace('_', ' ')}"
-    says = c.says
-    if who == "The modules":
-        says = _plural(says)
-    text = f"{who} {says.format(value=amount(entry.size * grown, c.unit))}"
+    text = said(entry.candidate, entry.size * grown)
     since = when(entry.shape, start)
     if entry.shape.name == "ramp":
         until = f" for {clock(entry.shape.growth_s)}" if grown >= 1.0 else ""
@@ -31,6 +25,16 @@ def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0) -> str:
     if entry.shape.name == "saturating":
         return f"{text} by the end, growing {since} with a time constant of {clock(entry.shape.growth_s)}"
     return f"{text}, {since}"
+
+
+def said(candidate: Candidate, size: float) -> str:
+    """What a candidate of this size does, in plain words."""
+    c = candidate
+    who = {"loop": "The loop", "modules": "The modules"}.get(c.where)
+    if who is None:
+        who = c.where if c.kind == "sensor" else f"The {c.where.replace('_', ' ')}"
+    says = _plural(c.says) if who == "The modules" else c.says
+    return f"{who} {says.format(value=amount(size, c.unit))}"
 
 
 def when(shape: Shape, start: float) -> str:
@@ -88,6 +92,8 @@ def summarise(
             return "The twin does not fit this record and no single place explains it." + fit_text
         u = next((e for e in effects if e.kind == "unknown"), effects[0])
         beside = "".join(f"{e.says}. " for e in effects if e is not u and e.says)
+        if u.shape == "spell":
+            return f"{beside}{u.says}.{spoken(description)} No effect of the catalogue ends, so nothing is adopted."
         low, high = (amount(x, u.unit) for x in u.interval90)
         return (
             f"{beside}Something at {u.where} is not in the catalogue: {amount(u.value, u.unit)} on average "
