@@ -12,7 +12,7 @@ from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.experiment import Limits
 from twin.discovery.forecast import Forecast, forecast, plan_of, too_little, unseen_kinds
 from twin.discovery.grid import Grid, on_grid
-from twin.discovery.held_out import binned, errors
+from twin.discovery.held_out import binned, contradicted, errors
 from twin.discovery.ladder import Part, search, weighed
 from twin.discovery.members import Members, members
 from twin.discovery.ranking import Finding
@@ -23,6 +23,8 @@ from twin.network import Array, Network, TwinFileError
 from twin.steady import steady_state
 
 HELD_OUT = 0.25
+STILL_HELD = 0.4
+"""Share of the part held out that stays so where it showed what the rest had not."""
 LATE = 0.85
 """Share of the part that a fit sees, beyond which an onset leaves it too little of what follows."""
 
@@ -61,18 +63,21 @@ def diagnose(
     finding: Finding | None = None
     if not _begins_late(whole, train, split):
         finding = search(train, say)
+    most = max(split, int(bins * (1.0 - held_out * STILL_HELD)))
+    later, why = split, ""
     if finding is None or (finding.fit is None and whole.best_z >= train.threshold):
-        top = whole.entries[0]
-        onset = int(top.shape.onset_s / grid.step_s)
-        later = min(max(split, (onset + bins) // 2), bins - 6)
-        if later > split:
-            split = later
-            notes.append(
-                f"something changed at {top.shape.onset_s / 3600.0:.1f} h, inside the part that was to be kept out of "
-                f"the fit; the fit was given the record up to {split * grid.step_s / 3600.0:.1f} h"
-            )
-            train = Part.of(known, grid.part(0, split))
-            finding = None
+        onset_s = whole.entries[0].shape.onset_s
+        later = min((int(onset_s / grid.step_s) + bins) // 2, bins - 6)
+        why = f"something changed at {onset_s / 3600.0:.1f} h, inside the part that was to be kept out of the fit"
+        if later <= split:
+            later, why = most, "what stands out does so in the part that was to be kept out of the fit"
+    elif contradicted(errors(finding, network, record, grid, split)):
+        later = most
+        why = "on the part that was to be kept out of the fit the best answer was far off"
+    if later > split:
+        split, finding = later, None
+        notes.append(f"{why}; the fit was given the record up to {split * grid.step_s / 3600.0:.1f} h")
+        train = Part.of(known, grid.part(0, split))
     finding = finding or search(train, say)
     if more and len(finding.ranked) > 1:
         say("comparing with further records")

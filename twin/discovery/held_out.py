@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from twin.discovery.basis import Columns
@@ -10,6 +12,17 @@ from twin.discovery.grid import Grid, bridged
 from twin.discovery.model import Model
 from twin.discovery.ranking import Finding
 from twin.network import Array, Network
+
+FAR_OFF, FAR_SHARE = 3.0, 0.15
+"""Times a sensor's noise that block means may be off where a fit was not shown them, and the share of the squares that
+re-tuning alone leaves: beyond both an answer is contradicted."""
+
+
+def contradicted(found: Mapping[str, SensorError]) -> bool:
+    """Whether an answer does badly where no fit was shown the record: its form, or what it follows, is another."""
+    before, after = (sum((e.means[k] / e.noise) ** 2 for e in found.values()) for k in (1, 2))
+    worst = max((e.means[2] / e.noise for e in found.values()), default=0.0)
+    return worst > FAR_OFF and after > FAR_SHARE * before
 
 
 def errors(finding: Finding, network: Network, record: Columns, grid: Grid, split: int) -> dict[str, SensorError]:

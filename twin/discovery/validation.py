@@ -29,7 +29,7 @@ TOLD = 3.0
 """Standard errors that a size must be from nothing, by the rest of the record, for a block to be asked."""
 LOST_SHARE = 0.1
 """Of what the gaining blocks gain, what the losing ones may lose."""
-MUTE, MUTE_SHARE = 6.0, 0.01
+MUTE, MUTE_SHARE = 10.0, 0.01
 """Gain in weighted squares, and share of all gains, up to which a block has nothing to say."""
 
 

@@ -15,6 +15,7 @@ from twin.discovery.equivalence import remaining
 from twin.discovery.experiment import Limits, plan
 from twin.discovery.fitting import Fit
 from twin.discovery.grid import Grid, centred
+from twin.discovery.held_out import contradicted
 from twin.discovery.laws import Law
 from twin.discovery.lint import lint
 from twin.discovery.localise import courses, describe
@@ -61,7 +62,7 @@ def conclude(
     scale = finding.count
     left = finding.retuned.chi if finding.fit is None else finding.fit.chi
     good = enough(left, finding.start / scale, finding.contest) and not piled_up(finding.entries)
-    good = good and holds(finding.folds)
+    good = good and holds(finding.folds) and not contradicted(errors)
     verdict: Verdict
     effects: tuple[Effect, ...] = ()
     others: tuple[Alternative, ...] = ()
