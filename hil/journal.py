@@ -5,7 +5,7 @@ synchronous=FULL, so a crash or a power cut loses at most that much. Everything 
 derived from the journal, live or afterwards, through `JournalReader`.
 
 Tables: `meta` (key, JSON), `samples` (a row a tick, a column a signal), `twins` (a row a tick and twin, a column a
-twin sensor), `calibrations`, `writes`, `events`.
+twin sensor), `calibrations`, `proposals`, `bands`, `writes`, `events`.
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ _FIXED_TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE calibrations (id INTEGER PRIMARY KEY, calibrator TEXT NOT NULL, start_s REAL NOT NULL,
     end_s REAL NOT NULL, document TEXT NOT NULL);
+CREATE TABLE proposals (id INTEGER PRIMARY KEY, calibrator TEXT NOT NULL, time_s REAL NOT NULL, document TEXT NOT NULL);
+CREATE TABLE bands (id INTEGER PRIMARY KEY, twin TEXT NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL,
+    document TEXT NOT NULL);
 CREATE TABLE writes (id INTEGER PRIMARY KEY, tick INTEGER NOT NULL, time_s REAL NOT NULL, signal TEXT NOT NULL,
     value REAL NOT NULL, reason TEXT NOT NULL);
 CREATE TABLE events (id INTEGER PRIMARY KEY, tick INTEGER NOT NULL, time_s REAL NOT NULL, wall_s REAL NOT NULL,
@@ -81,6 +84,27 @@ class CalibrationRow:
 
     id: int
     calibrator: str
+    start_s: float
+    end_s: float
+    document: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class ProposalRow:
+    """What a calibrator proposed at a moment; `document` is what it reported, as plain data."""
+
+    id: int
+    calibrator: str
+    time_s: float
+    document: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class BandRow:
+    """Some minutes of a twin: `document` has mean miss and foretold half width by sensor, K (see `hil.bands.Band`)."""
+
+    id: int
+    twin: str
     start_s: float
     end_s: float
     document: dict[str, Any]
@@ -176,6 +200,24 @@ class JournalWriter:
             (
                 "INSERT INTO calibrations (calibrator, start_s, end_s, document) VALUES (?, ?, ?, ?)",
                 (calibrator, start_s, end_s, json.dumps(document)),
+            )
+        )
+
+    def proposal(self, calibrator: str, time_s: float, document: dict[str, Any]) -> None:
+        """Append a proposal."""
+        self._other.append(
+            (
+                "INSERT INTO proposals (calibrator, time_s, document) VALUES (?, ?, ?)",
+                (calibrator, time_s, json.dumps(document)),
+            )
+        )
+
+    def band(self, twin: str, start_s: float, end_s: float, document: dict[str, Any]) -> None:
+        """Append a twin's band."""
+        self._other.append(
+            (
+                "INSERT INTO bands (twin, start_s, end_s, document) VALUES (?, ?, ?, ?)",
+                (twin, start_s, end_s, json.dumps(document)),
             )
         )
 
@@ -303,6 +345,22 @@ class JournalReader:
         """Finished windows with an id above `after_id`."""
         rows = self._database.execute("SELECT * FROM calibrations WHERE id > ? ORDER BY id", (after_id,))
         return [CalibrationRow(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in rows]
+
+    def proposals(self, after_id: int = 0) -> list[ProposalRow]:
+        """Proposals with an id above `after_id`; none in a journal from before there were any."""
+        rows = self._optional("proposals", after_id)
+        return [ProposalRow(row[0], row[1], row[2], json.loads(row[3])) for row in rows]
+
+    def bands(self, after_id: int = 0) -> list[BandRow]:
+        """Bands with an id above `after_id`; none in a journal from before there were any."""
+        rows = self._optional("bands", after_id)
+        return [BandRow(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in rows]
+
+    def _optional(self, table: str, after_id: int) -> list[Any]:
+        known = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?"
+        if self._database.execute(known, (table,)).fetchone() is None:
+            return []
+        return self._database.execute(f"SELECT * FROM {table} WHERE id > ? ORDER BY id", (after_id,)).fetchall()
 
     def writes(self, after_id: int = 0) -> list[WriteRow]:
         """Set-point changes with an id above `after_id`."""

@@ -6,6 +6,8 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
     /sensors/<sensor>/columns            its columns one by one where there are several, (n, k)
     /sensors/<sensor>/twin/<twin>        prediction, (n, 1)
     /sensors/<sensor>/residual/<twin>    measured minus prediction, (n, 1)
+    /sensors/<sensor>/miss/<twin>        its mean over ten minutes, (n, 1)
+    /sensors/<sensor>/band/<twin>        the 90 % band foretold for them, (n, 2)
     /sensors/<sensor>/noise              zero and plus/minus two sigma of the noise, (n, 1 or 3)
     /actuators/<name>                    set-point and read-back, (n, 1 or 2)
     /measured/<column>                   what else the rig reports, (n, 1)
@@ -15,6 +17,8 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
     /calibrated/<calibrator>             lane: whether the window's fit was accepted
     /fit/<calibrator>                    RMSE of the window before and after its fit, K, (n, 2)
     /parameters/<parameter>/<calibrator> physical value with its variance
+    /proposed/<parameter>/<calibrator>   what it proposes between windows too and no gate holds, with its 90 % interval
+    /gates/<calibrator>, /proposals/..   lane: whether its gates are open; text: what it takes on, what holds the rest
     /relative/<calibrator>/<parameter>   per cent off the commissioned value, (n, 1)
     /events, /writes                     text
     /key                                 which colour is what
@@ -55,10 +59,21 @@ QUALITY_COLOURS = {
     Quality.LINK_FAULT: VIOLET,
 }
 WINDOW_COLOURS = {"calibrated": GREEN, "recovery": ORANGE, "stall": RED}
+GATE_COLOURS = {
+    "open": GREEN,
+    "some held": (45, 95, 120),
+    "SHORT_RECORD": FAINT,
+    "MISSING_REQUIRED": YELLOW,
+    "LOW_SENSITIVITY": (120, 100, 60),
+    "HIGH_UNCERTAINTY": ORANGE,
+    "OUT_OF_ENVELOPE": VIOLET,
+    **dict.fromkeys(("CONTRADICTORY_EVENT", "FLAT_RECORD", "SHUFFLED_RECORD", "LEAKAGE"), RED),
+}
 FLAG_COLOURS = {"calibrated": GREEN, "not calibrated": RED}
 _SETPOINT_SUFFIX = re.compile(r"_(set|setpoint|sp|cmd|command|target|demand)$")
 _MOST_BESIDE = 4
 _MARGIN = 0.13
+_LEAST_REACH_K = 0.25
 _UNIT_SYMBOLS = {"degC": "°C", "1": "", "m3/h": "m³/h"}
 
 
@@ -91,6 +106,8 @@ class Panel:
     contents: tuple[str, ...]
     share: float = 1.0
     legend: bool = True
+    reach: float | None = None
+    """Of the value axis, to either side of 0; None as far as the values go."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,11 +163,15 @@ def colour_key(twins: tuple[str, ...]) -> str:
     tracked = [twin for twin in twins if twin != "static"]
     parts = ["grey: measured", *(["orange: static twin"] if "static" in twins else [])]
     parts += [f"{name}: tracked by {twin}" for twin, name in zip(tracked, itertools.cycle(TRACKED), strict=False)]
-    return " · ".join([*parts, "thin lines: zero and ±2σ of the sensor's noise", "gap: no good value"])
+    return " · ".join([*parts, "thin lines: 90 % band, or ±2σ of the sensor's noise", "gap: no good value"])
 
 
 def _dimmed(colour: Colour) -> Colour:
     return (colour[0] // 2, colour[1] // 2, colour[2] // 2)
+
+
+def _lighter(colour: Colour) -> Colour:
+    return (128 + colour[0] // 2, 128 + colour[1] // 2, 128 + colour[2] // 2)
 
 
 def _sensor_lines(header: Header) -> list[Lines]:
@@ -169,6 +190,9 @@ def _sensor_lines(header: Header) -> list[Lines]:
             width = 1.2 if twin == "static" else 2.2
             lines.append(Lines(path("sensors", sensor, "twin", twin), (twin,), (colours[twin],), (width,)))
             lines.append(Lines(path("sensors", sensor, "residual", twin), (twin,), (colours[twin],)))
+            lines.append(Lines(path("sensors", sensor, "miss", twin), (twin,), (colours[twin],), (2.0,), steps=True))
+            dim, names = _dimmed(colours[twin]), (f"{twin}, 90 % band", f"-{twin}, 90 % band")
+            lines.append(Lines(path("sensors", sensor, "band", twin), names, (dim, dim), (1.0,), steps=True))
         sigma = header.noise_K.get(sensor)
         if sigma is None:
             lines.append(Lines(path("sensors", sensor, "noise"), ("zero",), (NEUTRAL,), (1.0,)))
@@ -224,8 +248,25 @@ def _residual(sensor: str, *, share: float, legend: bool) -> Panel:
     return Panel("lines", title, (f"{root}/residual/**", f"{root}/noise"), share, legend)
 
 
-def make_plan(header: Header, units: dict[str, str] | None = None, commissioned: bool = False) -> Plan:
-    """Looks and layout; `units` by parameter as far as seen, `commissioned` when what they were is known."""
+def _bands(sensor: str, header: Header, *, share: float, legend: bool) -> Panel:
+    """The tracked twins alone: beside the static one's error theirs would be a flat line."""
+    root = path("sensors", sensor)
+    tracked = [twin for twin in header.twin_names if twin != "static"]
+    contents = [f"{root}/{what}{path(twin)}" for what in ("band", "miss") for twin in tracked]
+    title = titled(f"{sensor.removesuffix('_C')}: measured - tracked, 10 min, 90 % bands", "K")
+    return Panel(
+        "lines", title, tuple(contents), share, legend, max(_LEAST_REACH_K, 6.0 * header.noise_K.get(sensor, 0))
+    )
+
+
+def make_plan(
+    header: Header,
+    units: dict[str, str] | None = None,
+    commissioned: bool = False,
+    proposers: tuple[str, ...] = (),
+) -> Plan:
+    """Looks and layout; `units` by parameter as far as seen, `commissioned` when what they were is known, `proposers`
+    those calibrators that have proposed something."""
     sensor_columns = {column for columns in header.twin_sensors.values() for column in columns}
     lines = _sensor_lines(header)
     columns_of: dict[str, tuple[str, ...]] = {}
@@ -264,14 +305,16 @@ def make_plan(header: Header, units: dict[str, str] | None = None, commissioned:
     lanes.append(Lane("/quality", _worst_colours(header)))
     lanes += [Lane(path("windows", name), WINDOW_COLOURS) for name in calibrators]
     lanes += [Lane(path("calibrated", name), FLAG_COLOURS) for name in calibrators]
+    lanes += [Lane(path("gates", name), GATE_COLOURS) for name in proposers]
+    proposed = {path("proposed", p, name): _lighter(colours[name]) for p in units or () for name in proposers}
     tabs = [
         _overview(header, actuators, others),
-        *(_sensor_tab(sensor, columns, len(calibrators)) for sensor, columns in header.twin_sensors.items()),
+        *(_sensor_tab(sensor, columns, header) for sensor, columns in header.twin_sensors.items()),
         Stack("rows", (*_unit_panels(actuators), *_unit_panels(others)), title="Rig", margin=_MARGIN),
-        *_calibration_tab(calibrators, units or {}, commissioned),
+        *_calibration_tab(calibrators, units or {}, commissioned, proposers),
         _quality_tab(bool(status)),
     ]
-    return Plan(header, tuple(lines), tuple(lanes), tuple(tabs), columns_of)
+    return Plan(header, tuple(lines), tuple(lanes), tuple(tabs), columns_of, proposed)
 
 
 def _quality_colours() -> dict[str, Colour]:
@@ -300,7 +343,9 @@ def _overview(header: Header, actuators: dict[str, tuple[str, str]], others: dic
             "rows",
             (
                 _temperature(sensor, share=5.0, columns=False, legend=False),
-                _residual(sensor, share=4.0, legend=False),
+                _bands(sensor, header, share=4.0, legend=False)
+                if len(header.twin_names) > 1
+                else _residual(sensor, share=4.0, legend=False),
             ),
         )
         for sensor in header.twin_sensors
@@ -318,24 +363,28 @@ def _overview(header: Header, actuators: dict[str, tuple[str, str]], others: dic
     return Stack("rows", tuple(rows), title="Overview")
 
 
-def _sensor_tab(sensor: str, columns: tuple[str, ...], calibrators: int) -> Stack:
+def _sensor_tab(sensor: str, columns: tuple[str, ...], header: Header) -> Stack:
+    calibrators = sum(twin != "static" for twin in header.twin_names)
     lanes = ("/windows/**", *(path("quality", column) for column in columns))
     height = 50.0 + 35.0 * (min(len(columns), 6) + calibrators)  # of the lanes, in a window of a usual 800 points
     panels = (
         _temperature(sensor, share=5.0, columns=True, legend=True),
         _residual(sensor, share=4.0, legend=True),
+        *((_bands(sensor, header, share=4.0, legend=True),) if calibrators else ()),
         Panel("lanes", "Calibration windows and quality", lanes, 8.0 * height / (800.0 - height)),
     )
     return Stack("rows", panels, title=sensor.removesuffix("_C"), margin=_MARGIN)
 
 
-def _calibration_tab(calibrators: tuple[str, ...], units: dict[str, str], commissioned: bool) -> tuple[Stack, ...]:
+def _calibration_tab(
+    calibrators: tuple[str, ...], units: dict[str, str], commissioned: bool, proposers: tuple[str, ...]
+) -> tuple[Stack, ...]:
     if not calibrators:
         return ()
     lanes = Panel(
         "lanes",
-        "Windows: kind, and whether the fit was accepted",
-        ("/windows/**", "/calibrated/**"),
+        "Windows: kind, and whether the fit was accepted" + (", gates of the network" if proposers else ""),
+        ("/windows/**", "/calibrated/**", *(("/gates/**",) if proposers else ())),
         2.0 if commissioned else 0.8,
     )
     fit = Panel("lines", "RMSE within the window [K]", ("/fit/**",), 1.5)
@@ -344,11 +393,15 @@ def _calibration_tab(calibrators: tuple[str, ...], units: dict[str, str], commis
         for name in calibrators
     )
     shifts = (Stack("columns", relative, share=4.0),) if commissioned else ()
-    tracking = Stack("rows", (lanes, fit, *shifts), title="Calibration", margin=_MARGIN)
+    told = tuple(
+        Panel("texts", f"What {name} proposes, where that changes", (path("proposals", name),)) for name in proposers
+    )
+    tracking = Stack("rows", (lanes, fit, *shifts, *told), title="Calibration", margin=_MARGIN)
     if not units:
         return (tracking,)
     each = tuple(
-        Panel("lines", titled(name, unit), (path("parameters", name) + "/**",)) for name, unit in units.items()
+        Panel("lines", titled(name, unit), (path("parameters", name) + "/**", path("proposed", name) + "/**"))
+        for name, unit in units.items()
     )
     return (tracking, Stack("grid", each, title="Parameters", margin=2 * _MARGIN))
 

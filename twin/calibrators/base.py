@@ -144,8 +144,8 @@ class Proposer(Protocol):
         ...
 
     def take(self) -> tuple[dict[str, Any], ...]:
-        """Every proposal since this was last asked, as plain data: `time_s`, `values`, `standard_errors`, `held`,
-        `reasons`; those at the ends of windows included."""
+        """Every proposal since this was last asked, as plain data: `time_s`, `values`, `standard_errors`,
+        `held` (parameter -> code), `reasons`; those at the ends of windows included."""
         ...
 
 

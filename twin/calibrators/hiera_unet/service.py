@@ -60,12 +60,15 @@ class Proposal:
     evaluations: int
 
     def document(self, ids: tuple[str, ...]) -> dict[str, Any]:
-        """Plain data for a log."""
+        """Plain data for a log; `held` says by which gate's code."""
+        own = {r.parameter: r.code for r in reversed(self.reasons) if r.parameter}
+        whole = next((r.code for r in self.reasons if not r.parameter), "")
+        own = {} if whole else own
         return {
             "time_s": self.time_s,
             "values": dict(zip(ids, self.values.tolist(), strict=True)),
             "standard_errors": dict(zip(ids, self.sd.tolist(), strict=True)),
-            "held": [i for i, h in zip(ids, self.held, strict=True) if h],
+            "held": {i: own.get(i, whole) for i, h in zip(ids, self.held, strict=True) if h},
             "reasons": [str(r) for r in self.reasons],
             "half_width_K": self.half_width.tolist(),
             "condition": self.condition,
@@ -197,7 +200,7 @@ class HieraUNetCalibrator:
         )
 
     def _taken_on(self, window: Window, proposal: Proposal) -> tuple[Array, Array, Array, Array]:
-        """The window with what is not held: values (q,), state at its first sample, readings (n, m), state at its last."""
+        """The window with what is not held: values (q,), state at its start, readings (n, m), state at its end."""
         index = self.network.index(self.ids)
         full = window.parameters.copy()
         full[index] = np.where(proposal.held, full[index], proposal.values)
