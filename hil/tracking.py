@@ -173,9 +173,10 @@ class Twins:
         parameters = {name: _final(document) for name, document in self._last.items()}
         if self._static:
             ids = dict.fromkeys(name for values in parameters.values() for name in values)
-            parameters = {
-                STATIC: {name: (self.network.parameters[name].value, None, False) for name in ids}
-            } | parameters
+            as_commissioned: dict[str, tuple[float, float | None, bool]] = {
+                name: (self.network.parameters[name].value, None, False) for name in ids
+            }
+            parameters = {STATIC: as_commissioned, **parameters}
         return Comparison(errors, self._bands.table(), parameters)
 
 
