@@ -175,8 +175,8 @@ def put_window(writer: JournalWriter, truth: Truth, calibrator: str, n: int, sta
 def put_beside(writer: JournalWriter, truth: Truth, n: int, start_s: float, end_s: float) -> None:
     """Append the twins' bands of window `n`, none foretold for the first, and what the last tracked twin proposes."""
     for k, twin in enumerate(truth.header.twin_names):
-        mean = {sensor: 0.01 * k + 0.001 * n for sensor in SENSORS}
-        half = {sensor: 0.1 if n else None for sensor in SENSORS}
+        mean = dict.fromkeys(SENSORS, 0.01 * k + 0.001 * n)
+        half = dict.fromkeys(SENSORS, 0.1 if n else None)
         writer.band(twin, start_s, end_s, {"mean_K": mean, "half_width_K": half})
     names = list(COMMISSIONED)
     held = dict.fromkeys(names, "SHORT_RECORD") if n < 3 else {names[n // 5 % len(names)]: "LOW_SENSITIVITY"}

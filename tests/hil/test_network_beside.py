@@ -1,0 +1,139 @@
+"""The network beside the fits, as a user runs it: left out with a reason, in a process of its own, modes."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hil.bands import SPAN_S, Bands
+from hil.cli import group
+from hil.journal import JournalReader
+from hil.record import Record, write_record
+from hil.run_folder import RunFolder
+from twin.kernel import simulate
+from twin.twinfile import load
+
+PROFILES = Path(__file__).resolve().parents[2] / "profiles"
+LOOP = PROFILES / "twins" / "loop.toml"
+NEEDED = ("torch", "safetensors")
+network_here = pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in NEEDED), reason="torch or safetensors is not installed"
+)
+LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,100,70\n900,850,85,70\n2600,650,100,100\n"
+
+
+def hil(*arguments: object) -> Any:
+    return CliRunner().invoke(group, [str(item) for item in arguments])
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two and a half hours of a loop with other fins than the twin's."""
+    rng, network = np.random.default_rng(0), load(LOOP)
+    n = 9000
+    time_s = np.arange(n, dtype=np.float64)
+    level = lambda low, high, every: np.repeat(rng.uniform(low, high, n // every + 1), every)[:n]  # noqa: E731
+    inputs = np.column_stack([level(400, 900, 700), level(60, 100, 1100), level(30, 90, 900), np.full(n, 22.0)])
+    clean = simulate(network.with_values({"fins.UA_100": 45.0}), time_s, inputs, np.array([35.0, 32.0, 29.0, 30.0]))
+    columns = dict(zip(network.input_columns, inputs.T, strict=True))
+    for j, parts in enumerate(network.sensor_columns.values()):
+        columns |= {c: clean[:, j] + 0.05 * rng.standard_normal(n) for c in parts}
+    path = tmp_path_factory.mktemp("record") / "record.parquet"
+    write_record(Record(time_s, columns), path)
+    return path
+
+
+@network_here
+def test_shadow_writes_nothing_and_controlled_writes_one_revision(record: Path, tmp_path: Path) -> None:
+    twin = Path(shutil.copy(LOOP, tmp_path / "my_twin.toml"))
+    shadow = hil("track", record, "--twin", twin, "--json")
+    assert shadow.exit_code == 0, shadow.output
+    told = json.loads(shadow.stdout)
+    assert told["errors_K"]["columns"][::2] == ["static", "pso fitted", "least_squares fitted", "hiera_unet fitted"]
+    assert list(told["bands"]) == list(told["parameters"]) == ["static", "pso", "least_squares", "hiera_unet"]
+    assert told["adoption"] is None and told["advice"] == [] and len(told["proposals"]) == 30
+    assert list(tmp_path.iterdir()) == [twin]
+    advisory = hil("track", record, "--twin", twin, "--calibrator", "hiera_unet", "--network-mode", "advisory")
+    assert "hiera_unet would change fins.UA_100" in advisory.output and list(tmp_path.iterdir()) == [twin]
+    done = hil("track", record, "--twin", twin, "--calibrator", "hiera_unet", "--network-mode", "controlled")
+    assert done.exit_code == 0 and "are saved as" in done.output
+    (revision,) = (path for path in tmp_path.iterdir() if path != twin)
+    log = hil("twin", "log", revision).output
+    assert "hil track record.parquet" in log and "its gates let through" in log
+    assert "fins.UA_100" in hil("twin", "diff", revision).output
+    assert hil("twin", "revert", revision).exit_code == 0
+
+
+def test_without_torch_the_others_run_and_a_sentence_says_why(
+    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name in NEEDED else real(name, *rest))
+    done = hil("track", record, "--twin", LOOP, "--json")
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert list(told["parameters"]) == ["static", "pso", "least_squares"]
+    assert "needs torch and safetensors" in told["left_out"]["hiera_unet"]
+    named = hil("track", record, "--twin", LOOP, "--calibrator", "hiera_unet")
+    assert named.exit_code != 0 and "needs torch" in str(named.exception)
+
+
+def test_a_twin_without_a_network_is_run_by_the_others(tmp_path: Path) -> None:
+    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    done = hil("run", tmp_path / "load.csv", "--virtual", "--lockstep", "--twin", PROFILES / "twins/loop_six.toml",
+               "--runs", tmp_path / "runs", "--check-only")  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "hiera_unet is left out: " in done.output
+
+
+@network_here
+def test_lockstep_with_the_network_is_the_same_every_time(tmp_path: Path) -> None:
+    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    seen = []
+    for _ in range(2):
+        done = hil("run", tmp_path / "load.csv", "--virtual", "--lockstep", "--runs", tmp_path / "runs", "--json",
+                   "--no-viewer")  # fmt: skip
+        assert done.exit_code == 0, done.output
+        folder = RunFolder(Path(json.loads(done.stdout)["folder"]))
+        reader = JournalReader(folder.journal)
+        twins = {name: reader.twin_outputs(name).values for name in reader.header.twin_names}
+        rows = [(r.calibrator, r.end_s, r.document) for r in reader.calibrations()]
+        bands = [(r.twin, r.start_s, r.document) for r in reader.bands()]
+        proposals = [(r.time_s, r.document) for r in reader.proposals()]
+        reader.close()
+        assert "What the network" in folder.report.read_text(encoding="utf-8")
+        order = {name: k for k, name in enumerate(twins)}
+        seen.append(
+            (twins, sorted(rows, key=lambda r: (order[r[0]], r[1])), sorted(bands, key=lambda r: r[:2]), proposals)
+        )
+    (one, *rest), (other, *same) = seen
+    assert list(one) == ["static", "pso", "least_squares", "hiera_unet"]
+    assert all(np.array_equal(one[name], other[name]) for name in one)
+    assert rest == same and len(seen[0][3]) == 8
+
+
+def test_a_band_is_foretold_and_counted_however_the_stream_is_cut() -> None:
+    rng = np.random.default_rng(0)
+    n = int(6 * SPAN_S)
+    time_s = np.arange(n, dtype=np.float64)
+    measured = 0.05 * rng.standard_normal((n, 1))
+    measured[:700] = np.nan
+    whole, parts = Bands(("T",)), Bands(("T",))
+    found = whole.push(time_s, measured, {"pso": np.zeros((n, 1))})
+    cut = [
+        parts.push(time_s[i : i + 77], measured[i : i + 77], {"pso": np.zeros((77, 1))[: n - i]})
+        for i in range(0, n, 77)
+    ]
+    assert found == tuple(band for bands in cut for band in bands)
+    halves = [band.half_width_K["T"] for band in found]
+    assert halves[:2] == [None, None] and found[0].mean_K["T"] is None
+    assert all(abs((half or 0.0) - 1.645 * 0.05) < 0.01 for half in halves[2:])
+    half, inside = whole.table()["pso"]["T"]
+    assert abs(inside - 0.9) < 0.03 and abs(half - 0.082) < 0.01
