@@ -10,7 +10,7 @@ from hil.adoption import accepted
 from hil.bands import NORMAL90
 from hil.journal import BandRow, ProposalRow
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
-from hil.review.plan import path
+from hil.review.looks import path
 from hil.tracking import Proposed
 
 OPEN, SOME = "open", "some held"

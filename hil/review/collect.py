@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.points import Quality
+from hil.bands import NORMAL90
 from hil.journal import CalibrationRow, JournalReader, Samples, TwinOutput
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.beside import Proposals, band_batches
-from hil.review.plan import QUALITY_NAMES, Plan, make_plan, path, worst_state
+from hil.review.looks import QUALITY_NAMES, Plan, path
+from hil.review.plan import make_plan, worst_state
 
 PAGE_TICKS = 36_000
 _NOISE_POINTS = 500
@@ -241,7 +243,9 @@ class Collector:
             errors = np.array([_number((window.document.get("standard_errors") or {}).get(name)) for window in with_it])
             if calibrator in self._proposals.calibrators:
                 errors = np.full_like(errors, np.nan)  # the bands are those of its proposals
-            yield Estimates(path("parameters", name, calibrator), calibrator, unit, end_s, values, errors**2)
+            yield Estimates(
+                path("parameters", name, calibrator), calibrator, unit, end_s, values, (NORMAL90 * errors) ** 2
+            )
             commissioned = self._commissioned.get(name)
             if commissioned:
                 relative = 100.0 * (values / commissioned - 1.0)

@@ -15,7 +15,7 @@ from hil.journal import JournalError, JournalReader
 from hil.review.batches import Batch, merged
 from hil.review.collect import Collector
 from hil.review.findings import batches, findings_beside, notes, plan_alone, with_findings
-from hil.review.plan import Plan
+from hil.review.looks import Plan
 from hil.review.rerun_io import Recording
 from hil.review.viewer import listens
 

@@ -16,7 +16,7 @@ from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
-from hil.review.plan import NEUTRAL, Colour, Panel, Plan, Stack, colour_key, symbol, twin_colours
+from hil.review.looks import NEUTRAL, Colour, Panel, Plan, Stack, colour_key, symbol, twin_colours
 
 TIMELINE = "test_time"
 _SETTLED = 3
@@ -140,7 +140,7 @@ def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
     def part(item: Panel | Stack, margin: float) -> Any:
         if isinstance(item, Panel):
             return view(item, margin)
-        parts = [part(inner, margin) for inner in item.parts]
+        parts = [part(inner, max(margin, item.margin)) for inner in item.parts]
         shares = [inner.share for inner in item.parts]
         name = item.title or None
         match item.arrange:

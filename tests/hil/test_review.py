@@ -29,7 +29,8 @@ from hil.review import (
     write_review,
 )
 from hil.review import show as show_module
-from hil.review.plan import make_plan, path
+from hil.review.looks import path
+from hil.review.plan import make_plan
 from hil.review.viewer import HOST, _free_port, binary, listens
 from tests.hil.synthetic_journal import COMMISSIONED, SENSORS, Truth, make, put_ticks, write
 
