@@ -9,6 +9,7 @@ that part is foretold better for it.
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 NetworkMode = Literal["shadow", "advisory", "controlled"]
 MODES: tuple[NetworkMode, ...] = get_args(NetworkMode)
 NETWORK = "hiera_unet"
+HELD = ": held"
+"""How a reason ends that holds one parameter."""
 HELD_OUT_S = 3600.0
 HELD_OUT_SHARE = 0.2
 WORSE = 1.02
@@ -159,15 +162,23 @@ def _note(name: str, a: Accepted, network: Network) -> str:
 
 
 def closed_gates(proposals: list[Proposed]) -> str:
-    """How often gates were closed, the commonest code first, as a sentence."""
-    counts: dict[str, int] = {}
-    for proposed in proposals:
-        for code in {reason.split(":")[0] for reason in proposed.document["reasons"]}:
-            counts[code] = counts.get(code, 0) + 1
+    """How often gates held everything, and why, the commonest reason first; then what holds single parameters."""
     if not proposals:
-        return "the network has proposed nothing"
-    listed = ", ".join(f"{code} in {n}" for code, n in sorted(counts.items(), key=lambda item: -item[1]))
-    return f"closed gates, of {len(proposals)} proposals: {listed or 'none'}"
+        return f"{NETWORK} has proposed nothing"
+    whole: Counter[str] = Counter()
+    single: Counter[str] = Counter()
+    latest: dict[str, str] = {}
+    for proposed in proposals:
+        reasons = [reason.split(": ", 1) for reason in proposed.document["reasons"]]
+        latest |= {code: sentence for code, sentence in reasons if not sentence.endswith(HELD)}
+        whole.update({code for code, sentence in reasons if not sentence.endswith(HELD)})
+        single.update({code for code, sentence in reasons if sentence.endswith(HELD)})
+    shut = sum(len(p.document["held"]) == len(p.document["values"]) for p in proposals)
+    parts = [f"{NETWORK} held everything in {shut} of {len(proposals)} proposals"]
+    parts += [f"{code} in {n} ({latest[code]})" for code, n in whole.most_common()]
+    if single:
+        parts.append("single parameters: " + ", ".join(f"{code} in {n}" for code, n in single.most_common()))
+    return "; ".join(parts)
 
 
 def manifest(adoption: Adoption | None) -> dict[str, Any] | None:

@@ -114,7 +114,7 @@ def command(
         to.print(f"{name}: windows: {listed}")
     if proposals:
         to.print(closed_gates(proposals), markup=False, soft_wrap=True)
-    for item in disturbed:
+    for item in (d for d in disturbed if d["calibrator"] == twins.calibrators[0]):
         to.print(f"{item['calibrator']}, window to {float(str(item['window_end_s'])) / 3600:.2f} h: {item['found']}")
     for time_s, said in advice:
         to.print(f"{time_s / 3600:.2f} h: {said}", markup=False, soft_wrap=True)

@@ -87,8 +87,11 @@ def test_only_what_came_before_the_end_is_saved_and_errors_are_of_the_end(twin: 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ([], "the network has proposed nothing"),
-        (proposals(TRUE, closed="MISSING_REQUIRED"), "MISSING_REQUIRED in 28"),
+        ([], "hiera_unet has proposed nothing"),
+        (
+            proposals(TRUE, closed="MISSING_REQUIRED"),
+            "held everything in 28 of 28 proposals; MISSING_REQUIRED in 28 (why)",
+        ),
         (proposals({"fins.UA_100": 75.0}), "foretold worse"),
     ],
 )

@@ -166,7 +166,7 @@ def test_it_proposes_every_five_minutes_however_the_stream_is_cut(ensemble: Ense
 def test_a_record_that_says_nothing_is_refused_with_the_reason(ensemble: Ensemble, damage: str, code: str) -> None:
     t, u, y = record(CHANGE)
     if damage == "flat":
-        y[:] = 30.0
+        y[:] = 30.0 + 1.0 / 3.0  # the mean of such readings is not always the reading
     elif damage == "shuffled":
         y = np.random.default_rng(1).permutation(y)
     else:
