@@ -135,6 +135,11 @@ class TrackingProcess:
         """Optional calibrators that do not run, and why."""
         return self._ready.left_out
 
+    @property
+    def pid(self) -> int | None:
+        """Id of the process while it lives."""
+        return None if self._process is None else self._process.pid
+
     def attach(self, journal: JournalWriter) -> None:
         """Where results go; before the first block."""
         self._journal = journal
@@ -305,6 +310,11 @@ class Tracking:
 
     def _running(self) -> list[TrackingProcess]:
         return [process for process in self._all if process.calibrators]
+
+    @property
+    def processes(self) -> tuple[int, ...]:
+        """Ids of the processes, that of the fits first."""
+        return tuple(process.pid for process in self._all if process.pid is not None)
 
     @property
     def failures(self) -> list[str]:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib.util
 import json
+import os
 import shutil
+import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +16,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from drivers.points import Signal
 from hil.bands import SPAN_S, Bands
 from hil.cli import group
-from hil.journal import JournalReader
-from hil.record import Record, write_record
+from hil.journal import Header, JournalReader, JournalWriter
+from hil.record import Record, read_record, write_record
 from hil.run_folder import RunFolder
+from hil.tracking import TrackingConfig
+from hil.tracking_process import Tracking
 from twin.kernel import simulate
 from twin.twinfile import load
 
@@ -117,6 +124,44 @@ def test_lockstep_with_the_network_is_the_same_every_time(tmp_path: Path) -> Non
     assert list(one) == ["static", "pso", "least_squares", "hiera_unet"]
     assert all(np.array_equal(one[name], other[name]) for name in one)
     assert rest == same and len(seen[0][3]) == 8
+
+
+@network_here
+async def test_a_network_that_hangs_holds_up_neither_the_engine_nor_the_fits(record: Path, tmp_path: Path) -> None:
+    data = read_record(record)
+    columns = tuple(data.columns)
+    header = Header(
+        signals=tuple(Signal(name, "1") for name in columns), twin_sensors=dict(load(LOOP).sensor_columns),
+        twin_names=("static", "least_squares", "hiera_unet"), profile="p", duration_s=1300.0, period_s=1.0, noise_K={},
+    )  # fmt: skip
+    tracking = Tracking(TrackingConfig(LOOP, columns, ("least_squares", "hiera_unet")), wait=False)
+    await tracking.start()
+    journal = JournalWriter(tmp_path / "journal.sqlite", header)
+    reader = JournalReader(tmp_path / "journal.sqlite")
+    tracking.attach(journal)
+    table = np.column_stack([data.columns[name] for name in columns])
+    _, network = tracking.processes
+    os.kill(network, signal.SIGSTOP)
+    longest = 0.0
+    for first in range(0, 1300, 10):
+        began = time.monotonic()
+        rows = range(first, first + 10)
+        await tracking.publish(list(rows), data.time_s[first : first + 10].tolist(), table[first : first + 10].tolist())
+        longest = max(longest, time.monotonic() - began)
+        await asyncio.sleep(0.001)
+    deadline = time.monotonic() + 30.0
+    while len(reader.twin_outputs("least_squares").tick) < 1300 and time.monotonic() < deadline:
+        await asyncio.sleep(0.05)
+        journal.commit()
+    assert len(reader.twin_outputs("least_squares").tick) == 1300 and len(reader.calibrations()) == 2
+    assert not len(reader.twin_outputs("hiera_unet").tick) and longest < 0.2
+    os.kill(network, signal.SIGCONT)
+    compared = await tracking.finish()
+    journal.commit()
+    assert compared is not None and list(compared.bands) == ["static", "least_squares", "hiera_unet"]
+    assert len(reader.twin_outputs("hiera_unet").tick) == 1300 and len(reader.proposals()) == 4
+    reader.close()
+    journal.close()
 
 
 def test_a_band_is_foretold_and_counted_however_the_stream_is_cut() -> None:
