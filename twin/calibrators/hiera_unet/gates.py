@@ -91,7 +91,7 @@ def reasons(e: Evidently, ids: tuple[str, ...]) -> tuple[Reason, ...]:
     found = list(unreadable(e.hidden, e.steps, e.measured, e.noise))
     if not e.told.any():
         found.append(
-            Reason("LOW_SENSITIVITY", f"the record tells no parameter apart (condition number {e.condition:.0f})")
+            Reason("LOW_SENSITIVITY", f"the record tells no parameter apart (condition number {e.condition:.2g})")
         )
     widest = float(np.max(e.half_width))
     if widest > UNSURE_K:
