@@ -171,8 +171,8 @@ def closed_gates(proposals: list[Proposed]) -> str:
     for proposed in proposals:
         reasons = [reason.split(": ", 1) for reason in proposed.document["reasons"]]
         latest |= {code: sentence for code, sentence in reasons if not sentence.endswith(HELD)}
-        whole.update({code for code, sentence in reasons if not sentence.endswith(HELD)})
-        single.update({code for code, sentence in reasons if sentence.endswith(HELD)})
+        whole.update(dict.fromkeys((code for code, sentence in reasons if not sentence.endswith(HELD)), 1))
+        single.update(dict.fromkeys((code for code, sentence in reasons if sentence.endswith(HELD)), 1))
     shut = sum(len(p.document["held"]) == len(p.document["values"]) for p in proposals)
     parts = [f"{NETWORK} held everything in {shut} of {len(proposals)} proposals"]
     parts += [f"{code} in {n} ({latest[code]})" for code, n in whole.most_common()]

@@ -25,7 +25,8 @@ from hil.run_folder import RunFolder
 from hil.tracking import TrackingConfig
 from hil.tracking_process import Tracking
 from twin.kernel import simulate
-from twin.twinfile import load
+from twin.revisions import with_elements
+from twin.twinfile import load, save
 
 PROFILES = Path(__file__).resolve().parents[2] / "profiles"
 LOOP = PROFILES / "twins" / "loop.toml"
@@ -90,6 +91,63 @@ def test_without_torch_the_others_run_and_a_sentence_says_why(
     assert "needs torch and safetensors" in told["left_out"]["hiera_unet"]
     named = hil("track", record, "--twin", LOOP, "--calibrator", "hiera_unet")
     assert named.exit_code != 0 and "needs torch" in str(named.exception)
+
+
+@network_here
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        ("table", "were trained with another channel table"),
+        ("config", "are of another configuration than"),
+        ("twin", "were trained for a twin of another structure, with other elements"),
+        ("weights", "their checksum differs"),
+        ("missing", "there is no trained network"),
+    ],
+)
+def test_weights_of_something_else_are_refused_in_one_sentence(
+    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str, words: str
+) -> None:
+    from twin.calibrators.hiera_unet import service
+
+    folder, twin = Path(shutil.copytree(PROFILES / "trained", tmp_path / "trained")), LOOP
+    card, weights = (folder / f"loop_small_0.{end}" for end in ("json", "safetensors"))
+    document = json.loads(card.read_text(encoding="utf-8"))
+    match damage:
+        case "table":
+            document["table"] = "0" * 64
+        case "config":
+            document["config"]["dims"] = [96, 192, 384, 512]
+        case "weights":
+            weights.write_bytes(weights.read_bytes() + b" ")
+        case "missing":
+            (folder / "loop_small.json").unlink()
+        case "twin":
+            source = {"kind": "heat_source", "node": "tank", "power": {"value": 5.0, "lower": 0.0, "upper": 50.0}}
+            twin = save(with_elements(load(LOOP), {"one_more": source}), tmp_path / "more.toml")
+    card.write_text(json.dumps(document), encoding="utf-8")
+    monkeypatch.setattr(service, "TRAINED", folder)
+    named = hil("track", record, "--twin", twin, "--calibrator", "hiera_unet")
+    assert named.exit_code != 0 and words in str(named.exception) and "\n" not in str(named.exception)
+    told = json.loads(hil("track", record, "--twin", twin, "--json").stdout)
+    assert words in told["left_out"]["hiera_unet"] and list(told["bands"]) == ["static", "pso", "least_squares"]
+
+
+@network_here
+@pytest.mark.parametrize(("damage", "code"), [("flat", "FLAT_RECORD"), ("shuffled", "SHUFFLED_RECORD")])
+def test_a_flat_or_shuffled_record_moves_nothing_and_says_why(
+    record: Path, tmp_path: Path, damage: str, code: str
+) -> None:
+    data = read_record(record)
+    order = np.random.default_rng(1).permutation(len(data.time_s))
+    change = (lambda v: np.full_like(v, 100.0 / 3.0)) if damage == "flat" else (lambda v: v[order])
+    thermometers = {c for parts in load(LOOP).sensor_columns.values() for c in parts}
+    columns = {name: change(v) if name in thermometers else v for name, v in data.columns.items()}
+    write_record(Record(data.time_s, columns), tmp_path / "bad.parquet")
+    twin = Path(shutil.copy(LOOP, tmp_path / "my_twin.toml"))
+    done = hil("track", tmp_path / "bad.parquet", "--twin", twin, "--calibrator", "hiera_unet",
+               "--network-mode", "controlled")  # fmt: skip
+    assert f"hiera_unet held everything in 30 of 30 proposals; {code} in 30 (" in done.output
+    assert "no revision is saved" in done.output and len(list(tmp_path.glob("*.toml"))) == 1
 
 
 def test_a_twin_without_a_network_is_run_by_the_others(tmp_path: Path) -> None:
