@@ -14,7 +14,7 @@ import json
 import sqlite3
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.points import Signal
+from hil.journal_rows import (
+    BandRow,
+    CalibrationRow,
+    EventRow,
+    Header,
+    ProposalRow,
+    Samples,
+    TwinOutput,
+    WriteRow,
+)
 
 SCHEMA_VERSION = 1
 COMMIT_INTERVAL_S = 0.5
@@ -42,96 +52,6 @@ CREATE TABLE events (id INTEGER PRIMARY KEY, tick INTEGER NOT NULL, time_s REAL 
 
 class JournalError(Exception):
     """The journal cannot be written or read; the message names the file and the remedy."""
-
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """What a reader must know before the first sample: the signals, and per twin sensor the columns it predicts."""
-
-    signals: tuple[Signal, ...]
-    twin_sensors: dict[str, tuple[str, ...]]
-    twin_names: tuple[str, ...]
-    profile: str
-    duration_s: float
-    period_s: float
-    noise_K: dict[str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Samples:
-    """A block of ticks: `tick (n,)`, `time_s (n,)`, `values (n, k)`, `quality (n, k)`, `source_time_s (n, k)`."""
-
-    tick: NDArray[np.int64]
-    time_s: NDArray[np.float64]
-    values: NDArray[np.float64]
-    quality: NDArray[np.uint8]
-    source_time_s: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class TwinOutput:
-    """Predictions of one twin: `tick (n,)`, `time_s (n,)` and `values (n, m)` in degC, by twin sensor."""
-
-    twin: str
-    tick: NDArray[np.int64]
-    time_s: NDArray[np.float64]
-    values: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrationRow:
-    """One finished window of a calibrator; `document` is what the calibrator reported, as plain data."""
-
-    id: int
-    calibrator: str
-    start_s: float
-    end_s: float
-    document: dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class ProposalRow:
-    """What a calibrator proposed at a moment; `document` is what it reported, as plain data."""
-
-    id: int
-    calibrator: str
-    time_s: float
-    document: dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class BandRow:
-    """Some minutes of a twin: `document` has mean miss and foretold half width by sensor, K (see `hil.bands.Band`)."""
-
-    id: int
-    twin: str
-    start_s: float
-    end_s: float
-    document: dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class WriteRow:
-    """One set-point that the engine changed, and why (`profile`, `slew`, `safe: ...`)."""
-
-    id: int
-    tick: int
-    time_s: float
-    signal: str
-    value: float
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class EventRow:
-    """One event; `level` is INFO, WARN or ERROR."""
-
-    id: int
-    tick: int
-    time_s: float
-    wall_s: float
-    level: str
-    text: str
 
 
 def _quoted(names: Iterable[str]) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.adoption import accepted
 from hil.bands import NORMAL90
-from hil.journal import BandRow, ProposalRow
+from hil.journal_rows import BandRow, ProposalRow
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.looks import path
 from hil.tracking import Proposed

@@ -19,7 +19,7 @@ import numpy as np
 
 from hil.diagnosis_pictures import after_label, beside_answer, plain, short
 from hil.diagnosis_store import Findings, Unknown, has_diagnosis, read_findings
-from hil.journal import Header
+from hil.journal_rows import Header
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.looks import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, Plan, Stack, path
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from drivers.points import Quality
-from hil.journal import Header
+from hil.journal_rows import Header
 
 Colour = tuple[int, int, int]
 NEUTRAL: Colour = (158, 163, 170)

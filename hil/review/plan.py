@@ -29,7 +29,7 @@ from __future__ import annotations
 import re
 
 from drivers.points import Quality, Signal
-from hil.journal import Header
+from hil.journal_rows import Header
 from hil.review.looks import (
     ACTUATORS,
     FAINT,

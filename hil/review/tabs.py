@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.journal import Header
+from hil.journal_rows import Header
 from hil.review.looks import Panel, Stack, path, titled
 
 MARGIN = 0.13
