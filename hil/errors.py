@@ -15,7 +15,7 @@ def exit_code(error: BaseException) -> int | None:
     from drivers.points import ConfigurationError, DriverError
     from hil.journal import JournalError
     from hil.run_folder import RunFolderError
-    from hil.tracking import TrackingError
+    from hil.tracking_process import TrackingError
 
     if isinstance(error, ConfigurationError):
         return USAGE

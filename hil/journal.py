@@ -5,7 +5,7 @@ synchronous=FULL, so a crash or a power cut loses at most that much. Everything 
 derived from the journal, live or afterwards, through `JournalReader`.
 
 Tables: `meta` (key, JSON), `samples` (a row a tick, a column a signal), `twins` (a row a tick and twin, a column a
-twin sensor), `calibrations`, `writes`, `events`.
+twin sensor), `calibrations`, `proposals`, `bands`, `writes`, `events`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import json
 import sqlite3
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.points import Signal
+from hil.journal_rows import (
+    BandRow,
+    CalibrationRow,
+    EventRow,
+    Header,
+    ProposalRow,
+    Samples,
+    TwinOutput,
+    WriteRow,
+)
 
 SCHEMA_VERSION = 1
 COMMIT_INTERVAL_S = 0.5
@@ -30,6 +40,9 @@ _FIXED_TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE calibrations (id INTEGER PRIMARY KEY, calibrator TEXT NOT NULL, start_s REAL NOT NULL,
     end_s REAL NOT NULL, document TEXT NOT NULL);
+CREATE TABLE proposals (id INTEGER PRIMARY KEY, calibrator TEXT NOT NULL, time_s REAL NOT NULL, document TEXT NOT NULL);
+CREATE TABLE bands (id INTEGER PRIMARY KEY, twin TEXT NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL,
+    document TEXT NOT NULL);
 CREATE TABLE writes (id INTEGER PRIMARY KEY, tick INTEGER NOT NULL, time_s REAL NOT NULL, signal TEXT NOT NULL,
     value REAL NOT NULL, reason TEXT NOT NULL);
 CREATE TABLE events (id INTEGER PRIMARY KEY, tick INTEGER NOT NULL, time_s REAL NOT NULL, wall_s REAL NOT NULL,
@@ -39,75 +52,6 @@ CREATE TABLE events (id INTEGER PRIMARY KEY, tick INTEGER NOT NULL, time_s REAL 
 
 class JournalError(Exception):
     """The journal cannot be written or read; the message names the file and the remedy."""
-
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """What a reader must know before the first sample: the signals, and per twin sensor the columns it predicts."""
-
-    signals: tuple[Signal, ...]
-    twin_sensors: dict[str, tuple[str, ...]]
-    twin_names: tuple[str, ...]
-    profile: str
-    duration_s: float
-    period_s: float
-    noise_K: dict[str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Samples:
-    """A block of ticks: `tick (n,)`, `time_s (n,)`, `values (n, k)`, `quality (n, k)`, `source_time_s (n, k)`."""
-
-    tick: NDArray[np.int64]
-    time_s: NDArray[np.float64]
-    values: NDArray[np.float64]
-    quality: NDArray[np.uint8]
-    source_time_s: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class TwinOutput:
-    """Predictions of one twin: `tick (n,)`, `time_s (n,)` and `values (n, m)` in degC, by twin sensor."""
-
-    twin: str
-    tick: NDArray[np.int64]
-    time_s: NDArray[np.float64]
-    values: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrationRow:
-    """One finished window of a calibrator; `document` is what the calibrator reported, as plain data."""
-
-    id: int
-    calibrator: str
-    start_s: float
-    end_s: float
-    document: dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class WriteRow:
-    """One set-point that the engine changed, and why (`profile`, `slew`, `safe: ...`)."""
-
-    id: int
-    tick: int
-    time_s: float
-    signal: str
-    value: float
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class EventRow:
-    """One event; `level` is INFO, WARN or ERROR."""
-
-    id: int
-    tick: int
-    time_s: float
-    wall_s: float
-    level: str
-    text: str
 
 
 def _quoted(names: Iterable[str]) -> str:
@@ -176,6 +120,24 @@ class JournalWriter:
             (
                 "INSERT INTO calibrations (calibrator, start_s, end_s, document) VALUES (?, ?, ?, ?)",
                 (calibrator, start_s, end_s, json.dumps(document)),
+            )
+        )
+
+    def proposal(self, calibrator: str, time_s: float, document: dict[str, Any]) -> None:
+        """Append a proposal."""
+        self._other.append(
+            (
+                "INSERT INTO proposals (calibrator, time_s, document) VALUES (?, ?, ?)",
+                (calibrator, time_s, json.dumps(document)),
+            )
+        )
+
+    def band(self, twin: str, start_s: float, end_s: float, document: dict[str, Any]) -> None:
+        """Append a twin's band."""
+        self._other.append(
+            (
+                "INSERT INTO bands (twin, start_s, end_s, document) VALUES (?, ?, ?, ?)",
+                (twin, start_s, end_s, json.dumps(document)),
             )
         )
 
@@ -303,6 +265,22 @@ class JournalReader:
         """Finished windows with an id above `after_id`."""
         rows = self._database.execute("SELECT * FROM calibrations WHERE id > ? ORDER BY id", (after_id,))
         return [CalibrationRow(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in rows]
+
+    def proposals(self, after_id: int = 0) -> list[ProposalRow]:
+        """Proposals with an id above `after_id`; none in a journal from before there were any."""
+        rows = self._optional("proposals", after_id)
+        return [ProposalRow(row[0], row[1], row[2], json.loads(row[3])) for row in rows]
+
+    def bands(self, after_id: int = 0) -> list[BandRow]:
+        """Bands with an id above `after_id`; none in a journal from before there were any."""
+        rows = self._optional("bands", after_id)
+        return [BandRow(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in rows]
+
+    def _optional(self, table: str, after_id: int) -> list[Any]:
+        known = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?"
+        if self._database.execute(known, (table,)).fetchone() is None:
+            return []
+        return self._database.execute(f"SELECT * FROM {table} WHERE id > ? ORDER BY id", (after_id,)).fetchall()
 
     def writes(self, after_id: int = 0) -> list[WriteRow]:
         """Set-point changes with an id above `after_id`."""

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.points import Quality
+from hil.adoption import accepted, closed_gates
 from hil.atomic import replacing
 from hil.journal import JournalReader, Samples
 from hil.run_folder import RunFolder
+from hil.tracking import Proposed, parameter_cell
 
 COLOURS = {"measured": "#30343a", "static": "#e07b1f"}
 _TRACKED = ("#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b")
@@ -51,8 +53,11 @@ def write_report(folder: RunFolder) -> None:
         body = [
             _summary(manifest),
             _error_table(manifest),
+            _band_table(manifest),
+            _parameter_table(manifest),
             _pictures(reader, samples, twins),
             _calibrations(reader),
+            _gates(reader),
             _timing(manifest, reader),
             _events(reader),
             _provenance(manifest),
@@ -92,6 +97,42 @@ def _error_table(manifest: dict[str, Any]) -> str:
     )
     head = ["sensor", *errors["columns"], "noise"]
     return f"<h2>RMSE in K</h2>{_table(head, rows)}<p class=note>{note}</p>"
+
+
+def _band_table(manifest: dict[str, Any]) -> str:
+    bands = manifest.get("bands")
+    if not bands:
+        return ""
+    sensors = next(iter(bands.values()))
+    rows = [[sensor, *("{:.3f} ({:.0%})".format(*bands[twin][sensor]) for twin in bands)] for sensor in sensors]
+    note = "Foretold for ten minutes from the twin's own misses in the two hours before; in brackets the share held."
+    return f"<h2>90 % bands, ± K</h2>{_table(['sensor', *bands], rows)}<p class=note>{note}</p>"
+
+
+def _parameter_table(manifest: dict[str, Any]) -> str:
+    parameters = manifest.get("parameters")
+    if not parameters:
+        return ""
+    names = dict.fromkeys(name for values in parameters.values() for name in values)
+    rows = [[name, *(parameter_cell(values.get(name)) for values in parameters.values())] for name in names]
+    note = "held: the record does not tell it, or a gate is closed; the value is older than the end."
+    adopted = manifest.get("adoption")
+    became = f"<p>{html.escape(adopted['sentence'])}</p>" if adopted else ""
+    title = "Parameters at the end, ± 90 %"
+    return f"<h2>{title}</h2>{_table(['parameter', *parameters], rows)}<p class=note>{note}</p>{became}"
+
+
+def _gates(reader: JournalReader) -> str:
+    proposals = [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
+    if not proposals:
+        return ""
+    rows = [
+        [name, f"{a.value:.4g} ± {a.half_width:.2g}", f"{a.count}", f"{a.first_s / 3600:.2f}", f"{a.last_s / 3600:.2f}"]
+        for name, a in accepted(proposals).items()
+    ]
+    head = ["parameter", "accepted last", "proposals", "first / h", "last / h"]
+    said = html.escape(closed_gates(proposals))
+    return f"<h2>What the network's gates let through</h2>{_table(head, rows)}<p class=note>{said}</p>"
 
 
 def _pictures(reader: JournalReader, samples: Samples, twins: dict[str, NDArray[np.float64]]) -> str:

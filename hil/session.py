@@ -8,147 +8,40 @@ import datetime
 import shutil
 import signal
 from collections.abc import AsyncIterator, Callable, Iterator
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
-from drivers.points import ConfigurationError
 from drivers.rig import RigConnection
-from drivers.rigfile import Rig, load_rig
+from drivers.rigfile import Rig
+from hil import adoption
+from hil.adoption import Adoption
 from hil.clock import Clock, LockstepClock, MonotonicClock
 from hil.engine import Engine, Outcome, Publisher, Status
-from hil.journal import Header, JournalWriter
+from hil.journal import Header, JournalReader, JournalWriter
 from hil.live_diagnosis import LiveConfig, LiveDiagnosis, Reply
-from hil.profile import Profile, SetpointLimit, read_profile, validate
-from hil.record import export_record
+from hil.record import export_record, read_record
 from hil.run_folder import RunFolder, create_run_folder, new_manifest
-from hil.setpoints import setpoint_columns
-from hil.tracking import ErrorTable, TrackingConfig, TrackingProcess
+from hil.run_request import Prepared, RunRequest, prepare, tracking_config
+from hil.tracking import STATIC, Comparison, Proposed, Twins
+from hil.tracking_process import Tracking
 
-if TYPE_CHECKING:
-    from twin.network import Network
-
-Mode = Literal["real", "scaled", "lockstep"]
-MOST_SPEED = 100.0
-"""Faster than this the rig's watchdog of seconds is shorter than a scheduler's hiccup; lockstep has no such limit."""
 HICCUP_S = 0.25
 """Wall time that a busy machine may lose now and then: in scaled time it must not look like a lost sensor."""
 
 
 @dataclass(frozen=True, slots=True)
-class RunRequest:
-    """What to run. `virtual` starts the virtual rig in place of the one at the rig file's addresses.
-
-    `twin` None takes the twin that the rig file names, if any; `use_twin` False runs without one. `control` is the
-    control port of a virtual rig in lockstep that runs already, at the rig file's addresses. `diagnose_s`: seconds of
-    profile time between diagnoses of the record so far, against the record `healthy`; `adopt` saves what they find.
-    """
-
-    profile: Path
-    rig: Path
-    twin: Path | None
-    runs: Path
-    virtual: bool = False
-    mode: Mode = "real"
-    speed: float = 1.0
-    seed: int = 0
-    effects: Path | None = None
-    calibrators: tuple[str, ...] = ("pso",)
-    viewer: bool | None = None
-    use_twin: bool = True
-    control: tuple[str, int] | None = None
-    diagnose_s: float | None = None
-    healthy: Path | None = None
-    adopt: bool = False
-
-
-@dataclass(frozen=True, slots=True)
 class RunResult:
-    """A finished run: its folder, how it ended, the twins' errors, how fast it went, what the diagnosis said."""
+    """A finished run: its folder, how it ended, the twins side by side, how fast it went, what the diagnosis said, what
+    became of parameters that the network's gates let through."""
 
     folder: RunFolder
     outcome: Outcome
-    errors: ErrorTable | None
+    comparison: Comparison | None
     duration_s: float
     wall_s: float
     viewed: bool
     diagnosis: Reply | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Prepared:
-    """Everything that could be checked before anything moves."""
-
-    rig: Rig
-    profile: Profile
-    twin: Path | None
-    network: Network | None
-    notes: tuple[str, ...]
-
-
-def prepare(request: RunRequest) -> Prepared:
-    """Read and validate all files of a run; raises RigFileError, ProfileError, TwinFileError or ConfigurationError."""
-    rig = load_rig(request.rig)
-    profile = read_profile(request.profile)
-    notes = validate(profile, setpoint_limits(rig), period_s=rig.period_s)
-    network = None
-    twin = (request.twin or rig.twin) if request.use_twin else None
-    if twin is not None:
-        from twin.twinfile import load
-
-        network = load(twin)
-        _check_twin_columns(twin, network, rig)
-        from twin.calibrators import NAMES
-
-        unknown = [name for name in request.calibrators if name not in NAMES]
-        if unknown:
-            raise ConfigurationError(f"no calibrator {', '.join(unknown)}; there are {', '.join(NAMES)}")
-    if request.mode == "scaled" and not 0 < request.speed <= MOST_SPEED:
-        raise ConfigurationError(
-            f"--speed {request.speed:g} is not between 0 and {MOST_SPEED:g}; use --lockstep to go faster"
-        )
-    if request.mode != "real" and not request.virtual and request.control is None:
-        raise ConfigurationError(f"{request.mode} time needs a rig whose time can be set; add --virtual")
-    if request.effects is not None and not request.virtual:
-        raise ConfigurationError(
-            "--with switches on effects in the virtual rig; give --virtual too, or take --with out"
-        )
-    if request.diagnose_s is not None:
-        notes = [*notes, *_check_diagnosis(request, network)]
-    return Prepared(rig, profile, twin, network, tuple(notes))
-
-
-def _check_diagnosis(request: RunRequest, network: Network | None) -> list[str]:
-    """Remarks on a diagnosis that is asked for; raises ConfigurationError or RecordError."""
-    if network is None:
-        raise ConfigurationError("--diagnose asks why a twin is wrong, and this run has none; take --no-twin out")
-    if request.healthy is None:
-        return ["--diagnose without --healthy takes the noise floor from the run itself: small effects are not seen"]
-    from hil.diagnosing import read_columns
-
-    read_columns(network, request.healthy, None)
-    return []
-
-
-def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:
-    """What profiles may ask of the rig, by profile column."""
-    limits = {}
-    for column, point in setpoint_columns(rig).items():
-        assert point.limits is not None
-        low, high = point.limits
-        limits[column] = SetpointLimit(low=low, high=high, max_rate_per_s=point.max_rate, unit=point.unit)
-    return limits
-
-
-def _check_twin_columns(path: Path, network: Network, rig: Rig) -> None:
-    have = {point.as_signal().column for point in rig.point if not point.is_setpoint}
-    wanted = set(network.input_columns).union(*network.sensor_columns.values())
-    missing = sorted(wanted - have)
-    if missing:
-        raise ConfigurationError(
-            f"{path}: the twin needs {', '.join(missing)}, which the rig {rig.name} does not measure; "
-            "name a twin of this rig with --twin"
-        )
+    adoption: Adoption | None = None
 
 
 async def run_session(
@@ -156,36 +49,54 @@ async def run_session(
     observer: Callable[[Status], None] | None = None,
     announce: Callable[[str], None] = lambda text: None,
 ) -> RunResult:
-    """Run `request` to its end and derive everything in its folder; raises what `prepare` raises."""
+    """Run `request` to its end and derive everything in its folder; raises what `prepare` and `Twins` raise."""
     ready = prepare(request)
     for note in ready.notes:
         announce(note)
-    folder = create_run_folder(
-        request.runs, request.profile.stem, int(ready.profile.duration_s / ready.rig.period_s) + 1
-    )
-    manifest = new_manifest(
-        {
-            "rig": request.rig,
-            "profile": request.profile,
-            "twin": ready.twin,
-            "effects": request.effects,
-            "healthy": request.healthy,
-        },
-        mode=request.mode,
-        speed=request.speed,
-        virtual=request.virtual,
-        seed=request.seed,
-        calibrators=list(request.calibrators),
-    )
-    folder.write_manifest(manifest)
-    if ready.twin is not None:
-        shutil.copyfile(ready.twin, folder.twin)
-    try:
-        result = await _run_in(folder, manifest, request, ready, observer, announce)
-    except BaseException as error:
-        folder.write_manifest(manifest | {"exit_status": "faulted", "reason": f"{type(error).__name__}: {error}"})
-        raise
-    return result
+    async with contextlib.AsyncExitStack() as stack:
+        # Before anything is made or moved: a calibrator that cannot be had is refused here.
+        tracking = await _start_tracking(request, ready)
+        if tracking is not None:
+            stack.push_async_callback(tracking.close)
+            for name, why in tracking.left_out.items():
+                announce(f"{name} is left out: {why}")
+        folder = create_run_folder(
+            request.runs, request.profile.stem, int(ready.profile.duration_s / ready.rig.period_s) + 1
+        )
+        manifest = new_manifest(
+            {
+                "rig": request.rig,
+                "profile": request.profile,
+                "twin": ready.twin,
+                "effects": request.effects,
+                "healthy": request.healthy,
+            },
+            mode=request.mode,
+            speed=request.speed,
+            virtual=request.virtual,
+            seed=request.seed,
+            calibrators=[] if tracking is None else list(tracking.calibrators),
+            left_out={} if tracking is None else tracking.left_out,
+            network_mode=request.network_mode,
+        )
+        folder.write_manifest(manifest)
+        if ready.twin is not None:
+            shutil.copyfile(ready.twin, folder.twin)
+        try:
+            return await _run_in(folder, manifest, request, ready, tracking, observer, announce)
+        except BaseException as error:
+            folder.write_manifest(manifest | {"exit_status": "faulted", "reason": f"{type(error).__name__}: {error}"})
+            raise
+
+
+def check_session(request: RunRequest) -> Prepared:
+    """Everything that `run_session` checks, and nothing moved; raises the same. What is left out is among the notes."""
+    ready = prepare(request)
+    config = tracking_config(request, ready, ())
+    if config is None:
+        return ready
+    left_out = Twins(config).left_out
+    return replace(ready, notes=(*ready.notes, *(f"{name} is left out: {why}" for name, why in left_out.items())))
 
 
 async def _run_in(
@@ -193,6 +104,7 @@ async def _run_in(
     manifest: dict[str, Any],
     request: RunRequest,
     ready: Prepared,
+    tracking: Tracking | None,
     observer: Callable[[Status], None] | None,
     announce: Callable[[str], None],
 ) -> RunResult:
@@ -202,16 +114,17 @@ async def _run_in(
     async with contextlib.AsyncExitStack() as stack:
         rig, clock = await stack.enter_async_context(_rig_and_clock(request, ready.rig, announce))
         connection = RigConnection(rig, clock.now)
-        header = _header(connection, ready, request.calibrators)
+        header = _header(connection, ready, () if tracking is None else tracking.calibrators)
         journal = JournalWriter(folder.journal, header)
         stack.callback(journal.close)
         if ready.network is not None:
             parameters = ready.network.parameters
             journal.put_meta("commissioned", {name: p.value for name, p in parameters.items()})
             journal.put_meta("parameter_units", {name: p.unit for name, p in parameters.items()})
-        tracking = await _start_tracking(request, folder, ready, header, journal)
         if tracking is not None:
-            stack.push_async_callback(tracking.close)
+            tracking.attach(journal)
+            for name, why in tracking.left_out.items():
+                journal.event(0, 0.0, "INFO", f"{name} is left out: {why}")
         live = _start_diagnosis(request, folder, journal, announce)
         if live is not None:
             stack.push_async_callback(live.close)
@@ -227,9 +140,8 @@ async def _run_in(
         )
         with _signals(engine):
             outcome = await engine.run()
-        errors = await tracking.finish() if tracking is not None else None
-        if tracking is not None and tracking.failure is not None:
-            outcome.problems.append(f"the calibrators stopped: {tracking.failure}")
+        comparison = await tracking.finish() if tracking is not None else None
+        outcome.problems.extend(tracking.failures if tracking is not None else ())
         wall_s = loop.time() - began
         told = None
         if live is not None:
@@ -245,7 +157,9 @@ async def _run_in(
             "overruns": outcome.overruns,
             "wall_s": round(wall_s, 2),
             "problems": outcome.problems,
-            "errors_K": None if errors is None else asdict(errors),
+            "errors_K": None if comparison is None else asdict(comparison.errors),
+            "bands": None if comparison is None else comparison.bands,
+            "parameters": None if comparison is None else comparison.parameters,
             "diagnosis": None if told is None or told.found is None else told.found.verdict,
         }
         journal.put_meta("exit_status", outcome.status)
@@ -254,6 +168,10 @@ async def _run_in(
     folder.write_manifest(manifest)
     announce("writing record and report")
     export_record(folder.journal, folder.record, {"uid": manifest["uid"], "started": manifest["started"]})
+    adopted = _adopted(request, folder)
+    if adopted is not None:
+        manifest["adoption"] = adoption.manifest(adopted)
+        folder.write_manifest(manifest)
     if not follower:
         from hil.review import write_review
 
@@ -262,7 +180,21 @@ async def _run_in(
     from hil.report import write_report
 
     write_report(folder)
-    return RunResult(folder, outcome, errors, outcome.ticks * clock.period_s, wall_s, viewed=follower, diagnosis=told)
+    duration_s = outcome.ticks * clock.period_s
+    return RunResult(folder, outcome, comparison, duration_s, wall_s, follower, told, adopted)
+
+
+def _adopted(request: RunRequest, folder: RunFolder) -> Adoption | None:
+    """In controlled mode, what was accepted as the next revision of the run's twin."""
+    if request.network_mode != "controlled" or not folder.twin.is_file():
+        return None
+    reader = JournalReader(folder.journal)
+    try:
+        proposals = [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
+    finally:
+        reader.close()
+    made_by = f"hil run {request.profile.name} --network-mode controlled"
+    return adoption.adopt(folder.twin, read_record(folder.record), proposals, made_by)
 
 
 @contextlib.asynccontextmanager
@@ -317,7 +249,7 @@ def _header(connection: RigConnection, ready: Prepared, calibrators: tuple[str, 
     return Header(
         signals=connection.signals + setpoints,
         twin_sensors={} if network is None else dict(network.sensor_columns),
-        twin_names=() if network is None else ("static", *calibrators),
+        twin_names=() if network is None else (STATIC, *calibrators),
         profile=ready.profile.name,
         duration_s=ready.profile.duration_s,
         period_s=ready.rig.period_s,
@@ -325,18 +257,13 @@ def _header(connection: RigConnection, ready: Prepared, calibrators: tuple[str, 
     )
 
 
-async def _start_tracking(
-    request: RunRequest, folder: RunFolder, ready: Prepared, header: Header, journal: JournalWriter
-) -> TrackingProcess | None:
-    if ready.network is None or not request.calibrators:
+async def _start_tracking(request: RunRequest, ready: Prepared) -> Tracking | None:
+    signals = RigConnection(ready.rig, lambda: 0.0).signals + tuple(p.as_signal() for p in ready.rig.setpoints)
+    config = tracking_config(request, ready, tuple(signal.column for signal in signals))
+    if config is None or ready.network is None:
         return None
-    config = TrackingConfig(
-        twin=folder.twin,
-        columns=tuple(signal.column for signal in header.signals),
-        calibrators=request.calibrators,
-        seed=request.seed,
-    )
-    tracking = TrackingProcess(config, journal, wait=request.mode == "lockstep")
+    advise = None if request.network_mode == "shadow" else adoption.Advice(ready.network).news
+    tracking = Tracking(config, wait=request.mode == "lockstep", advise=advise)
     await tracking.start()
     return tracking
 

@@ -18,7 +18,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from hil.engine import Status
     from hil.session import RunResult
-    from hil.tracking import ErrorTable
+    from hil.tracking import Comparison, ErrorTable
 
 LINE_EVERY_S = 5.0
 PLAIN_WIDTH = 140
@@ -62,6 +62,44 @@ def error_table(errors: ErrorTable, title: str) -> Table:
         "data came. fitted: the same window after its calibration."
     )
     return table
+
+
+def band_table(comparison: Comparison) -> Table:
+    """Half width of the twins' 90 % bands in K, and how much of the readings they held."""
+    table = Table(title="90 % bands: ± K (share held)", title_justify="left", caption_justify="left")
+    table.add_column("sensor", no_wrap=True)
+    for twin in comparison.bands:
+        table.add_column(twin, justify="right")
+    for sensor in comparison.errors.rows:
+        cells = (comparison.bands[twin][sensor] for twin in comparison.bands)
+        table.add_row(sensor, *(f"{half:.3f} ({inside:.0%})" for half, inside in cells))
+    table.caption = "foretold for ten minutes from the twin's own misses in the two hours before."
+    return table
+
+
+def parameter_table(comparison: Comparison) -> Table:
+    """Parameters as each calibrator has them at the end, with 90 % intervals."""
+    table = Table(title="Parameters at the end, ± 90 %", title_justify="left", caption_justify="left")
+    table.add_column("parameter", no_wrap=True)
+    for name in comparison.parameters:
+        table.add_column(name, justify="right")
+    from hil.tracking import parameter_cell
+
+    names = dict.fromkeys(name for values in comparison.parameters.values() for name in values)
+    for name in names:
+        cells = (comparison.parameters[calibrator].get(name) for calibrator in comparison.parameters)
+        table.add_row(name, *(parameter_cell(cell) for cell in cells))
+    table.caption = "held: the record does not tell it, or a gate is closed."
+    return table
+
+
+def show_comparison(to: Console, comparison: Comparison, title: str) -> None:
+    """The twins side by side: errors, bands, parameters."""
+    to.print(error_table(comparison.errors, title))
+    if comparison.bands:
+        to.print(band_table(comparison))
+    if comparison.parameters:
+        to.print(parameter_table(comparison))
 
 
 class Steps:
@@ -156,8 +194,8 @@ class LiveRun:
         out = console()
         outcome = result.outcome
         out.print()
-        if result.errors is not None:
-            out.print(error_table(result.errors, f"RMSE in K over {hours(result.duration_s)}"))
+        if result.comparison is not None:
+            show_comparison(out, result.comparison, f"RMSE in K over {hours(result.duration_s)}")
         out.print(
             f"{outcome.status}: {hours(result.duration_s)} of rig time in {result.wall_s:.1f} s"
             + (f", {outcome.overruns} late ticks" if outcome.overruns else "")
@@ -174,6 +212,8 @@ class LiveRun:
             out.print(said, soft_wrap=True, markup=False)
             if told.page is not None:
                 out.print(f"page with pictures: {told.page}", soft_wrap=True)
+        if result.adoption is not None:
+            out.print(result.adoption.sentence, soft_wrap=True, markup=False)
         out.print(f"run folder: {result.folder.path}", soft_wrap=True)
         path = result.folder.path
         out.print(f"look at it: {invocation()} review {path}", soft_wrap=True)

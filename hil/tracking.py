@@ -1,60 +1,71 @@
-"""The calibrators in a process of their own, so that none ever delays a tick.
-
-Blocks of ticks go there over a pipe, predictions and calibrations come back and are journaled. In lockstep the engine
-waits when the process falls behind; in real time blocks queue here instead. Results depend on the samples alone, not
-on how they were cut into blocks or on timing, so a run in lockstep is reproducible.
-"""
+"""Twins side by side on one stream of samples: what they predict, what their calibrators find, how they compare."""
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import math
-import multiprocessing
-import signal
-from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.journal import JournalWriter
+from hil.bands import NORMAL90, Band, Bands
 
 if TYPE_CHECKING:
     from twin.calibrators import Calibration
+    from twin.network import Network
     from twin.tracking import TwinTracker
 
-MOST_OUTSTANDING = 4
-START_TIMEOUT_S = 120.0
-FINISH_TIMEOUT_S = 120.0
-
-Block = tuple[list[int], list[float], list[list[float]]]
-
-
-class TrackingError(Exception):
-    """The calibrators could not start; the message says why."""
+DEFAULT = ("pso", "least_squares", "hiera_unet")
+"""Calibrators that run where none is named; the network is left out where there is none for the twin."""
+STATIC = "static"
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingConfig:
-    """What the process needs: the twin file, the record columns of a row, which calibrators, the seed."""
+    """Which twins: the twin file, the record columns of a row, which calibrators, the seed.
+
+    `optional`: calibrators that are left out, with the reason, where they cannot be made. `static`: whether the twin
+    as commissioned is among those that are handed on.
+    """
 
     twin: Path
     columns: tuple[str, ...]
     calibrators: tuple[str, ...]
     seed: int = 0
+    optional: tuple[str, ...] = ()
+    static: bool = True
 
 
-@dataclass(slots=True)
-class _Reply:
-    ticks: list[int]
-    time_s: list[float]
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """A calibrator's finished window; `document` as of `calibration_document`."""
+
+    calibrator: str
+    start_s: float
+    end_s: float
+    document: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Proposed:
+    """What a calibrator proposed at `time_s`, within a window or at its end, with the reasons for what it holds."""
+
+    calibrator: str
+    time_s: float
+    document: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """What a block of n samples yielded: readings (n, m) degC by twin, and whatever was finished inside it."""
+
     outputs: dict[str, NDArray[np.float64]]
-    calibrations: list[tuple[str, float, float, dict[str, Any]]]
+    calibrations: tuple[Finished, ...]
+    proposals: tuple[Proposed, ...]
+    bands: tuple[Band, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,19 +77,126 @@ class ErrorTable:
     noise_K: dict[str, float] = field(default_factory=dict)
 
 
-def push(
-    trackers: dict[str, TwinTracker], time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]
-) -> tuple[dict[str, NDArray[np.float64]], list[tuple[str, float, float, dict[str, Any]]]]:
-    """Push one block through every tracker: outputs by twin name (`static` first) and finished windows."""
-    outputs: dict[str, NDArray[np.float64]] = {}
-    calibrations = []
-    for name, tracker in trackers.items():
-        inputs, measured = tracker.network.select(columns)
-        update = tracker.push(time_s, inputs, measured)
-        outputs.setdefault("static", update.static)
-        outputs[name] = update.tracked
-        calibrations += [(name, c.start_s, c.end_s, calibration_document(c)) for c in update.calibrations]
-    return outputs, calibrations
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The twins at the end, side by side.
+
+    Attributes:
+        bands: twin -> sensor -> mean half width, K, of the bands that promised 90 %, and the share that they held.
+        parameters: twin -> parameter -> value, half width of its 90 % interval (None without one), and whether
+            it is held because the record does not tell it.
+    """
+
+    errors: ErrorTable
+    bands: dict[str, dict[str, tuple[float, float]]] = field(default_factory=dict)
+    parameters: dict[str, dict[str, tuple[float, float | None, bool]]] = field(default_factory=dict)
+
+    def beside(self, other: Comparison) -> Comparison:
+        """Both in one."""
+        rows = {sensor: cells + other.errors.rows[sensor] for sensor, cells in self.errors.rows.items()}
+        errors = ErrorTable(self.errors.columns + other.errors.columns, rows, self.errors.noise_K)
+        return Comparison(errors, self.bands | other.bands, self.parameters | other.parameters)
+
+
+class Twins:
+    """One live twin a calibrator, and the static one, on the same samples.
+
+    Results depend on the samples alone, not on how they are cut into blocks.
+
+    Raises:
+        TwinFileError: the twin file, or a calibrator that is not optional, cannot be used. HieraError: there is no
+            trained network for this twin.
+    """
+
+    def __init__(self, config: TrackingConfig) -> None:
+        from twin.calibrators.hiera_unet.config import HieraError
+        from twin.network import TwinFileError
+        from twin.tracking import TwinTracker
+        from twin.twinfile import load
+
+        self.network: Network = load(config.twin)
+        self.left_out: dict[str, str] = {}
+        self._trackers: dict[str, TwinTracker] = {}
+        self._last: dict[str, dict[str, Any]] = {}
+        self._static = config.static
+        for name in config.calibrators:
+            try:
+                self._trackers[name] = TwinTracker(self.network, calibrator=name, seed=config.seed)
+            except (HieraError, TwinFileError) as error:
+                if name not in config.optional:
+                    raise
+                self.left_out[name] = str(error)
+        self._bands = Bands(self.network.sensor_names)
+
+    @property
+    def calibrators(self) -> tuple[str, ...]:
+        """Those that are not left out."""
+        return tuple(self._trackers)
+
+    def push(self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]) -> Block:
+        """A block of samples, time (n,) s and columns (n,), past every twin."""
+        outputs: dict[str, NDArray[np.float64]] = {}
+        calibrations: list[Finished] = []
+        proposals: list[Proposed] = []
+        inputs, measured = self.network.select(columns)
+        for name, tracker in self._trackers.items():
+            update = tracker.push(time_s, inputs, measured)
+            if self._static:
+                outputs.setdefault(STATIC, update.static)
+            outputs[name] = update.tracked
+            proposals += [Proposed(name, p["time_s"], p) for p in update.proposals]
+            calibrations += [Finished(name, c.start_s, c.end_s, calibration_document(c)) for c in update.calibrations]
+        self._last |= {done.calibrator: done.document for done in calibrations if done.document["kind"] != "skipped"}
+        return Block(outputs, tuple(calibrations), tuple(proposals), self._bands.push(time_s, measured, outputs))
+
+    def over(
+        self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]], rows: int
+    ) -> Iterator[tuple[int, Block]]:
+        """A whole record in blocks of so many rows: how many samples are done, and what the block yielded."""
+        for start in range(0, len(time_s), rows):
+            part = slice(start, min(start + rows, len(time_s)))
+            yield part.stop, self.push(time_s[part], {name: values[part] for name, values in columns.items()})
+
+    def comparison(self) -> Comparison:
+        """The twins on everything that was pushed."""
+        columns: list[str] = []
+        rows: dict[str, list[float]] = {}
+        noise: dict[str, float] = {}
+        for name, tracker in self._trackers.items():
+            static = self._static and not columns
+            columns += ([STATIC] if static else []) + [f"{name} ahead", f"{name} fitted"]
+            for sensor, row in tracker.table().items():
+                cells = rows.setdefault(sensor, [])
+                cells += ([row["static"]] if static else []) + [row["tracked"], row["fitted"]]
+                noise[sensor] = row["noise"]
+        errors = ErrorTable(tuple(columns), {sensor: tuple(cells) for sensor, cells in rows.items()}, noise)
+        parameters = {name: _final(document) for name, document in self._last.items()}
+        if self._static:
+            ids = dict.fromkeys(name for values in parameters.values() for name in values)
+            as_commissioned: dict[str, tuple[float, float | None, bool]] = {
+                name: (self.network.parameters[name].value, None, False) for name in ids
+            }
+            parameters = {STATIC: as_commissioned, **parameters}
+        return Comparison(errors, self._bands.table(), parameters)
+
+
+def parameter_cell(cell: Sequence[Any] | None) -> str:
+    """A parameter of `Comparison.parameters` as it stands in a table."""
+    if cell is None:
+        return ""
+    value, half, held = cell
+    return f"{value:.4g} held" if held else f"{value:.4g}" if half is None else f"{value:.4g} ± {half:.2g}"
+
+
+def _final(document: dict[str, Any]) -> dict[str, tuple[float, float | None, bool]]:
+    """Parameters of a window; what is held has no interval of its own."""
+    held = set(document["frozen"])
+    errors = document["standard_errors"] or {}
+    found: dict[str, tuple[float, float | None, bool]] = {}
+    for name, value in document["parameters"].items():
+        error = None if name in held else errors.get(name)
+        found[name] = (value, None if error is None else NORMAL90 * error, name in held)
+    return found
 
 
 def calibration_document(calibration: Calibration) -> dict[str, Any]:
@@ -123,190 +241,3 @@ def disturbance(document: dict[str, Any]) -> str | None:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def make_trackers(config: TrackingConfig) -> dict[str, TwinTracker]:
-    """One tracker a calibrator; raises what the twin file's reader raises."""
-    from twin.tracking import TwinTracker
-    from twin.twinfile import load
-
-    network = load(config.twin)
-    return {name: TwinTracker(network, calibrator=name, seed=config.seed) for name in config.calibrators}
-
-
-def track_arrays(
-    trackers: dict[str, TwinTracker],
-    time_s: NDArray[np.float64],
-    columns: Mapping[str, NDArray[np.float64]],
-    block_rows: int,
-) -> Iterator[tuple[int, dict[str, NDArray[np.float64]], list[tuple[str, float, float, dict[str, Any]]]]]:
-    """Push a whole record in blocks: yields how many samples are done, the block's outputs and finished windows."""
-    for start in range(0, len(time_s), block_rows):
-        rows = slice(start, min(start + block_rows, len(time_s)))
-        block = {name: values[rows] for name, values in columns.items()}
-        outputs, calibrations = push(trackers, time_s[rows], block)
-        yield rows.stop, outputs, calibrations
-
-
-def error_table(trackers: dict[str, TwinTracker]) -> ErrorTable:
-    """The trackers' errors side by side: static, then per calibrator ahead (predicted) and fitted."""
-    columns: list[str] = []
-    rows: dict[str, list[float]] = {}
-    noise: dict[str, float] = {}
-    for name, tracker in trackers.items():
-        first = not columns
-        columns += (["static"] if first else []) + [f"{name} ahead", f"{name} fitted"]
-        for sensor, row in tracker.table().items():
-            cells = rows.setdefault(sensor, [])
-            cells += ([row["static"]] if first else []) + [row["tracked"], row["fitted"]]
-            noise[sensor] = row["noise"]
-    return ErrorTable(tuple(columns), {sensor: tuple(cells) for sensor, cells in rows.items()}, noise)
-
-
-def _serve(connection: Connection, config: TrackingConfig) -> None:
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # these belong to the engine, which ends this process in order
-    try:
-        trackers = make_trackers(config)
-        connection.send("ready")
-        while (block := connection.recv()) is not None:
-            ticks, time_s, rows = block
-            table = np.asarray(rows, dtype=np.float64)
-            columns = {name: table[:, index] for index, name in enumerate(config.columns)}
-            outputs, calibrations = push(trackers, np.asarray(time_s), columns)
-            connection.send(_Reply(ticks, time_s, outputs, calibrations))
-        connection.send(error_table(trackers))
-    except (EOFError, BrokenPipeError):
-        return
-    except Exception as error:
-        with contextlib.suppress(OSError):
-            connection.send(error)
-
-
-class TrackingProcess:
-    """A `hil.engine.Publisher` that calibrates twins in another process and journals what comes back."""
-
-    def __init__(self, config: TrackingConfig, journal: JournalWriter, *, wait: bool) -> None:
-        self._config = config
-        self._journal = journal
-        self._wait = wait
-        self._queue: deque[Block] = deque()
-        self._outstanding = 0
-        self._room = asyncio.Event()
-        self._failure: str | None = None
-        self._table: ErrorTable | None = None
-        self._process: Any = None
-        self._connection: Connection | None = None
-
-    async def start(self) -> None:
-        """Start the process and wait until its kernel is compiled; raises TrackingError."""
-        context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, self._config), name="calibrators", daemon=True)
-        self._process.start()
-        theirs.close()
-        ready = await asyncio.to_thread(self._first_answer)
-        if ready != "ready":
-            await self.close()
-            raise TrackingError(f"the calibrators did not start: {ready}")
-        asyncio.get_running_loop().add_reader(self._connection.fileno(), self._receive)
-
-    def _first_answer(self) -> Any:
-        assert self._connection is not None
-        try:
-            if self._connection.poll(START_TIMEOUT_S):
-                return self._connection.recv()
-        except EOFError:
-            return "the process ended at once"
-        return f"no answer within {START_TIMEOUT_S:g} s"
-
-    async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
-        """Hand over a block; in lockstep wait while the process is behind."""
-        if self._failure is not None or self._connection is None:
-            return
-        self._queue.append((ticks, time_s, rows))
-        self._pump()
-        try:
-            async with asyncio.timeout(FINISH_TIMEOUT_S):
-                while self._wait and self._failure is None and len(self._queue) + self._outstanding > MOST_OUTSTANDING:
-                    self._room.clear()
-                    await self._room.wait()
-        except TimeoutError:
-            self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
-
-    async def finish(self) -> ErrorTable | None:
-        """Wait for all results and end the process; the error table, or None where the calibrators failed."""
-        try:
-            async with asyncio.timeout(FINISH_TIMEOUT_S):
-                while self._failure is None and (self._queue or self._outstanding):
-                    self._room.clear()
-                    await self._room.wait()
-                if self._failure is None and self._connection is not None:
-                    self._connection.send(None)
-                    while self._failure is None and self._table is None:
-                        self._room.clear()
-                        await self._room.wait()
-        except TimeoutError:
-            self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
-        await self.close()
-        return self._table
-
-    @property
-    def failure(self) -> str | None:
-        """Why the calibrators stopped before the run did, or None."""
-        return self._failure
-
-    def _pump(self) -> None:
-        assert self._connection is not None
-        try:
-            while self._queue and self._outstanding < MOST_OUTSTANDING:
-                self._connection.send(self._queue.popleft())
-                self._outstanding += 1
-        except OSError as error:
-            self._fail(str(error))
-
-    def _receive(self) -> None:
-        assert self._connection is not None
-        try:
-            message = self._connection.recv()
-        except (EOFError, OSError):
-            self._fail("the process ended")
-            return
-        if isinstance(message, _Reply):
-            self._outstanding -= 1
-            for twin, values in message.outputs.items():
-                self._journal.twin_outputs(twin, message.ticks, message.time_s, values)
-            for calibration in message.calibrations:
-                self._journal.calibration(*calibration)
-                name, _, end_s, document = calibration
-                found = disturbance(document) if name == self._config.calibrators[0] else None
-                if found is not None:
-                    self._journal.event(message.ticks[-1], end_s, "WARN", f"{name}: {found}")
-            self._pump()
-        elif isinstance(message, ErrorTable):
-            self._table = message
-        else:
-            self._fail(f"{type(message).__name__}: {message}")
-        self._room.set()
-
-    def _fail(self, why: str) -> None:
-        if self._failure is None:
-            self._failure = why
-            self._journal.event(-1, 0.0, "ERROR", f"the calibrators stopped, the run goes on without them: {why}")
-        if self._connection is not None:
-            asyncio.get_running_loop().remove_reader(self._connection.fileno())
-        self._room.set()
-
-    async def close(self) -> None:
-        """End the process; harmless when repeated."""
-        if self._connection is not None:
-            asyncio.get_running_loop().remove_reader(self._connection.fileno())
-            self._connection.close()
-            self._connection = None
-        if self._process is not None:
-            await asyncio.to_thread(self._process.join, 5.0)
-            if self._process.is_alive():
-                self._process.kill()
-                await asyncio.to_thread(self._process.join)
-            self._process.close()
-            self._process = None

@@ -3,7 +3,8 @@
 Two twins run beside each other. The static one keeps the commissioned parameters and runs free from its initial
 state. The tracked one predicts each sample with parameters and a state that come from earlier windows only;
 when a window completes it is calibrated, and goes on from the calibrated state. So `tracked` is never fitted on
-the samples that it predicts, while `Calibration.fitted` is.
+the samples that it predicts, while `Calibration.fitted` is. A calibrator that proposes within windows too
+(`Proposer`) moves the live twin there as well (docs/decisions/0010): what follows is still predicted.
 
 For its first seconds (SETTLE_S) the initial state is found recursively: each sample is predicted, then the state
 moves by 1/n towards what was measured, which makes it the mean of the first n. Sample by sample, so that nothing
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.calibrators import Calibration, Calibrator, make
-from twin.calibrators.base import Follower, from_plain, plain
+from twin.calibrators.base import Follower, Proposer, Window, from_plain, plain
 from twin.calibrators.locate import Localiser
 from twin.calibrators.outcome import skip
 from twin.calibrators.windows import assemble, last_of_window, window_index
@@ -42,6 +43,7 @@ class Update:
         filtered, spread: (n, m) degC and K, what a calibrator that follows every sample makes of it once it has
             seen it, with one standard deviation; no prediction. None for the other calibrators. Until the
             filter begins, `filtered` is `tracked` and `spread` NaN.
+        proposals: made inside the block by a calibrator that proposes, as plain data.
     """
 
     static: Array
@@ -50,6 +52,7 @@ class Update:
     skipped: int
     filtered: Array | None = None
     spread: Array | None = None
+    proposals: tuple[dict[str, Any], ...] = ()
 
 
 @dataclass
@@ -96,6 +99,7 @@ class TwinTracker:
         self._seen = np.zeros(k)
         self._window = 0
         self._number = 0
+        self._cycles = 0
         self._buffer = _Buffer()
         # rows: squared errors and counts of static, tracked, fitted
         self._sums = np.zeros((6, m))
@@ -143,7 +147,9 @@ class TwinTracker:
         self._count(1, out[1] - ahead[2])
         if rows.size < n:
             out = self._repeat(out, rows, n, before, y)
-        return Update(out[0], out[1], tuple(calibrations), n - rows.size, *out[2:])
+        proposals = self.calibrator.take() if isinstance(self.calibrator, Proposer) else ()
+        filtered, spread = (out[2], out[3]) if follows else (None, None)
+        return Update(out[0], out[1], tuple(calibrations), n - rows.size, filtered, spread, proposals)
 
     def table(self) -> dict[str, dict[str, float]]:
         """Sensor -> K: ``static`` and ``tracked`` RMSE (both predictions), ``fitted`` (same window), ``noise``.
@@ -186,7 +192,8 @@ class TwinTracker:
             self._complete(calibrations)
             self._window = window_index(float(t[0]), self._origin, rules)
             end = self._origin + (self._window + 1) * rules.window_s
-        t = t[: int(np.searchsorted(t, end)) + 1]
+        due = self._due(float(t[0]), end)
+        t = t[: int(np.searchsorted(t, end)) + 1 if due >= end else int(np.searchsorted(t, due))]
         intervals = np.diff(t, prepend=self._time)
         earlier = np.concatenate([[self._pace or intervals[0]], intervals[:-1]])
         last = last_of_window(t, np.minimum(intervals, earlier), end)
@@ -208,6 +215,24 @@ class TwinTracker:
             self._complete(calibrations)
             self._window += 1
         return take
+
+    def _due(self, now: float, end: float) -> float:
+        """When a calibrator that proposes does so next in the window up to `end`; past it where no more.
+
+        What is due at the sample of `now` is done: proposed from what came before it.
+        """
+        if not isinstance(self.calibrator, Proposer):
+            return np.inf
+        cycle, window_s = self.calibrator.cycle_s, self.network.rules.window_s
+        due = end - window_s + (self._cycles + 1) * cycle
+        if now >= due < end:
+            self._cycles = int((now - end + window_s) / cycle)
+            due = end - window_s + (self._cycles + 1) * cycle
+            if self._buffer.state is not None:
+                moved = self.calibrator.between(self._so_far())
+                if moved is not None:
+                    self._parameters[self.network.index(self.calibrator.ids)], self._tracked = moved
+        return due
 
     def _advance(self, t: Array, u: Array, out: Array) -> None:
         """Predict samples at `t` (n,) with both twins; inputs of the sample before hold up to the first."""
@@ -235,19 +260,11 @@ class TwinTracker:
 
     def _complete(self, calibrations: list[Calibration]) -> None:
         """Calibrate the buffered window, if it holds anything, and go on from there."""
-        buffer, self._buffer = self._buffer, _Buffer()
-        if buffer.state is None:
+        self._cycles = 0
+        if self._buffer.state is None:
             return
-        window = assemble(
-            self._number,
-            np.concatenate(buffer.time),
-            np.concatenate(buffer.inputs),
-            np.concatenate(buffer.measured),
-            buffer.state,
-            self._parameters.copy(),
-            np.concatenate(buffer.live),
-            self.network.rules,
-        )
+        window = self._so_far()
+        self._buffer = _Buffer()
         self._number += 1
         if window.kind == "skipped":
             done = skip(self.network, window, self.calibrator.ids, self._tracked.copy())
@@ -258,6 +275,21 @@ class TwinTracker:
         self._parameters[self.network.index(self.calibrator.ids)] = list(done.values.values())
         self._tracked = done.end.copy()
         calibrations.append(done)
+
+    def _so_far(self) -> Window:
+        """The buffered part of the window under way."""
+        buffer = self._buffer
+        assert buffer.state is not None
+        return assemble(
+            self._number,
+            np.concatenate(buffer.time),
+            np.concatenate(buffer.inputs),
+            np.concatenate(buffer.measured),
+            buffer.state,
+            self._parameters.copy(),
+            np.concatenate(buffer.live),
+            self.network.rules,
+        )
 
     def _count(self, row: int, residual: Array) -> None:
         # A running sum, never a pairwise one: the total must not depend on how the stream was cut.
@@ -280,10 +312,10 @@ class TwinTracker:
         """Everything needed to go on, as plain JSON-able data (None stands for NaN)."""
         buffer = self._buffer
         return {
-            "format": 1,
+            "format": 2,
             "network": self.network.name,
             "calibrator": {"name": self.calibrator.name, "state": self.calibrator.state()},
-            "scalars": [self._origin, self._time, self._pace, self._window, self._number],
+            "scalars": [self._origin, self._time, self._pace, self._window, self._number, self._cycles],
             "arrays": {key: plain(getattr(self, f"_{key}")) for key in _ARRAYS},
             "buffer": None
             if buffer.state is None
@@ -306,7 +338,8 @@ class TwinTracker:
                 f"{self.network.name!r} with {self.calibrator.name!r}"
             )
         self.calibrator.restore(state["calibrator"]["state"])
-        self._origin, self._time, self._pace, self._window, self._number = state["scalars"]
+        scalars = state["scalars"]
+        self._origin, self._time, self._pace, self._window, self._number, self._cycles = scalars
         for key in _ARRAYS:
             setattr(self, f"_{key}", from_plain(state["arrays"][key]))
         self._buffer = _Buffer()

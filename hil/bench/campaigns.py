@@ -78,7 +78,8 @@ def virtual_record(profile: Path, change: str, seed: int, cache: Path, say: Call
     kept = cache / f"{profile.stem}-{change}-seed{seed}-{key}.parquet"
     if kept.is_file():
         return kept
-    from hil.session import RunRequest, run_session
+    from hil.run_request import RunRequest
+    from hil.session import run_session
 
     cache.mkdir(parents=True, exist_ok=True)
     say(f"running {profile.stem} on the virtual rig, {change.replace('_', ' ')}, seed {seed}")

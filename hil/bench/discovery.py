@@ -144,7 +144,8 @@ class Trial:
 
     def _over_the_wire(self, case: Setting, record: Path, asked: dict[str, Any]) -> str:
         """Replay the case's profile with `hil run`'s loop on the rig that the injector serves."""
-        from hil.session import RunRequest, run_session
+        from hil.run_request import RunRequest
+        from hil.session import run_session
 
         served = self._injector.ask(do="serve", **asked)
         ports = served["ports"]

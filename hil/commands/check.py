@@ -162,7 +162,7 @@ def _scenario(file: Path, _: Path, out: Console) -> None:
 def _profile(file: Path, rig: Path, out: Console) -> None:
     from drivers.rigfile import load_rig
     from hil.profile import read_profile, validate
-    from hil.session import setpoint_limits
+    from hil.run_request import setpoint_limits
 
     target = load_rig(rig)
     profile = read_profile(file)

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.commands.paths import INPUT_FILE, VIRTUAL_RIG
+from hil.commands.tracking_options import CALIBRATORS, NETWORK_MODE
 
 if TYPE_CHECKING:
+    from hil.adoption import NetworkMode
     from hil.session import RunResult
 
 
@@ -26,9 +28,8 @@ if TYPE_CHECKING:
 @click.option("--speed", type=float, help="This many times real time, up to 100 (virtual rig).")
 @click.option("--control", help="host:port that grants steps, of a `hil rig --mode lockstep` that runs already.")
 @click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not know of (virtual rig).")
-@click.option(
-    "--calibrator", "calibrators", multiple=True, default=("pso",), show_default=True, help="May be repeated."
-)
+@CALIBRATORS
+@NETWORK_MODE
 @click.option("--seed", default=0, show_default=True, help="Seed of the virtual rig and of the calibrators.")
 @click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
@@ -48,6 +49,7 @@ def command(
     control: str | None,
     effects: Path | None,
     calibrators: tuple[str, ...],
+    network_mode: NetworkMode,
     seed: int,
     runs: Path,
     viewer: bool | None,
@@ -57,7 +59,7 @@ def command(
     check_only: bool,
     as_json: bool,
 ) -> None:
-    """Replay PROFILE on a rig while a static and a tracked twin run beside it.
+    """Replay PROFILE on a rig while a static twin and tracked ones run beside it.
 
     Ctrl-C ends the run with the heater at its safe value; a second Ctrl-C shortens the waits.
 
@@ -68,7 +70,8 @@ def command(
       hil run my_load.csv --virtual --lockstep --diagnose hourly --healthy runs/<a healthy run>/record.parquet
     """
     from hil.live_diagnosis import interval_of
-    from hil.session import RunRequest, prepare, run_session
+    from hil.run_request import RunRequest
+    from hil.session import check_session, run_session
 
     if lockstep and speed is not None:
         raise click.UsageError("--lockstep and --speed exclude each other; choose one")
@@ -88,7 +91,8 @@ def command(
         speed=1.0 if speed is None else speed,
         seed=seed,
         effects=effects,
-        calibrators=calibrators,
+        calibrators=calibrators or None,
+        network_mode=network_mode,
         viewer=viewer,
         control=None if control is None else _address(control),
         diagnose_s=None if diagnose is None else interval_of(diagnose),
@@ -96,7 +100,7 @@ def command(
         adopt=adopt,
     )
     if check_only:
-        ready = prepare(request)
+        ready = check_session(request)
         click.echo(f"{profile}: {ready.profile.duration_s / 3600:.1f} h on {ready.rig.name}: nothing stands in the way")
         for note in ready.notes:
             click.echo(f"  {note}")

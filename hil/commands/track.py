@@ -10,10 +10,15 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.commands.paths import INPUT_FILE
+from hil.commands.tracking_options import CALIBRATORS, NETWORK_MODE
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    from hil.adoption import Adoption, NetworkMode
+    from hil.record import Record
+    from hil.tracking import Proposed
 
 BLOCK_ROWS = 1200
 
@@ -21,15 +26,22 @@ BLOCK_ROWS = 1200
 @click.command()
 @click.argument("record", type=INPUT_FILE)
 @click.option("--twin", type=INPUT_FILE, required=True, help="Twin file, usually one that `hil commission` wrote.")
-@click.option(
-    "--calibrator", "calibrators", multiple=True, default=("pso",), show_default=True, help="May be repeated."
-)
+@CALIBRATORS
+@NETWORK_MODE
 @click.option("--seed", default=0, show_default=True, help="Seed of the calibrators.")
 @click.option(
     "--out", type=click.Path(dir_okay=False, path_type=Path), help="Write predictions there, .parquet or .csv."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
-def command(record: Path, twin: Path, calibrators: tuple[str, ...], seed: int, out: Path | None, as_json: bool) -> None:
+def command(
+    record: Path,
+    twin: Path,
+    calibrators: tuple[str, ...],
+    network_mode: NetworkMode,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
     """Replay RECORD (Parquet or CSV) past a static twin and tracked ones, and print their errors per sensor.
 
     \b
@@ -39,48 +51,86 @@ def command(record: Path, twin: Path, calibrators: tuple[str, ...], seed: int, o
     """
     import time
 
+    from hil.adoption import Advice, closed_gates
+    from hil.adoption import manifest as adoption_manifest
     from hil.record import read_record, require_record_suffix
-    from hil.terminal import Steps, console, error_table
-    from hil.tracking import TrackingConfig, disturbance, make_trackers, track_arrays
-    from hil.tracking import error_table as errors_of
+    from hil.run_request import check_calibrators
+    from hil.terminal import Steps, console, show_comparison
+    from hil.tracking import DEFAULT, TrackingConfig, Twins, disturbance
 
     if out is not None:
         require_record_suffix(out)
+    check_calibrators(calibrators)
     data = read_record(record)
-    trackers = make_trackers(TrackingConfig(twin, tuple(data.columns), calibrators, seed))
-    network = next(iter(trackers.values())).network
-    data.require(*network.input_columns)
+    optional = () if calibrators else DEFAULT[1:]
+    twins = Twins(TrackingConfig(twin, tuple(data.columns), calibrators or DEFAULT, seed, optional))
+    data.require(*twins.network.input_columns)
     began = time.monotonic()
     outputs: dict[str, list[NDArray[np.float64]]] = {}
-    windows: dict[str, dict[str, int]] = {name: {} for name in trackers}
+    windows: dict[str, dict[str, int]] = {name: {} for name in twins.calibrators}
     disturbed: list[dict[str, object]] = []
+    proposals: list[Proposed] = []
     with Steps("tracking", len(data.time_s), quiet=as_json) as steps:
+        for name, why in twins.left_out.items():
+            steps.say(f"{name} is left out: {why}")
         for message in data.messages:
             steps.say(message)
-        for done, block_outputs, calibrations in track_arrays(trackers, data.time_s, data.columns, BLOCK_ROWS):
-            for name, values in block_outputs.items():
+        for done, block in twins.over(data.time_s, data.columns, BLOCK_ROWS):
+            for name, values in block.outputs.items():
                 outputs.setdefault(name, []).append(values)
-            for name, _, end_s, document in calibrations:
-                windows[name][document["kind"]] = windows[name].get(document["kind"], 0) + 1
-                if (found := disturbance(document)) is not None:
-                    disturbed.append({"calibrator": name, "window_end_s": end_s, "found": found})
+            for window in block.calibrations:
+                kind = window.document["kind"]
+                windows[window.calibrator][kind] = windows[window.calibrator].get(kind, 0) + 1
+                if (found := disturbance(window.document)) is not None:
+                    disturbed.append(
+                        {"calibrator": window.calibrator, "window_end_s": window.end_s, "found": found}
+                    )  # fmt: skip
+            proposals += block.proposals
             steps.update(done)
-    errors = errors_of(trackers)
+    comparison = twins.comparison()
     if out is not None:
-        _write_predictions(out, data.time_s, network.sensor_names, outputs)
+        _write_predictions(out, data.time_s, twins.network.sensor_names, outputs)
+    advise = Advice(twins.network).news
+    advice = [] if network_mode == "shadow" else [(p.time_s, said) for p in proposals if (said := advise(p))]
+    adopted = _adopted(network_mode, twin, data, proposals)
     if as_json:
-        click.echo(
-            json.dumps({"errors_K": dataclasses.asdict(errors), "windows": windows, "disturbed": disturbed}, indent=1)
-        )
+        document = {
+            "errors_K": dataclasses.asdict(comparison.errors),
+            "bands": comparison.bands,
+            "parameters": comparison.parameters,
+            "left_out": twins.left_out,
+            "windows": windows,
+            "disturbed": disturbed,
+            "proposals": [p.document for p in proposals],
+            "advice": [said for _, said in advice],
+            "adoption": adoption_manifest(adopted),
+        }
+        click.echo(json.dumps(document, indent=1))
         return
     to = console()
-    to.print(error_table(errors, f"RMSE in K over {data.time_s[-1] / 3600:.1f} h of {record}"))
+    show_comparison(to, comparison, f"RMSE in K over {data.time_s[-1] / 3600:.1f} h of {record}")
     for name, counts in windows.items():
         listed = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none complete"
         to.print(f"{name}: windows: {listed}")
-    for item in disturbed:
+    if proposals:
+        to.print(closed_gates(proposals), markup=False, soft_wrap=True)
+    for item in (d for d in disturbed if d["calibrator"] == twins.calibrators[0]):
         to.print(f"{item['calibrator']}, window to {float(str(item['window_end_s'])) / 3600:.2f} h: {item['found']}")
+    for time_s, said in advice:
+        to.print(f"{time_s / 3600:.2f} h: {said}", markup=False, soft_wrap=True)
+    if adopted is not None:
+        to.print(adopted.sentence, markup=False, soft_wrap=True)
     to.print(f"{len(data.time_s)} samples in {time.monotonic() - began:.1f} s")
+
+
+def _adopted(mode: NetworkMode, twin: Path, record: Record, proposals: list[Proposed]) -> Adoption | None:
+    """In controlled mode, what was accepted as the next revision of the twin."""
+    from hil.adoption import adopt
+
+    if mode != "controlled":
+        return None
+    name = record.path.name if record.path is not None else "a record"
+    return adopt(twin, record, proposals, f"hil track {name} --network-mode controlled")
 
 
 def _write_predictions(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-PIECES = ("gates", "evidence", "residuals", "hiding", "structure", "balance")
+PIECES = ("hierarchy", "gates", "evidence", "residuals", "hiding", "structure", "balance")
 """As `hil.training.ablation` has them, which is not loaded for a list of options."""
 
 

@@ -3,92 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.points import Quality
+from hil.bands import NORMAL90
 from hil.journal import CalibrationRow, JournalReader, Samples, TwinOutput
-from hil.review.plan import QUALITY_NAMES, Plan, make_plan, path, worst_state
+from hil.review.batches import Batch, Estimates, Rows, States, Texts
+from hil.review.beside import Proposals, band_batches
+from hil.review.looks import QUALITY_NAMES, Plan, path
+from hil.review.plan import make_plan, worst_state
 
 PAGE_TICKS = 36_000
 _NOISE_POINTS = 500
 _ROUTINE_WRITES = ("profile", "slew")
-
-
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """Values of an entity: `time_s (n,)`, `values (n, k)`, NaN where there is nothing good to draw."""
-
-    entity: str
-    time_s: NDArray[np.float64]
-    values: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Estimates:
-    """A parameter's `values (n,)` and `variances (n,)` (NaN where unknown), in `unit`, from `time_s (n,)` on."""
-
-    entity: str
-    name: str
-    unit: str
-    time_s: NDArray[np.float64]
-    values: NDArray[np.float64]
-    variances: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class States:
-    """State changes of a lane; None ends a state without a next one."""
-
-    entity: str
-    time_s: NDArray[np.float64]
-    states: list[str | None]
-
-
-@dataclass(frozen=True, slots=True)
-class Texts:
-    """Log lines with their level, INFO, WARN or ERROR."""
-
-    entity: str
-    time_s: NDArray[np.float64]
-    texts: list[str]
-    levels: list[str]
-
-
-Batch = Rows | Estimates | States | Texts
-
-
-def merged(batches: list[Batch]) -> Batch:
-    """One batch of several of the same entity, in their order."""
-    first = batches[0]
-    if len(batches) == 1:
-        return first
-    time_s = np.concatenate([batch.time_s for batch in batches])
-    match first:
-        case Rows():
-            return replace(
-                first, time_s=time_s, values=np.concatenate([b.values for b in batches if isinstance(b, Rows)])
-            )
-        case Estimates():
-            same = [batch for batch in batches if isinstance(batch, Estimates)]
-            return replace(
-                first,
-                time_s=time_s,
-                values=np.concatenate([batch.values for batch in same]),
-                variances=np.concatenate([batch.variances for batch in same]),
-            )
-        case States():
-            return replace(first, time_s=time_s, states=[s for b in batches if isinstance(b, States) for s in b.states])
-        case Texts():
-            same_texts = [batch for batch in batches if isinstance(batch, Texts)]
-            return replace(
-                first,
-                time_s=time_s,
-                texts=[text for batch in same_texts for text in batch.texts],
-                levels=[level for batch in same_texts for level in batch.levels],
-            )
 
 
 class _Ticks:
@@ -136,7 +65,8 @@ class Collector:
         self._spans_so_far: dict[str, tuple[str | None, float]] = {}
         self._units: dict[str, str] = {}
         self._commissioned: dict[str, float] = {}
-        self._ids = {"calibrations": 0, "writes": 0, "events": 0}
+        self._proposals = Proposals()
+        self._ids = {"calibrations": 0, "proposals": 0, "bands": 0, "writes": 0, "events": 0}
         self._noise_mark = -1
         self.end_s = 0.0
 
@@ -163,8 +93,23 @@ class Collector:
                     yield from self._twin(output, known)
                 if known < read:
                     break
-        yield from self._calibrations(self._reader.calibrations(self._ids["calibrations"]))
+        calibrations = self._reader.calibrations(self._ids["calibrations"])
+        yield from self._bands_and_proposals()
+        yield from self._calibrations(calibrations)
         yield from self._texts()
+
+    def _bands_and_proposals(self) -> Iterator[Batch]:
+        bands = self._reader.bands(self._ids["bands"])
+        if bands:
+            self._ids["bands"] = bands[-1].id
+            yield from band_batches(bands)
+        proposals = self._reader.proposals(self._ids["proposals"])
+        if proposals:
+            self._ids["proposals"] = proposals[-1].id
+            known = self._proposals.calibrators
+            yield from self._proposals.batches(proposals, self._units)
+            if self._proposals.calibrators != known:
+                self._plan_again()
 
     def _noise(self, time_s: NDArray[np.float64]) -> Iterator[Batch]:
         """Zero and noise lines as far as the run has come, else a live view would follow them to the planned end."""
@@ -281,7 +226,12 @@ class Collector:
         self._commissioned = self._reader.meta("commissioned") or {}
         units = self._reader.meta("parameter_units") or {}
         self._units |= {name: units.get(name, "1") for name in names}
-        self.plan = make_plan(self._reader.header, self._units, bool(self._commissioned))
+        self._plan_again()
+
+    def _plan_again(self) -> None:
+        self.plan = make_plan(
+            self._reader.header, self._units, bool(self._commissioned), self._proposals.calibrators
+        )  # fmt: skip
 
     def _parameters(self, calibrator: str, windows: list[CalibrationRow]) -> Iterator[Batch]:
         for name, unit in self._units.items():
@@ -291,7 +241,11 @@ class Collector:
             end_s = np.array([window.end_s for window in with_it])
             values = np.array([_number(window.document["parameters"][name]) for window in with_it])
             errors = np.array([_number((window.document.get("standard_errors") or {}).get(name)) for window in with_it])
-            yield Estimates(path("parameters", name, calibrator), calibrator, unit, end_s, values, errors**2)
+            if calibrator in self._proposals.calibrators:
+                errors = np.full_like(errors, np.nan)  # the bands are those of its proposals
+            yield Estimates(
+                path("parameters", name, calibrator), calibrator, unit, end_s, values, (NORMAL90 * errors) ** 2
+            )
             commissioned = self._commissioned.get(name)
             if commissioned:
                 relative = 100.0 * (values / commissioned - 1.0)

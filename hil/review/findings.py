@@ -19,9 +19,9 @@ import numpy as np
 
 from hil.diagnosis_pictures import after_label, beside_answer, plain, short
 from hil.diagnosis_store import Findings, Unknown, has_diagnosis, read_findings
-from hil.journal import Header
-from hil.review.collect import Batch, Estimates, Rows, States, Texts
-from hil.review.plan import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, Plan, Stack, path
+from hil.journal_rows import Header
+from hil.review.batches import Batch, Estimates, Rows, States, Texts
+from hil.review.looks import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, Plan, Stack, path
 
 VERDICT, ERRORS = "/diagnosis/verdict", "/diagnosis/errors"
 _MOST_BESIDE = 4

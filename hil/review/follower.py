@@ -12,9 +12,10 @@ from urllib.parse import urlsplit
 from hil.atomic import replacing
 from hil.diagnosis_store import Findings, read_findings
 from hil.journal import JournalError, JournalReader
-from hil.review.collect import Batch, Collector, merged
+from hil.review.batches import Batch, merged
+from hil.review.collect import Collector
 from hil.review.findings import batches, findings_beside, notes, plan_alone, with_findings
-from hil.review.plan import Plan
+from hil.review.looks import Plan
 from hil.review.rerun_io import Recording
 from hil.review.viewer import listens
 

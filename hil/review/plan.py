@@ -6,6 +6,8 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
     /sensors/<sensor>/columns            its columns one by one where there are several, (n, k)
     /sensors/<sensor>/twin/<twin>        prediction, (n, 1)
     /sensors/<sensor>/residual/<twin>    measured minus prediction, (n, 1)
+    /sensors/<sensor>/miss/<twin>        its mean over ten minutes, (n, 1)
+    /sensors/<sensor>/band/<twin>        the 90 % band foretold for them, (n, 2)
     /sensors/<sensor>/noise              zero and plus/minus two sigma of the noise, (n, 1 or 3)
     /actuators/<name>                    set-point and read-back, (n, 1 or 2)
     /measured/<column>                   what else the rig reports, (n, 1)
@@ -14,7 +16,9 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
     /windows/<calibrator>                lane: kind of each calibration window
     /calibrated/<calibrator>             lane: whether the window's fit was accepted
     /fit/<calibrator>                    RMSE of the window before and after its fit, K, (n, 2)
-    /parameters/<parameter>/<calibrator> physical value with its variance
+    /parameters/<parameter>/<calibrator> physical value with the square of its 90 % half width
+    /proposed/<parameter>/<calibrator>   what it proposes between windows too and no gate holds, with its 90 % interval
+    /gates/<calibrator>, /proposals/..   lane: whether its gates are open; text: what it takes on, what holds the rest
     /relative/<calibrator>/<parameter>   per cent off the commissioned value, (n, 1)
     /events, /writes                     text
     /key                                 which colour is what
@@ -22,131 +26,31 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
 
 from __future__ import annotations
 
-import itertools
 import re
-from dataclasses import dataclass, field
-from typing import Literal
 
 from drivers.points import Quality, Signal
-from hil.journal import Header
+from hil.journal_rows import Header
+from hil.review.looks import (
+    ACTUATORS,
+    FAINT,
+    FLAG_COLOURS,
+    GATE_COLOURS,
+    NEUTRAL,
+    QUALITY_COLOURS,
+    QUALITY_NAMES,
+    TRACKED,
+    WINDOW_COLOURS,
+    Colour,
+    Lane,
+    Lines,
+    Plan,
+    Stack,
+    path,
+    twin_colours,
+)
+from hil.review.tabs import MARGIN, calibration_tab, overview, quality_tab, sensor_tab, unit_panels
 
-Colour = tuple[int, int, int]
-NEUTRAL: Colour = (158, 163, 170)
-FAINT: Colour = (96, 100, 108)
-ORANGE: Colour = (245, 140, 30)
-TRACKED: dict[str, Colour] = {
-    "blue": (45, 150, 255),
-    "green": (60, 200, 120),
-    "violet": (180, 120, 255),
-    "cyan": (20, 200, 210),
-}
-ACTUATORS: tuple[Colour, ...] = ((240, 110, 90), (90, 170, 250), (110, 210, 140), (220, 180, 90), (190, 140, 240))
-RED: Colour = (235, 70, 70)
-GREEN: Colour = (60, 140, 90)
-YELLOW: Colour = (230, 200, 60)
-VIOLET: Colour = (170, 90, 210)
-
-QUALITY_NAMES = {quality: quality.name.lower().replace("_", " ") for quality in Quality}
-QUALITY_COLOURS = {
-    Quality.GOOD: (52, 74, 62),
-    Quality.STALE: YELLOW,
-    Quality.OUT_OF_RANGE: ORANGE,
-    Quality.SENSOR_FAULT: RED,
-    Quality.LINK_FAULT: VIOLET,
-}
-WINDOW_COLOURS = {"calibrated": GREEN, "recovery": ORANGE, "stall": RED}
-FLAG_COLOURS = {"calibrated": GREEN, "not calibrated": RED}
 _SETPOINT_SUFFIX = re.compile(r"_(set|setpoint|sp|cmd|command|target|demand)$")
-_MOST_BESIDE = 4
-_MARGIN = 0.13
-_UNIT_SYMBOLS = {"degC": "°C", "1": "", "m3/h": "m³/h"}
-
-
-@dataclass(frozen=True, slots=True)
-class Lines:
-    """Curves of one entity; `extremes` keeps peaks when many samples share a pixel (else they are averaged)."""
-
-    entity: str
-    names: tuple[str, ...]
-    colours: tuple[Colour, ...] = ()
-    widths: tuple[float, ...] = (1.5,)
-    extremes: bool = False
-    steps: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Lane:
-    """A lane of states over time, with the colour of each known state."""
-
-    entity: str
-    colours: dict[str, Colour]
-
-
-@dataclass(frozen=True, slots=True)
-class Panel:
-    """One view: `kind` of content, the entities (Rerun query expressions) and the share of room it gets."""
-
-    kind: Literal["lines", "lanes", "texts", "note"]
-    title: str
-    contents: tuple[str, ...]
-    share: float = 1.0
-    legend: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class Stack:
-    """Panels above one another (`rows`), beside one another (`columns`), or in a grid.
-
-    `margin` is the part of the time axis that is left free before the run, where legends cover no curve.
-    """
-
-    arrange: Literal["rows", "columns", "grid"]
-    parts: tuple[Panel | Stack, ...]
-    share: float = 1.0
-    title: str = ""
-    margin: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """All looks and the tabs; `columns_of` says which columns of a sample row go to which entity, `colours` how
-    estimates that belong to no twin are drawn."""
-
-    header: Header
-    lines: tuple[Lines, ...]
-    lanes: tuple[Lane, ...]
-    tabs: tuple[Stack, ...]
-    columns_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    colours: dict[str, Colour] = field(default_factory=dict)
-
-
-def path(*parts: str) -> str:
-    """Entity path of `parts`, with every character escaped that Rerun gives a meaning."""
-    return "".join("/" + re.sub(r"([^A-Za-z0-9_.-])", r"\\\1", part) for part in parts)
-
-
-def symbol(unit: str) -> str:
-    """A unit as an operator writes it: `degC` -> `°C`."""
-    return _UNIT_SYMBOLS.get(unit, unit)
-
-
-def titled(name: str, unit: str) -> str:
-    """`name [unit]`, or the name alone for a pure number."""
-    return f"{name} [{symbol(unit)}]" if symbol(unit) else name
-
-
-def twin_colours(twins: tuple[str, ...]) -> dict[str, Colour]:
-    """Orange for the twin that is never updated, blue, green .. for those that are."""
-    tracked = [twin for twin in twins if twin != "static"]
-    return {"static": ORANGE} | dict(zip(tracked, itertools.cycle(TRACKED.values()), strict=False))
-
-
-def colour_key(twins: tuple[str, ...]) -> str:
-    """What the colours of the curves mean, in one line."""
-    tracked = [twin for twin in twins if twin != "static"]
-    parts = ["grey: measured", *(["orange: static twin"] if "static" in twins else [])]
-    parts += [f"{name}: tracked by {twin}" for twin, name in zip(tracked, itertools.cycle(TRACKED), strict=False)]
-    return " · ".join([*parts, "thin lines: zero and ±2σ of the sensor's noise", "gap: no good value"])
 
 
 def _dimmed(colour: Colour) -> Colour:
@@ -159,16 +63,22 @@ def _sensor_lines(header: Header) -> list[Lines]:
     for sensor, columns in header.twin_sensors.items():
         several = len(columns) > 1
         name = f"measured, mean of {len(columns)}" if several else "measured"
-        lines.append(Lines(path("sensors", sensor, "measured"), (name,), (NEUTRAL,), (3.0,), extremes=True))
+        lines.append(Lines(path("sensors", sensor, "measured"), (name,), (NEUTRAL,), (4.0,), extremes=True))
         if several:
             names = tuple(column.removesuffix("_C") for column in columns)
             faint = (FAINT,) * len(columns)
             lines.append(Lines(path("sensors", sensor, "columns"), names, faint, (1.0,), extremes=True))
+        # Drawn by name, each thinner than the one before, so that curves which agree are all seen.
+        drawn = sorted(header.twin_names)
         for twin in header.twin_names:
-            # The one drawn last is the thinnest, so that curves which agree are all seen.
-            width = 1.2 if twin == "static" else 2.2
+            width = max(1.2, 1.2 + 0.9 * (len(drawn) - 1 - drawn.index(twin)))
             lines.append(Lines(path("sensors", sensor, "twin", twin), (twin,), (colours[twin],), (width,)))
             lines.append(Lines(path("sensors", sensor, "residual", twin), (twin,), (colours[twin],)))
+            lines.append(
+                Lines(path("sensors", sensor, "miss", twin), (twin,), (colours[twin],), (0.6 * width,), steps=True)
+            )
+            dim, names = _dimmed(colours[twin]), (f"{twin}, 90 % band", f"-{twin}, 90 % band")
+            lines.append(Lines(path("sensors", sensor, "band", twin), names, (dim, dim), (1.0,), steps=True))
         sigma = header.noise_K.get(sensor)
         if sigma is None:
             lines.append(Lines(path("sensors", sensor, "noise"), ("zero",), (NEUTRAL,), (1.0,)))
@@ -194,38 +104,14 @@ def pair_actuators(signals: tuple[Signal, ...]) -> dict[str, tuple[Signal, ...]]
     return pairs
 
 
-def _by_unit(entities: dict[str, tuple[str, str]]) -> dict[str, list[tuple[str, str]]]:
-    groups: dict[str, list[tuple[str, str]]] = {}
-    for entity, (name, unit) in entities.items():
-        groups.setdefault(unit, []).append((name, entity))
-    return groups
-
-
-def _shortened(names: list[str]) -> str:
-    return ", ".join(names) if len(names) <= 3 else f"{names[0]} .. {names[-1]}"
-
-
-def _unit_panels(entities: dict[str, tuple[str, str]]) -> tuple[Panel, ...]:
-    return tuple(
-        Panel("lines", titled(_shortened([name for name, _ in group]), unit), tuple(entity for _, entity in group))
-        for unit, group in _by_unit(entities).items()
-    )
-
-
-def _temperature(sensor: str, *, share: float, columns: bool, legend: bool) -> Panel:
-    root = path("sensors", sensor)
-    contents = (f"{root}/measured", f"{root}/twin/**", *((f"{root}/columns",) if columns else ()))
-    return Panel("lines", titled(sensor.removesuffix("_C"), "degC"), contents, share, legend)
-
-
-def _residual(sensor: str, *, share: float, legend: bool) -> Panel:
-    root = path("sensors", sensor)
-    title = titled(f"{sensor.removesuffix('_C')}: measured - twin", "K")
-    return Panel("lines", title, (f"{root}/residual/**", f"{root}/noise"), share, legend)
-
-
-def make_plan(header: Header, units: dict[str, str] | None = None, commissioned: bool = False) -> Plan:
-    """Looks and layout; `units` by parameter as far as seen, `commissioned` when what they were is known."""
+def make_plan(
+    header: Header,
+    units: dict[str, str] | None = None,
+    commissioned: bool = False,
+    proposers: tuple[str, ...] = (),
+) -> Plan:
+    """Looks and layout; `units` by parameter as far as seen, `commissioned` when what they were is known, `proposers`
+    those calibrators that have proposed something."""
     sensor_columns = {column for columns in header.twin_sensors.values() for column in columns}
     lines = _sensor_lines(header)
     columns_of: dict[str, tuple[str, ...]] = {}
@@ -264,12 +150,13 @@ def make_plan(header: Header, units: dict[str, str] | None = None, commissioned:
     lanes.append(Lane("/quality", _worst_colours(header)))
     lanes += [Lane(path("windows", name), WINDOW_COLOURS) for name in calibrators]
     lanes += [Lane(path("calibrated", name), FLAG_COLOURS) for name in calibrators]
+    lanes += [Lane(path("gates", name), GATE_COLOURS) for name in calibrators]
     tabs = [
-        _overview(header, actuators, others),
-        *(_sensor_tab(sensor, columns, len(calibrators)) for sensor, columns in header.twin_sensors.items()),
-        Stack("rows", (*_unit_panels(actuators), *_unit_panels(others)), title="Rig", margin=_MARGIN),
-        *_calibration_tab(calibrators, units or {}, commissioned),
-        _quality_tab(bool(status)),
+        overview(header, actuators, others, proposers),
+        *(sensor_tab(sensor, columns, header) for sensor, columns in header.twin_sensors.items()),
+        Stack("rows", (*unit_panels(actuators), *unit_panels(others)), title="Rig", margin=MARGIN),
+        *calibration_tab(calibrators, units or {}, commissioned, proposers),
+        quality_tab(bool(status)),
     ]
     return Plan(header, tuple(lines), tuple(lanes), tuple(tabs), columns_of)
 
@@ -291,75 +178,3 @@ def _worst_colours(header: Header) -> dict[str, Colour]:
     who += [f"{n} signals" for n in range(2, len(header.signals) + 1)]
     states = {f"{name}: {QUALITY_NAMES[q]}": QUALITY_COLOURS[q] for name in who for q in Quality if q}
     return {QUALITY_NAMES[Quality.GOOD]: QUALITY_COLOURS[Quality.GOOD]} | states
-
-
-def _overview(header: Header, actuators: dict[str, tuple[str, str]], others: dict[str, tuple[str, str]]) -> Stack:
-    """Sensors beside one another, each above its residual; a line of text is the legend of them all."""
-    cells = [
-        Stack(
-            "rows",
-            (
-                _temperature(sensor, share=5.0, columns=False, legend=False),
-                _residual(sensor, share=4.0, legend=False),
-            ),
-        )
-        for sensor in header.twin_sensors
-    ]
-    rows: list[Panel | Stack] = [Panel("note", "Colours", ("/key",), 0.3)] if cells else []
-    rows += [
-        Stack("columns", tuple(cells[start : start + _MOST_BESIDE]), share=6.0)
-        for start in range(0, len(cells), _MOST_BESIDE)
-    ]
-    if not cells and others:
-        rows.append(Stack("columns", _unit_panels(others), share=6.0))
-    lanes = Panel("lanes", "Calibration windows and quality", ("/windows/**", "/quality"))
-    events = Panel("texts", "Events", ("/events",))
-    rows.append(Stack("columns", (*_unit_panels(actuators), lanes, events), share=3.0))
-    return Stack("rows", tuple(rows), title="Overview")
-
-
-def _sensor_tab(sensor: str, columns: tuple[str, ...], calibrators: int) -> Stack:
-    lanes = ("/windows/**", *(path("quality", column) for column in columns))
-    height = 50.0 + 35.0 * (min(len(columns), 6) + calibrators)  # of the lanes, in a window of a usual 800 points
-    panels = (
-        _temperature(sensor, share=5.0, columns=True, legend=True),
-        _residual(sensor, share=4.0, legend=True),
-        Panel("lanes", "Calibration windows and quality", lanes, 8.0 * height / (800.0 - height)),
-    )
-    return Stack("rows", panels, title=sensor.removesuffix("_C"), margin=_MARGIN)
-
-
-def _calibration_tab(calibrators: tuple[str, ...], units: dict[str, str], commissioned: bool) -> tuple[Stack, ...]:
-    if not calibrators:
-        return ()
-    lanes = Panel(
-        "lanes",
-        "Windows: kind, and whether the fit was accepted",
-        ("/windows/**", "/calibrated/**"),
-        2.0 if commissioned else 0.8,
-    )
-    fit = Panel("lines", "RMSE within the window [K]", ("/fit/**",), 1.5)
-    relative = tuple(
-        Panel("lines", f"{name}: parameters against commissioning [%]", (path("relative", name) + "/**",))
-        for name in calibrators
-    )
-    shifts = (Stack("columns", relative, share=4.0),) if commissioned else ()
-    tracking = Stack("rows", (lanes, fit, *shifts), title="Calibration", margin=_MARGIN)
-    if not units:
-        return (tracking,)
-    each = tuple(
-        Panel("lines", titled(name, unit), (path("parameters", name) + "/**",)) for name, unit in units.items()
-    )
-    return (tracking, Stack("grid", each, title="Parameters", margin=2 * _MARGIN))
-
-
-def _quality_tab(status: bool) -> Stack:
-    lanes = Panel("lanes", "Quality of every signal", ("/quality/**",), 4.0)
-    counters = (Panel("lines", "Counters and bit fields", ("/status",), 1.5),) if status else ()
-    writes = Panel("texts", "Writes other than profile and slew", ("/writes",), 1.5)
-    return Stack(
-        "rows",
-        (lanes, *counters, Stack("columns", (Panel("texts", "Events", ("/events",)), writes), 2.0)),
-        title="Quality",
-        margin=_MARGIN,
-    )

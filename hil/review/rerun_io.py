@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
-from hil.review.collect import Batch, Estimates, Rows, States, Texts
-from hil.review.plan import NEUTRAL, Colour, Panel, Plan, Stack, colour_key, symbol, twin_colours
+from hil.review.batches import Batch, Estimates, Rows, States, Texts
+from hil.review.looks import NEUTRAL, Colour, Panel, Plan, Stack, colour_key, symbol, twin_colours
 
 TIMELINE = "test_time"
 _SETTLED = 3
@@ -126,7 +126,10 @@ def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
         match panel.kind:
             case "lines":
                 legend = rrb.PlotLegend(visible=panel.legend)
-                return rrb.TimeSeriesView(name=panel.title, contents=contents, axis_x=axis, plot_legend=legend)
+                y = None if panel.reach is None else rrb.ScalarAxis(range=(-panel.reach, panel.reach))
+                return rrb.TimeSeriesView(
+                    name=panel.title, contents=contents, axis_x=axis, axis_y=y, plot_legend=legend
+                )
             case "lanes":
                 return rrb.StateTimelineView(name=panel.title, contents=contents, time_view=axis)
             case "texts":
@@ -137,7 +140,7 @@ def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
     def part(item: Panel | Stack, margin: float) -> Any:
         if isinstance(item, Panel):
             return view(item, margin)
-        parts = [part(inner, margin) for inner in item.parts]
+        parts = [part(inner, max(margin, item.margin)) for inner in item.parts]
         shares = [inner.share for inner in item.parts]
         name = item.title or None
         match item.arrange:

@@ -13,6 +13,7 @@ from twin.calibrators.hiera_unet import evidence
 from twin.calibrators.hiera_unet.windows import Windows
 
 PIECES = {
+    "hierarchy": "no stage merges: all four see the record at its own steps, so nothing coarse is ever looked at",
     "gates": "skips are concatenated directly",
     "evidence": "no Gauss-Newton estimate among the inputs",
     "residuals": "no channel compares measurement and twin",
@@ -24,6 +25,8 @@ PIECES = {
 
 def without(pieces: tuple[str, ...], config: Any, plan: Any, data: Data) -> tuple[Any, Any, Data]:
     """Configuration, plan and data without the named `PIECES`."""
+    if "hierarchy" in pieces:
+        config = replace(config, merges=(1,) * len(config.merges))
     if "gates" in pieces:
         config = replace(config, gated=False)
     if "structure" in pieces:

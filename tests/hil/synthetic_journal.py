@@ -172,6 +172,23 @@ def put_window(writer: JournalWriter, truth: Truth, calibrator: str, n: int, sta
     )
 
 
+def put_beside(writer: JournalWriter, truth: Truth, n: int, start_s: float, end_s: float) -> None:
+    """Append the twins' bands of window `n`, none foretold for the first, and what the last tracked twin proposes."""
+    for k, twin in enumerate(truth.header.twin_names):
+        mean = dict.fromkeys(SENSORS, 0.01 * k + 0.001 * n)
+        half = dict.fromkeys(SENSORS, 0.1 if n else None)
+        writer.band(twin, start_s, end_s, {"mean_K": mean, "half_width_K": half})
+    names = list(COMMISSIONED)
+    held = dict.fromkeys(names, "SHORT_RECORD") if n < 3 else {names[n // 5 % len(names)]: "LOW_SENSITIVITY"}
+    document = {
+        "values": {name: value * (1.0 + 0.01 * n) for name, (value, _) in COMMISSIONED.items()},
+        "standard_errors": {name: 0.02 * value for name, (value, _) in COMMISSIONED.items()},
+        "held": held,
+        "reasons": [f"{code}: withheld" for code in dict.fromkeys(held.values())],
+    }
+    writer.proposal(truth.header.twin_names[-1], end_s, document)
+
+
 def write(
     path: Path, truth: Truth, *, block: int = 500, after_block: Callable[[int], None] = lambda tick: None
 ) -> None:
@@ -190,6 +207,7 @@ def write(
         while (windows + 1) * window_s <= end_s:
             for twin in truth.header.twin_names[1:]:
                 put_window(writer, truth, twin, windows, windows * window_s, (windows + 1) * window_s)
+            put_beside(writer, truth, windows, windows * window_s, (windows + 1) * window_s)
             windows += 1
         if first <= 0.3 * ticks < stop:
             writer.event(stop - 1, end_s, "WARN", "T_pm3_C: sensor fault, masked until it reads good again")

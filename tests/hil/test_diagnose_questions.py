@@ -15,7 +15,7 @@ from drivers.rigfile import load_rig
 from hil.experiment_file import limits_of
 from hil.profile import read_profile, validate
 from hil.record import Record, write_record
-from hil.session import setpoint_limits
+from hil.run_request import setpoint_limits
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
 from tests.twin.conftest import LOOP

@@ -23,7 +23,7 @@ from hil.diagnosis_store import (
     write_curves,
 )
 from hil.review import read_columns, read_words, write_findings_review, write_review
-from hil.review.plan import path
+from hil.review.looks import path
 from tests.hil.made_diagnosis import SAYS, SENSORS, made
 from tests.hil.synthetic_journal import make
 from tests.hil.synthetic_journal import write as write_journal

@@ -29,7 +29,8 @@ from hil.review import (
     write_review,
 )
 from hil.review import show as show_module
-from hil.review.plan import make_plan, path
+from hil.review.looks import path
+from hil.review.plan import make_plan
 from hil.review.viewer import HOST, _free_port, binary, listens
 from tests.hil.synthetic_journal import COMMISSIONED, SENSORS, Truth, make, put_ticks, write
 
@@ -64,6 +65,7 @@ def entities(truth: Truth) -> list[str]:
     names = [lines.entity for lines in make_plan(truth.header).lines]
     trackers = truth.header.twin_names[1:]
     names += [path("parameters", name, tracker) for name in COMMISSIONED for tracker in trackers]
+    names += [path("proposed", name, trackers[-1]) for name in COMMISSIONED]
     return names + [path("relative", tracker, name) for name in COMMISSIONED for tracker in trackers]
 
 
@@ -74,7 +76,8 @@ def assert_same_review(one: Path, other: Path, truth: Truth) -> None:
         np.testing.assert_array_equal(time_a, time_b, err_msg=entity)
         np.testing.assert_array_equal(values_a, values_b, err_msg=entity)
     lanes = [lane.entity for lane in make_plan(truth.header).lanes]
-    for entity in [*lanes, "/events", "/writes"]:
+    proposer = truth.header.twin_names[-1]
+    for entity in [*lanes, "/events", "/writes", path("gates", proposer), path("proposals", proposer)]:
         assert read_words(one, entity) == read_words(other, entity), entity
 
 
@@ -89,6 +92,25 @@ def test_every_signal_equals_the_journal_sample_for_sample(truth: Truth, rrd: Pa
         time_s, values = read_columns(rrd, entity)
         np.testing.assert_array_equal(time_s, truth.time_s)
         np.testing.assert_array_equal(values[:, k], expected[:, columns.index(column)], err_msg=column)
+
+
+def test_bands_and_proposals_equal_the_journal(truth: Truth, journal: Path, rrd: Path) -> None:
+    reader = JournalReader(journal)
+    bands, proposals = [b for b in reader.bands() if b.twin == "pso"], reader.proposals()
+    reader.close()
+    time_s, values = read_columns(rrd, "/sensors/T_tank_C/band/pso")
+    assert time_s.tolist() == [b.start_s for b in bands]
+    assert np.isnan(values[0]).all() and (values[1:] == [0.1, -0.1]).all()
+    _, mean = read_columns(rrd, "/sensors/T_tank_C/miss/pso")
+    assert mean[:, 0].tolist() == [b.document["mean_K"]["T_tank_C"] for b in bands]
+    for name in COMMISSIONED:
+        _, proposed = read_columns(rrd, path("proposed", name, "pso"))
+        for row, value in zip(proposals, proposed[:, 0], strict=True):
+            assert np.isnan(value) if name in row.document["held"] else value == row.document["values"][name]
+    assert [state for _, state in read_words(rrd, "/gates/pso")] == ["SHORT_RECORD", "some held"]
+    words = [text or "" for _, text in read_words(rrd, "/proposals/pso")]
+    assert words[0] == "SHORT_RECORD: withheld: all held"
+    assert all(text.startswith("takes on ") and "LOW_SENSITIVITY holds " in text for text in words[1:])
 
 
 def test_stamps_are_kept_to_the_nanosecond(tmp_path: Path) -> None:

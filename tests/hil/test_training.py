@@ -27,6 +27,7 @@ from twin.calibrators.hiera_unet.checkpoint import Identity, load  # noqa: E402
 from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
 from twin.calibrators.hiera_unet.device import ready  # noqa: E402
 from twin.calibrators.hiera_unet.hiding import hide  # noqa: E402
+from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
 from twin.calibrators.hiera_unet.plan import Plan  # noqa: E402
 from twin.calibrators.hiera_unet.train import Physics  # noqa: E402
 from twin.network import TwinFileError  # noqa: E402
@@ -95,7 +96,13 @@ def test_what_is_left_out_is_gone_and_the_rest_is_not() -> None:
     same = without((), config, plan, data)
     assert same == (config, plan, data)
     one, two, less = without(tuple(PIECES), config, plan, data)
-    assert not one.gated and not one.evidence and two.structure == 0.0 and two.weights.balance == 0.0
+    assert (
+        one.strides == (1, 1, 1, 1)
+        and not one.gated
+        and not one.evidence
+        and two.structure == 0.0
+        and two.weights.balance == 0.0
+    )
     residual = features.table.indices("r")
     assert not less.test.m[..., residual].any() and less.test.m.sum() == 2 * 1440 * (n - len(residual))
     assert less.train.meta[:, : len(features.table.figures)].all() and not less.train.meta[:, -19:].any()
@@ -103,6 +110,22 @@ def test_what_is_left_out_is_gone_and_the_rest_is_not() -> None:
     calm = replace(two.hiding, dropped=0.0, burst=0.0)
     assert hide(mask, torch.ones(n, dtype=torch.bool), 120, calm, torch.Generator()).all()
     assert set(PIECES) == set(command_pieces)
+
+
+def test_without_the_hierarchy_everything_is_at_the_steps_of_the_record_and_still_causal(data: Data) -> None:
+    config, _, _ = without(("hierarchy",), fake.config(), Plan(), data)
+    torch.manual_seed(0)
+    network = HieraUNet(config).eval()
+    torch.nn.init.normal_(network.output_head.out.weight)
+    w = fake.windows(1)
+    told = [torch.from_numpy(a) for a in (w.x, w.m, w.regime, w.clock, w.meta)]
+    later = [told[0].clone(), *told[1:]]
+    later[0][:, 1400:] += 1.0
+    with torch.inference_mode():
+        scales = network.encoder(told[0], told[1].float(), told[2].long(), *told[3:], True)
+        one, other = (network(*parts, causal=True).delta for parts in (told, later))
+    assert [scale.h.shape[1] for scale in scales] == [1440] * 4
+    assert torch.equal(one[:, :80], other[:, :80]) and not torch.equal(one[:, 80:], other[:, 80:])
 
 
 def test_a_folder_without_data_is_refused(tmp_path: Path) -> None:

@@ -130,6 +130,25 @@ class Follower(Protocol):
         ...
 
 
+@runtime_checkable
+class Proposer(Protocol):
+    """A calibrator that proposes within a window too, every `cycle_s` from its beginning."""
+
+    cycle_s: float
+
+    def between(self, window: Window) -> tuple[Array, Array] | None:
+        """Propose from the part of a window that has gone by.
+
+        The live twin takes on values (q,) of `ids` and a state (k,) at the last sample; None leaves it as it is.
+        """
+        ...
+
+    def take(self) -> tuple[dict[str, Any], ...]:
+        """Every proposal since this was last asked, as plain data: `time_s`, `values`, `standard_errors`,
+        `held` (parameter -> code), `reasons`; those at the ends of windows included."""
+        ...
+
+
 def plain(a: Array) -> Any:
     """Nested lists with None for what is not finite: strict JSON."""
     out = a.astype(object)

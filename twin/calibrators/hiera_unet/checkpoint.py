@@ -116,7 +116,10 @@ def load(path: Path, identity: Identity | None = None, config: Config | None = N
             tensors["envelope.mean"].double().numpy(), tensors["envelope.precision"].double().numpy(), limit
         )  # fmt: skip
     except (SafetensorError, RuntimeError, KeyError) as error:
-        raise HieraError(f"the weights {path} do not fit model card {card}: {str(error).splitlines()[0]}") from error
+        raise HieraError(
+            f"the weights {path} do not fit model card {card}: they are of another configuration than {own.name!r} "
+            "there; train again"
+        ) from error
     return Member(network.eval(), found, hull, document)
 
 
@@ -129,9 +132,10 @@ def _refuse_others(path: Path, found: Identity, own: Config, identity: Identity 
     if identity is None:
         return
     if found.twin != identity.twin or found.outputs != identity.outputs:
+        other = "elements" if found.outputs == identity.outputs else f"sensors, {', '.join(found.outputs)}"
         raise HieraError(
-            f"the weights {path} were trained for a twin of another structure, with sensors "
-            f"{', '.join(found.outputs)}; train a network for this twin with `hil train`"
+            f"the weights {path} were trained for a twin of another structure, with other {other}; train a network "
+            "for this twin with `hil train`"
         )
     if found.table != identity.table:
         raise HieraError(f"the weights {path} were trained with another channel table; train again with `hil train`")

@@ -25,6 +25,8 @@ UNEXPLAINED = 3.0
 ROUGH = 12.0
 """Median change from step to step, in noises of a step: more is no record of a thing that has a thermal mass."""
 FLAT_STEPS = 120
+FLAT_K = 1e-6
+"""Change from step to step that is none: means of equal readings differ by rounding."""
 LEAKS = 0.05
 
 
@@ -76,7 +78,7 @@ def unreadable(hidden: float, steps: int, measured: Array, noise: Array) -> tupl
         found.append(Reason("MISSING_REQUIRED", f"{hidden:.0%} of the required channels are hidden"))
     change = np.abs(np.diff(measured, axis=0))
     known = np.isfinite(change)
-    if known.any() and len(measured) >= FLAT_STEPS and (change[known] == 0.0).all():
+    if known.any() and len(measured) >= FLAT_STEPS and (change[known] < FLAT_K).all():
         found.append(Reason("FLAT_RECORD", "no thermometer has moved at all"))
     middle = [float(np.median(c[k])) / s for c, k, s in zip(change.T, known.T, noise, strict=True) if k.any()]
     if middle and min(middle) > ROUGH:
@@ -89,7 +91,7 @@ def reasons(e: Evidently, ids: tuple[str, ...]) -> tuple[Reason, ...]:
     found = list(unreadable(e.hidden, e.steps, e.measured, e.noise))
     if not e.told.any():
         found.append(
-            Reason("LOW_SENSITIVITY", f"the record tells no parameter apart (condition number {e.condition:.0f})")
+            Reason("LOW_SENSITIVITY", f"the record tells no parameter apart (condition number {e.condition:.2g})")
         )
     widest = float(np.max(e.half_width))
     if widest > UNSURE_K:

@@ -27,7 +27,7 @@ class RefinedCalibrator(LeastSquares):
     """Network, then least squares; satisfies `Calibrator`. Deterministic.
 
     Args:
-        network_calibrator: the network, whose own mode does not matter here.
+        network_calibrator: the network.
     """
 
     name = "hiera_ls"

@@ -1,8 +1,8 @@
-"""The network as a calibrator: a proposal every five minutes from the causal branch, and gates before it is written.
+"""The network as a calibrator: a proposal every five minutes from the causal branch, and gates before it is taken on.
 
-The live twin takes parameters on at the end of its windows; the proposals between are kept as records. Modes: *shadow*
-computes and changes nothing; *advisory* says what it would do; *controlled* moves the live twin's parameters. The
-commissioned values are never overwritten, and deviations are always from them.
+The live twin takes on what every gate lets through, within windows as at their ends. That twin is the network's own: it
+runs beside the others and steers nothing. What becomes of accepted parameters beyond it is for the caller to choose.
+The commissioned values are never overwritten, and deviations are always from them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from twin.calibrators.posterior import STATE_SD, weighted
 from twin.gauss_newton import align
 from twin.network import Array, Network
 
-Mode = Literal["shadow", "advisory", "controlled"]
 CYCLE_S = 300.0
 RECORDS = 288
 """Proposals that are remembered: a day's."""
@@ -61,12 +60,15 @@ class Proposal:
     evaluations: int
 
     def document(self, ids: tuple[str, ...]) -> dict[str, Any]:
-        """Plain data for a log."""
+        """Plain data for a log; `held` says by which gate's code."""
+        own = {r.parameter: r.code for r in reversed(self.reasons) if r.parameter}
+        whole = next((r.code for r in self.reasons if not r.parameter), "")
+        own = {} if whole else own
         return {
             "time_s": self.time_s,
             "values": dict(zip(ids, self.values.tolist(), strict=True)),
             "standard_errors": dict(zip(ids, self.sd.tolist(), strict=True)),
-            "held": [i for i, h in zip(ids, self.held, strict=True) if h],
+            "held": {i: own.get(i, whole) for i, h in zip(ids, self.held, strict=True) if h},
             "reasons": [str(r) for r in self.reasons],
             "half_width_K": self.half_width.tolist(),
             "condition": self.condition,
@@ -74,7 +76,7 @@ class Proposal:
 
 
 class HieraUNetCalibrator:
-    """The network calibrator; satisfies `Calibrator` and `Follower`. Deterministic.
+    """The network calibrator; satisfies `Calibrator`, `Follower` and `Proposer`. Deterministic.
 
     `records`: the latest proposals as plain data, those at the ends of windows included.
 
@@ -83,19 +85,19 @@ class HieraUNetCalibrator:
     """
 
     name = "hiera_unet"
+    cycle_s = CYCLE_S
 
-    def __init__(self, network: Network, ensemble: Ensemble, features: Features, mode: Mode = "controlled") -> None:
-        self.network, self.ensemble, self.features, self.mode = network, ensemble, features, mode
+    def __init__(self, network: Network, ensemble: Ensemble, features: Features) -> None:
+        self.network, self.ensemble, self.features = network, ensemble, features
         self.ids = features.deviations.ids
         self.history = History(len(network.input_columns), len(network.sensors))
         self.records: deque[dict[str, Any]] = deque(maxlen=RECORDS)
+        self._untold: list[dict[str, Any]] = []
         self._leakage: float | None = None
-        self._due_s: float | None = None
-        self._asked_s = -np.inf
         self._spread = np.full(len(network.sensors), np.nan)
 
     @classmethod
-    def shipped(cls, network: Network, tunables: str = "nine", mode: Mode = "controlled") -> HieraUNetCalibrator:
+    def shipped(cls, network: Network, tunables: str = "nine") -> HieraUNetCalibrator:
         """With the small ensemble under `profiles/trained`.
 
         Raises:
@@ -111,37 +113,36 @@ class HieraUNetCalibrator:
         channels, deviations = table(network), Deviations.of(network, tunables)
         card = TRAINED / f"{channels.name}_small.json"
         ensemble = load_ensemble(card, identity_of(network, channels, deviations))
-        return cls(network, ensemble, Features(network, channels, deviations), mode)
+        return cls(network, ensemble, Features(network, channels, deviations))
 
     def calibrate(self, window: Window) -> Calibration:
         return self._concluded(window, self.propose(window))
 
     def propose(self, window: Window) -> Proposal:
-        """What the network says at the end of a window."""
+        """What the network says at the end of a window, or of the part of it that has gone by."""
         self.history.push(window.time, window.inputs, window.measured)
         return self._propose()
 
+    def between(self, window: Window) -> tuple[Array, Array] | None:
+        """Propose within a window; the live twin's values and state from there on, None where all is held."""
+        proposal = self.propose(window)
+        if proposal.held.all():
+            return None
+        values, _, _, end = self._taken_on(window, proposal)
+        return values, end
+
+    def take(self) -> tuple[dict[str, Any], ...]:
+        told, self._untold = tuple(self._untold), []
+        return told
+
     def follow(self, time: Array, inputs: Array, measured: Array, state: Array) -> Estimate:
-        """Take in samples and propose whenever five minutes have passed; the spread is that of the latest proposal.
+        """Take in samples; the spread is that of the latest proposal.
 
         `filtered` is NaN: between windows the live twin's own readings stand.
         """
+        self.history.push(time, inputs, measured)
         nothing = np.full((len(time), len(self.network.sensors)), np.nan)
-        spread = nothing.copy()
-        at = 0
-        while at < len(time):
-            if self._due_s is None:
-                self._due_s = float(time[at]) + CYCLE_S
-            until = int(np.searchsorted(time, self._due_s))
-            if until > at:
-                self.history.push(time[at:until], inputs[at:until], measured[at:until])
-                spread[at:until] = self._spread
-                at = until
-            if at < len(time):
-                if time[at] - self._asked_s > CYCLE_S / 2.0:  # a window has not just ended
-                    self._propose()
-                self._due_s += CYCLE_S * (1.0 + np.floor((time[at] - self._due_s) / CYCLE_S))
-        return Estimate(nothing, spread)
+        return Estimate(nothing, np.broadcast_to(self._spread, nothing.shape).copy())
 
     def _propose(self) -> Proposal:
         """One cycle on everything that was pushed."""
@@ -168,9 +169,9 @@ class HieraUNetCalibrator:
             attention=said.attention,
             evaluations=evidence.evaluations + len(self.ensemble.members),
         )
-        self._asked_s = proposal.time_s
         self._spread = seen.half_width / NORMAL90
         self.records.append(proposal.document(self.ids))
+        self._untold.append(self.records[-1])
         return proposal
 
     def _evidently(self, frame: Frame, evidence: Evidence, said: Said, row: Windows) -> Evidently:
@@ -198,30 +199,28 @@ class HieraUNetCalibrator:
             leakage=self._leakage or 0.0,
         )
 
-    def _concluded(self, window: Window, proposal: Proposal) -> Calibration:
-        network, held = self.network, proposal.held
-        index = network.index(self.ids)
-        now = window.parameters[index]
-        proposed = np.where(held, now, proposal.values)
-        values = proposed if self.mode == "controlled" else now
+    def _taken_on(self, window: Window, proposal: Proposal) -> tuple[Array, Array, Array, Array]:
+        """The window with what is not held: values (q,), state at its start, readings (n, m), state at its end."""
+        index = self.network.index(self.ids)
         full = window.parameters.copy()
-        full[index] = values
-        data = weighted(window, network.sigma)
+        full[index] = np.where(proposal.held, full[index], proposal.values)
+        data = weighted(window, self.network.sigma)
         start = align(self.features.kernel, full, window.state, data, max(window.error_K, STATE_SD))
         readings, end = self.features.kernel.trace(full, start, window.time, window.inputs)
-        misses = (readings[0] - window.measured) / network.sigma
+        return full[index], start, readings[0], end[0]
+
+    def _concluded(self, window: Window, proposal: Proposal) -> Calibration:
+        values, start, readings, end = self._taken_on(window, proposal)
+        misses = (readings - window.measured) / self.network.sigma
         good = np.isfinite(misses)
-        flags = [str(r) for r in proposal.reasons]
-        if self.mode == "advisory" and not held.all():
-            flags += [f"proposes {i} = {v:.4g}" for i, v, h in zip(self.ids, proposed, held, strict=True) if not h]
         report = Report(
             covariance=np.diag(proposal.sd**2),
-            flags=tuple(flags),
-            frozen=tuple(i for i, h in zip(self.ids, held, strict=True) if h),
+            flags=tuple(str(r) for r in proposal.reasons),
+            frozen=tuple(i for i, h in zip(self.ids, proposal.held, strict=True) if h),
             condition=proposal.condition,
         )
         return conclude(
-            network, window, self.ids, values, start, readings[0], end[0],
+            self.network, window, self.ids, values, start, readings, end,
             cost=float(np.sqrt(np.mean(misses[good] ** 2))) if good.any() else 0.0,
             evaluations=proposal.evaluations, report=report,
         )  # fmt: skip
@@ -230,18 +229,14 @@ class HieraUNetCalibrator:
         return {
             "history": self.history.state(),
             "leakage": self._leakage,
-            "due_s": self._due_s,
-            "asked_s": plain(np.array([self._asked_s])),
             "spread": plain(self._spread),
             "records": list(self.records),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         self.history.restore(state["history"])
-        self._leakage, self._due_s = state["leakage"], state["due_s"]
+        self._leakage = state["leakage"]
         self._spread = from_plain(state["spread"])
-        asked = float(from_plain(state["asked_s"])[0])
-        self._asked_s = asked if np.isfinite(asked) else -np.inf
         self.records = deque(state["records"], maxlen=RECORDS)
 
 

@@ -1,0 +1,101 @@
+"""What a journal holds, as plain data: its header and the rows of its tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.points import Signal
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What a reader must know before the first sample: the signals, and per twin sensor the columns it predicts."""
+
+    signals: tuple[Signal, ...]
+    twin_sensors: dict[str, tuple[str, ...]]
+    twin_names: tuple[str, ...]
+    profile: str
+    duration_s: float
+    period_s: float
+    noise_K: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """A block of ticks: `tick (n,)`, `time_s (n,)`, `values (n, k)`, `quality (n, k)`, `source_time_s (n, k)`."""
+
+    tick: NDArray[np.int64]
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+    quality: NDArray[np.uint8]
+    source_time_s: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class TwinOutput:
+    """Predictions of one twin: `tick (n,)`, `time_s (n,)` and `values (n, m)` in degC, by twin sensor."""
+
+    twin: str
+    tick: NDArray[np.int64]
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRow:
+    """One finished window of a calibrator; `document` is what the calibrator reported, as plain data."""
+
+    id: int
+    calibrator: str
+    start_s: float
+    end_s: float
+    document: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class ProposalRow:
+    """What a calibrator proposed at a moment; `document` is what it reported, as plain data."""
+
+    id: int
+    calibrator: str
+    time_s: float
+    document: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class BandRow:
+    """Some minutes of a twin: `document` has mean miss and foretold half width by sensor, K (see `hil.bands.Band`)."""
+
+    id: int
+    twin: str
+    start_s: float
+    end_s: float
+    document: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class WriteRow:
+    """One set-point that the engine changed, and why (`profile`, `slew`, `safe: ...`)."""
+
+    id: int
+    tick: int
+    time_s: float
+    signal: str
+    value: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class EventRow:
+    """One event; `level` is INFO, WARN or ERROR."""
+
+    id: int
+    tick: int
+    time_s: float
+    wall_s: float
+    level: str
+    text: str

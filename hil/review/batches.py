@@ -1,0 +1,82 @@
+"""What is sent to the review at a time: values, estimates, states or texts of one entity, in the order they appear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Values of an entity: `time_s (n,)`, `values (n, k)`, NaN where there is nothing good to draw."""
+
+    entity: str
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimates:
+    """A parameter's `values (n,)` and `variances (n,)` (NaN where unknown), in `unit`, from `time_s (n,)` on."""
+
+    entity: str
+    name: str
+    unit: str
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+    variances: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class States:
+    """State changes of a lane; None ends a state without a next one."""
+
+    entity: str
+    time_s: NDArray[np.float64]
+    states: list[str | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Texts:
+    """Log lines with their level, INFO, WARN or ERROR."""
+
+    entity: str
+    time_s: NDArray[np.float64]
+    texts: list[str]
+    levels: list[str]
+
+
+Batch = Rows | Estimates | States | Texts
+
+
+def merged(batches: list[Batch]) -> Batch:
+    """One batch of several of the same entity, in their order."""
+    first = batches[0]
+    if len(batches) == 1:
+        return first
+    time_s = np.concatenate([batch.time_s for batch in batches])
+    match first:
+        case Rows():
+            return replace(
+                first, time_s=time_s, values=np.concatenate([b.values for b in batches if isinstance(b, Rows)])
+            )
+        case Estimates():
+            same = [batch for batch in batches if isinstance(batch, Estimates)]
+            return replace(
+                first,
+                time_s=time_s,
+                values=np.concatenate([batch.values for batch in same]),
+                variances=np.concatenate([batch.variances for batch in same]),
+            )
+        case States():
+            return replace(first, time_s=time_s, states=[s for b in batches if isinstance(b, States) for s in b.states])
+        case Texts():
+            same_texts = [batch for batch in batches if isinstance(batch, Texts)]
+            return replace(
+                first,
+                time_s=time_s,
+                texts=[text for batch in same_texts for text in batch.texts],
+                levels=[level for batch in same_texts for level in batch.levels],
+            )

@@ -1,0 +1,144 @@
+"""What a run is asked to be, and everything about it that can be checked before anything moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from drivers.points import ConfigurationError
+from drivers.rigfile import Rig, load_rig
+from hil.adoption import NetworkMode
+from hil.profile import Profile, SetpointLimit, read_profile, validate
+from hil.setpoints import setpoint_columns
+from hil.tracking import DEFAULT, TrackingConfig
+
+if TYPE_CHECKING:
+    from twin.network import Network
+
+Mode = Literal["real", "scaled", "lockstep"]
+MOST_SPEED = 100.0
+"""Faster than this the rig's watchdog of seconds is shorter than a scheduler's hiccup; lockstep has no such limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """What to run. `virtual` starts the virtual rig in place of the one at the rig file's addresses.
+
+    `twin` None takes the twin that the rig file names, if any; `use_twin` False runs without one. `calibrators` None
+    takes the usual ones, without those that there are not for this twin. `network_mode`: see `hil.adoption`. `control`
+    is the control port of a virtual rig in lockstep that runs already, at the rig file's addresses. `diagnose_s`:
+    seconds of profile time between diagnoses of the record so far, against the record `healthy`; `adopt` saves what
+    they find.
+    """
+
+    profile: Path
+    rig: Path
+    twin: Path | None
+    runs: Path
+    virtual: bool = False
+    mode: Mode = "real"
+    speed: float = 1.0
+    seed: int = 0
+    effects: Path | None = None
+    calibrators: tuple[str, ...] | None = None
+    network_mode: NetworkMode = "shadow"
+    viewer: bool | None = None
+    use_twin: bool = True
+    control: tuple[str, int] | None = None
+    diagnose_s: float | None = None
+    healthy: Path | None = None
+    adopt: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """Everything that could be checked before anything moves."""
+
+    rig: Rig
+    profile: Profile
+    twin: Path | None
+    network: Network | None
+    notes: tuple[str, ...]
+
+
+def prepare(request: RunRequest) -> Prepared:
+    """Read and validate all files of a run; raises RigFileError, ProfileError, TwinFileError or ConfigurationError."""
+    rig = load_rig(request.rig)
+    profile = read_profile(request.profile)
+    notes = validate(profile, setpoint_limits(rig), period_s=rig.period_s)
+    network = None
+    twin = (request.twin or rig.twin) if request.use_twin else None
+    if twin is not None:
+        from twin.twinfile import load
+
+        network = load(twin)
+        _check_twin_columns(twin, network, rig)
+        check_calibrators(request.calibrators)
+    if request.mode == "scaled" and not 0 < request.speed <= MOST_SPEED:
+        raise ConfigurationError(
+            f"--speed {request.speed:g} is not between 0 and {MOST_SPEED:g}; use --lockstep to go faster"
+        )
+    if request.mode != "real" and not request.virtual and request.control is None:
+        raise ConfigurationError(f"{request.mode} time needs a rig whose time can be set; add --virtual")
+    if request.effects is not None and not request.virtual:
+        raise ConfigurationError(
+            "--with switches on effects in the virtual rig; give --virtual too, or take --with out"
+        )
+    if request.diagnose_s is not None:
+        notes = [*notes, *_check_diagnosis(request, network)]
+    return Prepared(rig, profile, twin, network, tuple(notes))
+
+
+def check_calibrators(names: tuple[str, ...] | None) -> None:
+    """Raise ConfigurationError where one of the names is no calibrator, or stands twice."""
+    from twin.calibrators import NAMES
+
+    unknown = [name for name in names or () if name not in NAMES]
+    if unknown:
+        raise ConfigurationError(f"no calibrator {', '.join(unknown)}; there are {', '.join(NAMES)}")
+    twice = [name for name in dict.fromkeys(names or ()) if names is not None and names.count(name) > 1]
+    if twice:
+        raise ConfigurationError(f"--calibrator {twice[0]} is given twice; give each once")
+
+
+def _check_diagnosis(request: RunRequest, network: Network | None) -> list[str]:
+    """Remarks on a diagnosis that is asked for; raises ConfigurationError or RecordError."""
+    if network is None:
+        raise ConfigurationError("--diagnose asks why a twin is wrong, and this run has none; take --no-twin out")
+    if request.healthy is None:
+        return ["--diagnose without --healthy takes the noise floor from the run itself: small effects are not seen"]
+    from hil.diagnosing import read_columns
+
+    read_columns(network, request.healthy, None)
+    return []
+
+
+def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:
+    """What profiles may ask of the rig, by profile column."""
+    limits = {}
+    for column, point in setpoint_columns(rig).items():
+        assert point.limits is not None
+        low, high = point.limits
+        limits[column] = SetpointLimit(low=low, high=high, max_rate_per_s=point.max_rate, unit=point.unit)
+    return limits
+
+
+def _check_twin_columns(path: Path, network: Network, rig: Rig) -> None:
+    have = {point.as_signal().column for point in rig.point if not point.is_setpoint}
+    wanted = set(network.input_columns).union(*network.sensor_columns.values())
+    missing = sorted(wanted - have)
+    if missing:
+        raise ConfigurationError(
+            f"{path}: the twin needs {', '.join(missing)}, which the rig {rig.name} does not measure; "
+            "name a twin of this rig with --twin"
+        )
+
+
+def tracking_config(request: RunRequest, ready: Prepared, columns: tuple[str, ...]) -> TrackingConfig | None:
+    """Which twins run beside the rig, or None for none."""
+    if ready.twin is None or request.calibrators == ():
+        return None
+    usual = request.calibrators is None
+    names = DEFAULT if request.calibrators is None else request.calibrators
+    return TrackingConfig(ready.twin, columns, names, request.seed, optional=DEFAULT[1:] if usual else ())

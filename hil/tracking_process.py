@@ -1,0 +1,328 @@
+"""The calibrators in processes of their own, so that none ever delays a tick.
+
+Blocks of ticks go there over a pipe, predictions and calibrations come back and are journaled. In lockstep the engine
+waits when a process falls behind; in real time blocks queue here instead. Calibrators that fit share a process, those
+that ask a network have another: a slow forward pass holds up neither the engine nor them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import multiprocessing
+import signal
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from hil.journal import JournalWriter
+from hil.tracking import Block, Comparison, Proposed, TrackingConfig, Twins, disturbance
+
+MOST_OUTSTANDING = 4
+START_TIMEOUT_S = 120.0
+FINISH_TIMEOUT_S = 120.0
+
+Ticks = tuple[list[int], list[float], list[list[float]]]
+
+
+class TrackingError(Exception):
+    """The calibrators could not start; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Ready:
+    """What the process runs, and what it leaves out and why."""
+
+    calibrators: tuple[str, ...]
+    left_out: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class _Reply:
+    ticks: list[int]
+    time_s: list[float]
+    block: Block
+
+
+def _serve(connection: Connection, config: TrackingConfig) -> None:
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # these belong to the engine, which ends this process in order
+    try:
+        twins = Twins(config)
+        connection.send(_Ready(twins.calibrators, twins.left_out))
+        while (ticks := connection.recv()) is not None:
+            numbers, time_s, rows = ticks
+            table = np.asarray(rows, dtype=np.float64)
+            columns = {name: table[:, index] for index, name in enumerate(config.columns)}
+            connection.send(_Reply(numbers, time_s, twins.push(np.asarray(time_s), columns)))
+        connection.send(twins.comparison())
+    except (EOFError, BrokenPipeError):
+        return
+    except Exception as error:
+        with contextlib.suppress(OSError):
+            connection.send(error)
+
+
+class TrackingProcess:
+    """A `hil.engine.Publisher` that calibrates twins in another process and journals what comes back.
+
+    `speaks`: the calibrator of which disturbances become events, so that each is told once. `advise`: a sentence on a
+    proposal, where there is something to say.
+    """
+
+    def __init__(
+        self,
+        config: TrackingConfig,
+        *,
+        wait: bool,
+        speaks: str = "",
+        advise: Callable[[Proposed], str | None] | None = None,
+    ) -> None:
+        self._config = config
+        self._wait = wait
+        self._speaks = speaks
+        self._advise = advise
+        self._journal: JournalWriter | None = None
+        self._queue: deque[Ticks] = deque()
+        self._outstanding = 0
+        self._room = asyncio.Event()
+        self._failure: str | None = None
+        self._comparison: Comparison | None = None
+        self._process: Any = None
+        self._connection: Connection | None = None
+        self._ready = _Ready((), {})
+
+    async def start(self) -> None:
+        """Start the process and wait until its kernel is compiled.
+
+        Raises:
+            TrackingError: it does not come up. What a calibrator itself raises: see `Twins`.
+        """
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs, self._config), name="calibrators", daemon=True)
+        self._process.start()
+        theirs.close()
+        ready = await asyncio.to_thread(self._first_answer)
+        if not isinstance(ready, _Ready):
+            await self.close()
+            if isinstance(ready, Exception):
+                raise ready
+            raise TrackingError(f"the calibrators did not start: {ready}")
+        self._ready = ready
+        asyncio.get_running_loop().add_reader(self._connection.fileno(), self._receive)
+
+    def _first_answer(self) -> Any:
+        assert self._connection is not None
+        try:
+            if self._connection.poll(START_TIMEOUT_S):
+                return self._connection.recv()
+        except EOFError:
+            return "the process ended at once"
+        return f"no answer within {START_TIMEOUT_S:g} s"
+
+    @property
+    def calibrators(self) -> tuple[str, ...]:
+        """Those that run."""
+        return self._ready.calibrators
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Optional calibrators that do not run, and why."""
+        return self._ready.left_out
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process while it lives."""
+        return None if self._process is None else self._process.pid
+
+    def attach(self, journal: JournalWriter) -> None:
+        """Where results go; before the first block."""
+        self._journal = journal
+
+    async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
+        """Hand over a block; in lockstep wait while the process is behind."""
+        if self._failure is not None or self._connection is None:
+            return
+        self._queue.append((ticks, time_s, rows))
+        self._pump()
+        try:
+            async with asyncio.timeout(FINISH_TIMEOUT_S):
+                while self._wait and self._failure is None and len(self._queue) + self._outstanding > MOST_OUTSTANDING:
+                    self._room.clear()
+                    await self._room.wait()
+        except TimeoutError:
+            self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
+
+    async def finish(self) -> Comparison | None:
+        """Wait for all results and end the process; how the twins compare, or None where the calibrators failed."""
+        try:
+            async with asyncio.timeout(FINISH_TIMEOUT_S):
+                while self._failure is None and (self._queue or self._outstanding):
+                    self._room.clear()
+                    await self._room.wait()
+                if self._failure is None and self._connection is not None:
+                    self._connection.send(None)
+                    while self._failure is None and self._comparison is None:
+                        self._room.clear()
+                        await self._room.wait()
+        except TimeoutError:
+            self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
+        await self.close()
+        return self._comparison
+
+    @property
+    def failure(self) -> str | None:
+        """Why the calibrators stopped before the run did, or None."""
+        return self._failure
+
+    def _pump(self) -> None:
+        assert self._connection is not None
+        try:
+            while self._queue and self._outstanding < MOST_OUTSTANDING:
+                self._connection.send(self._queue.popleft())
+                self._outstanding += 1
+        except OSError as error:
+            self._fail(str(error))
+
+    def _receive(self) -> None:
+        assert self._connection is not None
+        try:
+            message = self._connection.recv()
+        except (EOFError, OSError):
+            self._fail("the process ended")
+            return
+        if isinstance(message, _Reply):
+            self._outstanding -= 1
+            self._write(message)
+            self._pump()
+        elif isinstance(message, Comparison):
+            self._comparison = message
+        else:
+            self._fail(f"{type(message).__name__}: {message}")
+        self._room.set()
+
+    def _write(self, reply: _Reply) -> None:
+        assert self._journal is not None
+        journal, block = self._journal, reply.block
+        for twin, values in block.outputs.items():
+            journal.twin_outputs(twin, reply.ticks, reply.time_s, values)
+        for done in block.calibrations:
+            journal.calibration(done.calibrator, done.start_s, done.end_s, done.document)
+            found = disturbance(done.document) if done.calibrator == self._speaks else None
+            if found is not None:
+                journal.event(reply.ticks[-1], done.end_s, "WARN", f"{done.calibrator}: {found}")
+        for proposed in block.proposals:
+            journal.proposal(proposed.calibrator, proposed.time_s, proposed.document)
+            said = None if self._advise is None else self._advise(proposed)
+            if said is not None:
+                journal.event(reply.ticks[-1], proposed.time_s, "INFO", said)
+        for band in block.bands:
+            journal.band(band.twin, band.start_s, band.end_s, asdict(band))
+
+    def _fail(self, why: str) -> None:
+        if self._failure is None:
+            self._failure = why
+            if self._journal is not None:
+                who = ", ".join(self.calibrators)
+                self._journal.event(-1, 0.0, "ERROR", f"{who}: stopped, the run goes on without: {why}")
+        if self._connection is not None:
+            asyncio.get_running_loop().remove_reader(self._connection.fileno())
+        self._room.set()
+
+    async def close(self) -> None:
+        """End the process; harmless when repeated."""
+        if self._connection is not None:
+            asyncio.get_running_loop().remove_reader(self._connection.fileno())
+            self._connection.close()
+            self._connection = None
+        if self._process is not None:
+            await asyncio.to_thread(self._process.join, 5.0)
+            if self._process.is_alive():
+                self._process.kill()
+                await asyncio.to_thread(self._process.join)
+            self._process.close()
+            self._process = None
+
+
+class Tracking:
+    """All calibrators of a run as one `hil.engine.Publisher`: the fits in one process, the network in another."""
+
+    def __init__(
+        self, config: TrackingConfig, *, wait: bool, advise: Callable[[Proposed], str | None] | None = None
+    ) -> None:
+        from twin.calibrators import FITTING
+
+        fits = tuple(name for name in config.calibrators if name in FITTING)
+        asks = tuple(name for name in config.calibrators if name not in FITTING)
+        self._order = config.calibrators
+        self._all = [
+            TrackingProcess(
+                replace(config, calibrators=names, static=first),
+                wait=wait,
+                speaks=names[0] if first else "",
+                advise=advise,
+            )
+            for names, first in ((fits, True), (asks, not fits))
+            if names
+        ]
+
+    async def start(self) -> None:
+        """Start the processes at the same time; raises what `TrackingProcess.start` raises, with none left running."""
+        done = await asyncio.gather(*(process.start() for process in self._all), return_exceptions=True)
+        for error in done:
+            if isinstance(error, BaseException):
+                await self.close()
+                raise error
+
+    @property
+    def calibrators(self) -> tuple[str, ...]:
+        """Those that run, in the order in which they were named."""
+        running = {name for process in self._all for name in process.calibrators}
+        return tuple(name for name in self._order if name in running)
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Those that do not, and why."""
+        return {name: why for process in self._all for name, why in process.left_out.items()}
+
+    def attach(self, journal: JournalWriter) -> None:
+        """Where results go; before the first block."""
+        for process in self._all:
+            process.attach(journal)
+
+    async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
+        """Hand a block to every process."""
+        for process in self._running():
+            await process.publish(ticks, time_s, rows)
+
+    async def finish(self) -> Comparison | None:
+        """Wait for all results; how the twins compare, without those that failed."""
+        found = [await process.finish() for process in self._running()]
+        whole = None
+        for part in found:
+            whole = part if whole is None else whole if part is None else whole.beside(part)
+        return whole
+
+    def _running(self) -> list[TrackingProcess]:
+        return [process for process in self._all if process.calibrators]
+
+    @property
+    def processes(self) -> tuple[int, ...]:
+        """Ids of the processes, that of the fits first."""
+        return tuple(process.pid for process in self._all if process.pid is not None)
+
+    @property
+    def failures(self) -> list[str]:
+        """A sentence for each process that stopped before the run did."""
+        stopped = [process for process in self._all if process.failure is not None]
+        return [f"{', '.join(process.calibrators)} stopped: {process.failure}" for process in stopped]
+
+    async def close(self) -> None:
+        """End all processes; harmless when repeated."""
+        for process in self._all:
+            await process.close()

@@ -1,0 +1,109 @@
+"""What the network's gates let through: nothing in shadow mode, one reversible revision in controlled mode."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.adoption import Advice, accepted, adopt
+from hil.record import Record
+from hil.tracking import Proposed
+from twin.kernel import simulate
+from twin.revisions import chain, diff, revert
+from twin.twinfile import load
+
+LOOP = Path(__file__).resolve().parents[2] / "profiles" / "twins" / "loop.toml"
+TRUE = {"fins.UA_100": 45.0, "tank_loss.hA": 8.0}
+HOURS = 3.0
+CHANGED_S = 1800.0
+
+
+@pytest.fixture
+def twin(tmp_path: Path) -> Path:
+    return Path(shutil.copy(LOOP, tmp_path / "my_twin.toml"))
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    """Three hours of a loop whose fins and tank are others than the twin's."""
+    rng, network = np.random.default_rng(0), load(LOOP)
+    n = int(HOURS * 3600)
+    time_s = np.arange(n, dtype=np.float64)
+    heat = np.repeat(rng.uniform(400, 900, n // 600 + 1), 600)[:n]
+    inputs = np.column_stack([heat, np.full(n, 80.0), np.full(n, 60.0), np.full(n, 22.0)])
+    clean = simulate(network.with_values(TRUE), time_s, inputs, np.array([35.0, 32.0, 29.0, 30.0]))
+    columns = dict(zip(network.input_columns, inputs.T, strict=True))
+    for j, parts in enumerate(network.sensor_columns.values()):
+        columns |= {c: clean[:, j] + 0.05 * rng.standard_normal(n) for c in parts}
+    return Record(time_s, columns)
+
+
+def proposed(time_s: float, values: dict[str, float], *, closed: str = "", held: tuple[str, ...] = ()) -> Proposed:
+    names = (*values, *held)
+    document: dict[str, Any] = {
+        "time_s": time_s,
+        "values": {name: values.get(name, 1.0) for name in names},
+        "standard_errors": dict.fromkeys(names, 0.5),
+        "held": dict.fromkeys(names, closed) if closed else dict.fromkeys(held, "LOW_SENSITIVITY"),
+        "reasons": [f"{closed or 'LOW_SENSITIVITY'}: why"] if closed or held else [],
+    }
+    return Proposed("hiera_unet", time_s, document)
+
+
+def proposals(values: dict[str, float], **other: Any) -> list[Proposed]:
+    return [proposed(t, values, **other) for t in np.arange(300.0, HOURS * 3600, 300.0).tolist()]
+
+
+def test_what_was_accepted_becomes_one_revision_that_can_be_reverted(twin: Path, record: Record) -> None:
+    held = ("heater_to_modules.resistance",)
+    done = adopt(twin, record, proposals(TRUE, held=held), "hil track it")
+    assert done.path == twin.with_name("my_twin.r2.toml") or done.path == twin.with_name("my_twin.r1.toml")
+    assert [p.name for p in twin.parent.glob("*.toml") if p != twin] == [done.path.name]
+    moved = {move.parameter: move.after for move in diff(load(twin), load(done.path)).moved}
+    assert moved == TRUE
+    newest, oldest = chain(done.path)
+    assert oldest.path == twin and not newest.faults
+    revision = newest.network.revision
+    assert revision.made_by == "hil track it" and "2 of 3 parameters" in revision.evidence
+    assert "fins.UA_100: 60 -> 45 ± 0.82" in revision.notes[0] and "LOW_SENSITIVITY in" in revision.notes[-1]
+    assert revision.held_out_s == (HOURS * 3600 - 1 - 0.2 * (HOURS * 3600 - 1), HOURS * 3600 - 1)
+    for sensor, before in revision.error_before_K.items():
+        assert revision.error_after_K[sensor] < 0.06 < before
+    again = revert(done.path)
+    assert diff(load(twin), load(again)).empty
+
+
+def test_only_what_came_before_the_end_is_saved_and_errors_are_of_the_end(twin: Path, record: Record) -> None:
+    late = [proposed(HOURS * 3600 - 300.0, {"fins.UA_100": 10.0})]
+    done = adopt(twin, record, proposals(TRUE)[:20] + late, "a test")
+    assert done.path is not None and load(done.path).parameters["fins.UA_100"].value == 45.0
+    assert accepted(late + proposals(TRUE), 600.0)["fins.UA_100"].count == 2
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ([], "hiera_unet has proposed nothing"),
+        (
+            proposals(TRUE, closed="MISSING_REQUIRED"),
+            "held everything in 28 of 28 proposals; MISSING_REQUIRED in 28 (why)",
+        ),
+        (proposals({"fins.UA_100": 75.0}), "foretold worse"),
+    ],
+)
+def test_a_closed_gate_or_a_worse_twin_saves_nothing(twin: Path, record: Record, given: Any, words: str) -> None:
+    done = adopt(twin, record, given, "a test")
+    assert done.path is None and words in done.sentence
+    assert list(twin.parent.glob("*.toml")) == [twin]
+
+
+def test_advice_is_given_where_it_is_news(twin: Path) -> None:
+    advise = Advice(load(twin)).news
+    assert advise(proposed(300.0, {"fins.UA_100": 60.3})) is None
+    assert advise(proposed(600.0, {"fins.UA_100": 45.0})) == ("hiera_unet would change fins.UA_100 60 -> 45 ± 0.82 W/K")
+    assert advise(proposed(900.0, {"fins.UA_100": 45.5})) is None
+    assert advise(proposed(900.0, {"fins.UA_100": 20.0}, closed="OUT_OF_ENVELOPE")) is None

@@ -1,0 +1,242 @@
+"""The network beside the fits, as a user runs it: left out with a reason, in a process of its own, modes."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from drivers.points import Signal
+from hil.bands import SPAN_S, Bands
+from hil.cli import group
+from hil.journal import Header, JournalReader, JournalWriter
+from hil.record import Record, read_record, write_record
+from hil.run_folder import RunFolder
+from hil.tracking import TrackingConfig
+from hil.tracking_process import Tracking
+from twin.kernel import simulate
+from twin.revisions import with_elements
+from twin.twinfile import load, save
+
+PROFILES = Path(__file__).resolve().parents[2] / "profiles"
+LOOP = PROFILES / "twins" / "loop.toml"
+NEEDED = ("torch", "safetensors")
+network_here = pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in NEEDED), reason="torch or safetensors is not installed"
+)
+LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,100,70\n900,850,85,70\n2600,650,100,100\n"
+
+
+def hil(*arguments: object) -> Any:
+    return CliRunner().invoke(group, [str(item) for item in arguments])
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two and a half hours of a loop with other fins than the twin's."""
+    rng, network = np.random.default_rng(0), load(LOOP)
+    n = 9000
+    time_s = np.arange(n, dtype=np.float64)
+    level = lambda low, high, every: np.repeat(rng.uniform(low, high, n // every + 1), every)[:n]  # noqa: E731
+    inputs = np.column_stack([level(400, 900, 700), level(60, 100, 1100), level(30, 90, 900), np.full(n, 22.0)])
+    clean = simulate(network.with_values({"fins.UA_100": 45.0}), time_s, inputs, np.array([35.0, 32.0, 29.0, 30.0]))
+    columns = dict(zip(network.input_columns, inputs.T, strict=True))
+    for j, parts in enumerate(network.sensor_columns.values()):
+        columns |= {c: clean[:, j] + 0.05 * rng.standard_normal(n) for c in parts}
+    path = tmp_path_factory.mktemp("record") / "record.parquet"
+    write_record(Record(time_s, columns), path)
+    return path
+
+
+@network_here
+def test_shadow_writes_nothing_and_controlled_writes_one_revision(record: Path, tmp_path: Path) -> None:
+    twin = Path(shutil.copy(LOOP, tmp_path / "my_twin.toml"))
+    shadow = hil("track", record, "--twin", twin, "--json")
+    assert shadow.exit_code == 0, shadow.output
+    told = json.loads(shadow.stdout)
+    assert told["errors_K"]["columns"][::2] == ["static", "pso fitted", "least_squares fitted", "hiera_unet fitted"]
+    assert list(told["bands"]) == list(told["parameters"]) == ["static", "pso", "least_squares", "hiera_unet"]
+    assert told["adoption"] is None and told["advice"] == [] and len(told["proposals"]) == 30
+    assert list(tmp_path.iterdir()) == [twin]
+    advisory = hil("track", record, "--twin", twin, "--calibrator", "hiera_unet", "--network-mode", "advisory")
+    assert "hiera_unet would change fins.UA_100" in advisory.output and list(tmp_path.iterdir()) == [twin]
+    done = hil("track", record, "--twin", twin, "--calibrator", "hiera_unet", "--network-mode", "controlled")
+    assert done.exit_code == 0 and "are saved as" in done.output
+    (revision,) = (path for path in tmp_path.iterdir() if path != twin)
+    log = hil("twin", "log", revision).output
+    assert "hil track record.parquet" in log and "its gates let through" in log
+    assert "fins.UA_100" in hil("twin", "diff", revision).output
+    assert hil("twin", "revert", revision).exit_code == 0
+
+
+def test_without_torch_the_others_run_and_a_sentence_says_why(
+    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name in NEEDED else real(name, *rest))
+    done = hil("track", record, "--twin", LOOP, "--json")
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert list(told["parameters"]) == ["static", "pso", "least_squares"]
+    assert "needs torch and safetensors" in told["left_out"]["hiera_unet"]
+    named = hil("track", record, "--twin", LOOP, "--calibrator", "hiera_unet")
+    assert named.exit_code != 0 and "needs torch" in str(named.exception)
+
+
+@network_here
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        ("table", "were trained with another channel table"),
+        ("config", "are of another configuration than"),
+        ("twin", "were trained for a twin of another structure, with other elements"),
+        ("weights", "their checksum differs"),
+        ("missing", "there is no trained network"),
+    ],
+)
+def test_weights_of_something_else_are_refused_in_one_sentence(
+    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str, words: str
+) -> None:
+    from twin.calibrators.hiera_unet import service
+
+    folder, twin = Path(shutil.copytree(PROFILES / "trained", tmp_path / "trained")), LOOP
+    card, weights = (folder / f"loop_small_0.{end}" for end in ("json", "safetensors"))
+    document = json.loads(card.read_text(encoding="utf-8"))
+    match damage:
+        case "table":
+            document["table"] = "0" * 64
+        case "config":
+            document["config"]["dims"] = [96, 192, 384, 512]
+        case "weights":
+            weights.write_bytes(weights.read_bytes() + b" ")
+        case "missing":
+            (folder / "loop_small.json").unlink()
+        case "twin":
+            source = {"kind": "heat_source", "node": "tank", "power": {"value": 5.0, "lower": 0.0, "upper": 50.0}}
+            twin = save(with_elements(load(LOOP), {"one_more": source}), tmp_path / "more.toml")
+    card.write_text(json.dumps(document), encoding="utf-8")
+    monkeypatch.setattr(service, "TRAINED", folder)
+    named = hil("track", record, "--twin", twin, "--calibrator", "hiera_unet")
+    assert named.exit_code != 0 and words in str(named.exception) and "\n" not in str(named.exception)
+    told = json.loads(hil("track", record, "--twin", twin, "--json").stdout)
+    assert words in told["left_out"]["hiera_unet"] and list(told["bands"]) == ["static", "pso", "least_squares"]
+
+
+@network_here
+@pytest.mark.parametrize(("damage", "code"), [("flat", "FLAT_RECORD"), ("shuffled", "SHUFFLED_RECORD")])
+def test_a_flat_or_shuffled_record_moves_nothing_and_says_why(
+    record: Path, tmp_path: Path, damage: str, code: str
+) -> None:
+    data = read_record(record)
+    order = np.random.default_rng(1).permutation(len(data.time_s))
+    change = (lambda v: np.full_like(v, 100.0 / 3.0)) if damage == "flat" else (lambda v: v[order])
+    thermometers = {c for parts in load(LOOP).sensor_columns.values() for c in parts}
+    columns = {name: change(v) if name in thermometers else v for name, v in data.columns.items()}
+    write_record(Record(data.time_s, columns), tmp_path / "bad.parquet")
+    twin = Path(shutil.copy(LOOP, tmp_path / "my_twin.toml"))
+    done = hil("track", tmp_path / "bad.parquet", "--twin", twin, "--calibrator", "hiera_unet",
+               "--network-mode", "controlled")  # fmt: skip
+    assert f"hiera_unet held everything in 30 of 30 proposals; {code} in 30 (" in done.output
+    assert "no revision is saved" in done.output and len(list(tmp_path.glob("*.toml"))) == 1
+
+
+def test_a_twin_without_a_network_is_run_by_the_others(tmp_path: Path) -> None:
+    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    done = hil("run", tmp_path / "load.csv", "--virtual", "--lockstep", "--twin", PROFILES / "twins/loop_six.toml",
+               "--runs", tmp_path / "runs", "--check-only")  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "hiera_unet is left out: " in done.output
+
+
+@network_here
+def test_lockstep_with_the_network_is_the_same_every_time(tmp_path: Path) -> None:
+    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    seen = []
+    for _ in range(2):
+        done = hil("run", tmp_path / "load.csv", "--virtual", "--lockstep", "--runs", tmp_path / "runs", "--json",
+                   "--no-viewer")  # fmt: skip
+        assert done.exit_code == 0, done.output
+        folder = RunFolder(Path(json.loads(done.stdout)["folder"]))
+        reader = JournalReader(folder.journal)
+        twins = {name: reader.twin_outputs(name).values for name in reader.header.twin_names}
+        rows = [(r.calibrator, r.end_s, r.document) for r in reader.calibrations()]
+        bands = [(r.twin, r.start_s, r.document) for r in reader.bands()]
+        proposals = [(r.time_s, r.document) for r in reader.proposals()]
+        reader.close()
+        assert "What the network" in folder.report.read_text(encoding="utf-8")
+        order = {name: k for k, name in enumerate(twins)}
+        seen.append(
+            (twins, sorted(rows, key=lambda r: (order[r[0]], r[1])), sorted(bands, key=lambda r: r[:2]), proposals)
+        )
+    (one, *rest), (other, *same) = seen
+    assert list(one) == ["static", "pso", "least_squares", "hiera_unet"]
+    assert all(np.array_equal(one[name], other[name]) for name in one)
+    assert rest == same and len(seen[0][3]) == 8
+
+
+@network_here
+async def test_a_network_that_hangs_holds_up_neither_the_engine_nor_the_fits(record: Path, tmp_path: Path) -> None:
+    data = read_record(record)
+    columns = tuple(data.columns)
+    header = Header(
+        signals=tuple(Signal(name, "1") for name in columns), twin_sensors=dict(load(LOOP).sensor_columns),
+        twin_names=("static", "least_squares", "hiera_unet"), profile="p", duration_s=1300.0, period_s=1.0, noise_K={},
+    )  # fmt: skip
+    tracking = Tracking(TrackingConfig(LOOP, columns, ("least_squares", "hiera_unet")), wait=False)
+    await tracking.start()
+    journal = JournalWriter(tmp_path / "journal.sqlite", header)
+    reader = JournalReader(tmp_path / "journal.sqlite")
+    tracking.attach(journal)
+    table = np.column_stack([data.columns[name] for name in columns])
+    _, network = tracking.processes
+    os.kill(network, signal.SIGSTOP)
+    longest = 0.0
+    for first in range(0, 1300, 10):
+        began = time.monotonic()
+        rows = range(first, first + 10)
+        await tracking.publish(list(rows), data.time_s[first : first + 10].tolist(), table[first : first + 10].tolist())
+        longest = max(longest, time.monotonic() - began)
+        await asyncio.sleep(0.001)
+    deadline = time.monotonic() + 30.0
+    while len(reader.twin_outputs("least_squares").tick) < 1300 and time.monotonic() < deadline:
+        await asyncio.sleep(0.05)
+        journal.commit()
+    assert len(reader.twin_outputs("least_squares").tick) == 1300 and len(reader.calibrations()) == 2
+    assert not len(reader.twin_outputs("hiera_unet").tick) and longest < 0.2
+    os.kill(network, signal.SIGCONT)
+    compared = await tracking.finish()
+    journal.commit()
+    assert compared is not None and list(compared.bands) == ["static", "least_squares", "hiera_unet"]
+    assert len(reader.twin_outputs("hiera_unet").tick) == 1300 and len(reader.proposals()) == 4
+    reader.close()
+    journal.close()
+
+
+def test_a_band_is_foretold_and_counted_however_the_stream_is_cut() -> None:
+    rng = np.random.default_rng(0)
+    n = int(6 * SPAN_S)
+    time_s = np.arange(n, dtype=np.float64)
+    measured = 0.05 * rng.standard_normal((n, 1))
+    measured[:700] = np.nan
+    whole, parts = Bands(("T",)), Bands(("T",))
+    found = whole.push(time_s, measured, {"pso": np.zeros((n, 1))})
+    cut = [
+        parts.push(time_s[i : i + 77], measured[i : i + 77], {"pso": np.zeros((77, 1))[: n - i]})
+        for i in range(0, n, 77)
+    ]
+    assert found == tuple(band for bands in cut for band in bands)
+    halves = [band.half_width_K["T"] for band in found]
+    assert halves[:2] == [None, None] and found[0].mean_K["T"] is None
+    assert all(abs((half or 0.0) - 1.645 * 0.05) < 0.01 for half in halves[2:])
+    half, inside = whole.table()["pso"]["T"]
+    assert abs(inside - 0.9) < 0.03 and abs(half - 0.082) < 0.01
