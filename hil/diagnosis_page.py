@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.atomic import replacing
-from hil.diagnosis_pictures import after_label, beside_answer, pictures, plain
+from hil.diagnosis_pictures import pictures
 from hil.diagnosis_store import PAGE, Findings, read_findings
+from hil.diagnosis_words import after_label, beside_answer, plain, reasons
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
@@ -57,6 +58,7 @@ def page(findings: Findings) -> str:
         _experiment(d),
         _section("Residual", drawn, "residuals", _residual_note(d)),
         _section("Where the unknown acts", drawn, "unknowns", _UNKNOWN_NOTE),
+        _belief(d, drawn),
         _section("Evidence", drawn, "ladder", _LADDER_NOTE),
         _section("Explanations", drawn, "others", _others_note(d)),
         _section("Error on data that no fit saw", drawn, "errors", _errors_note(d)),
@@ -82,6 +84,11 @@ _UNKNOWN_NOTE = (
 _LADDER_NOTE = (
     "Left: the misfit of the twin with each effect that was added, the dotted line is what noise alone leaves. Right: "
     "how strongly one more effect would be called for."
+)
+_BLOCKS_NOTE = (
+    "Each block of time is foretold from the rest of the record, less what the rig remembers on either side. Bars: how "
+    "much better than the twin without, re-tuned or left alone, whichever does better (fall of weighted squares). Red: "
+    "worse. A block without a bar was not asked, since the rest does not tell the sizes."
 )
 _TUNABLES_NOTE = (
     "A twin without the effect imitates it by moving its own parameters. Far outside the grey band means: further than "
@@ -118,8 +125,16 @@ def _section(title: str, drawn: dict[str, str], name: str, note: str) -> str:
     if name not in drawn:
         return ""
     data = base64.b64encode(drawn[name].encode()).decode()
-    picture = f'<img id="{name}" alt="{html.escape(title)}" src="data:image/svg+xml;base64,{data}">'
-    return f"<h2>{html.escape(title)}</h2><p class=note>{html.escape(note)}</p>{picture}"
+    picture = f'<img id="{name}" alt="{html.escape(title or name)}" src="data:image/svg+xml;base64,{data}">'
+    heading = f"<h2>{html.escape(title)}</h2>" if title else ""
+    return f"{heading}<p class=note>{html.escape(note)}</p>{picture}"
+
+
+def _belief(d: dict[str, Any], drawn: dict[str, str]) -> str:
+    """Chance, and the blocks of time left out."""
+    said = "".join(f"<p>{html.escape(text)}</p>" for text in reasons(d))
+    blocks = _section("", drawn, "blocks", _BLOCKS_NOTE)
+    return f"<h2>Why believe it</h2>{said}{blocks}" if said or blocks else ""
 
 
 def _verdict(d: dict[str, Any]) -> str:

@@ -7,52 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.diagnosis_drawing import BAND, BLUE, DARK, GREY, ORANGE, RED, SKY, STYLE, figure_of, marks, marks_legend
 from hil.diagnosis_store import Findings, Unknown
+from hil.diagnosis_words import after_label, beside_answer, plain, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette: told apart without red-green vision.
-ORANGE, SKY, GREEN, BLUE, RED, GREY, DARK = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#8a9099", "#30343a"
-BAND = "#cfd6dd"
-_WIDTH = 10.4
 _MOST_TUNABLES = 18
 _MOST_OTHERS = 9
 _LEAST_K = 1e-4
-_STYLE: dict[str, Any] = {
-    "font.size": 9,
-    "font.family": "DejaVu Sans",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 10,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.alpha": 0.25,
-    "legend.frameon": False,
-    "svg.fonttype": "path",
-}
-
-
-def short(sensor: str) -> str:
-    """A sensor's column as a label: `T_tank_C` -> `tank`."""
-    return sensor.removeprefix("T_").removesuffix("_C")
-
-
-def plain(effect: dict[str, Any]) -> str:
-    """`heat source at modules (constant)`."""
-    what = f"{effect['kind']} at {effect['where']}".replace("_", " ") if effect["kind"] != "sensor" else ""
-    return f"{what or 'sensor ' + effect['where']} ({effect['driver'].replace('_', ' ')})"
-
-
-def after_label(document: dict[str, Any]) -> str:
-    """What the twin held whose errors are called `after`."""
-    if document["verdict"] in ("effect found", "ambiguous"):
-        return "with the effect"
-    tried = any(e["after"] != e["before"] for e in document["error"]["sensors"].values())
-    return "with the best effect tried" if tried else "re-tuned"
 
 
 def pictures(findings: Findings) -> dict[str, str]:
@@ -60,12 +25,12 @@ def pictures(findings: Findings) -> dict[str, str]:
     import matplotlib
 
     makers = {
-        "residuals": _residuals, "unknowns": _unknowns, "ladder": _ladder, "others": _others, "errors": _errors,
-        "tunables": _tunables,
+        "residuals": _residuals, "unknowns": _unknowns, "blocks": _blocks, "ladder": _ladder, "others": _others,
+        "errors": _errors, "tunables": _tunables,
     }  # fmt: skip
     drawn = {}
     for name, make in makers.items():
-        style: dict[Any, Any] = {**_STYLE, "svg.hashsalt": name}
+        style: dict[Any, Any] = {**STYLE, "svg.hashsalt": name}
         with matplotlib.rc_context(style):
             figure = make(findings)
             if figure is not None:
@@ -75,46 +40,16 @@ def pictures(findings: Findings) -> dict[str, str]:
     return drawn
 
 
-def _figure(height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(_WIDTH, height), layout="constrained")
-
-
-def _marks(axes: Axes, findings: Findings) -> None:
-    """Onsets as dashed lines, the held-out part shaded."""
-    low, high = (s / 3600.0 for s in findings.document["error"]["held_out_s"])
-    axes.axvspan(low, high, facecolor="#f1f3f5", edgecolor="none", zorder=0)
-    begin = findings.curves.time_s[0] / 3600.0
-    for effect in findings.document["effects"]:
-        onset = effect["onset_s"] / 3600.0
-        if onset > begin + 1e-6:
-            axes.axvline(onset, color=DARK, linewidth=1.0, linestyle=(0, (4, 3)))
-    axes.set_xlim(begin, max(high, findings.curves.time_s[-1] / 3600.0))
-
-
-def _marks_legend(findings: Findings) -> list[Any]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    begin = findings.curves.time_s[0]
-    found: list[Any] = []
-    if any(e["onset_s"] > begin for e in findings.document["effects"]):
-        found.append(Line2D([], [], color=DARK, linewidth=1.0, linestyle=(0, (4, 3)), label="onset"))
-    found.append(Patch(facecolor="#e6e9ec", edgecolor="none", label="held out of the fit"))
-    return found
-
-
 def _residuals(findings: Findings) -> Figure | None:
     curves, label = findings.curves, after_label(findings.document)
     sensors = list(curves.residual)
     hours = curves.time_s / 3600.0
-    figure = _figure(1.5 * len(sensors) + 0.9)
+    figure = figure_of(1.5 * len(sensors) + 0.9)
     grid = figure.subplots(len(sensors), 2, sharex=True, squeeze=False, gridspec_kw={"width_ratios": [1.25, 1.0]})
     for row, sensor in zip(grid, sensors, strict=True):
         band = 2.0 * curves.band[sensor]
         for axes in row:
-            _marks(axes, findings)
+            marks(axes, findings)
             axes.axhspan(-band, band, facecolor=BAND, edgecolor="none", label="healthy (±2σ)", zorder=1)
             axes.axhline(0.0, color=DARK, linewidth=0.6)
         row[0].plot(hours, curves.residual[sensor], color=RED, linewidth=1.3, label="as it was")
@@ -129,7 +64,7 @@ def _residuals(findings: Findings) -> Figure | None:
     for axes in grid[-1]:
         axes.set_xlabel("time, h")
     handles, _ = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles=[*handles, *_marks_legend(findings)], loc="outside upper center", ncols=6)
+    figure.legend(handles=[*handles, *marks_legend(findings)], loc="outside upper center", ncols=6)
     return figure
 
 
@@ -141,7 +76,7 @@ def _unknowns(findings: Findings) -> Figure | None:
         return None
     hours = findings.curves.time_s / 3600.0
     rows = max(len(c) for c in columns)
-    figure = _figure(1.45 * rows + 0.9)
+    figure = figure_of(1.45 * rows + 0.9)
     grid = figure.subplots(rows, len(columns), sharex=True, squeeze=False)
     likeliest = findings.curves.unknowns[0] if findings.document["effects"] else None
     for k, column in enumerate(columns):
@@ -167,12 +102,12 @@ def _legend_unknown(findings: Findings) -> list[Any]:
         Line2D([], [], color=BLUE, linewidth=1.6, label="likeliest place"),
         Line2D([], [], color=GREY, linewidth=1.3, label="other place"),
         Patch(facecolor=BAND, edgecolor="none", label="±2σ"),
-        *_marks_legend(findings),
+        *marks_legend(findings),
     ]
 
 
 def _unknown(axes: Axes, findings: Findings, unknown: Unknown, hours: np.ndarray, best: bool) -> None:
-    _marks(axes, findings)
+    marks(axes, findings)
     colour = BLUE if best else GREY
     low, high = unknown.mean - 2.0 * unknown.sd, unknown.mean + 2.0 * unknown.sd
     axes.fill_between(hours, low, high, facecolor=SKY if best else BAND, edgecolor="none", alpha=0.45 if best else 0.8)
@@ -191,11 +126,53 @@ def _unknown(axes: Axes, findings: Findings, unknown: Unknown, hours: np.ndarray
     axes.set_ylim(min(bottom, -0.2 * room), max(top, 0.0) + room)
 
 
+def _blocks(findings: Findings) -> Figure | None:
+    """What the effects gain in each block of time that their sizes were not taken from."""
+    blocks = [b for b in findings.document.get("left_out") or () if b["gain"] is not None]
+    if not blocks:
+        return None
+    figure = figure_of(2.0)
+    axes = figure.subplots()
+    marks(axes, findings)
+    gains = np.array([b["gain"] for b in blocks])
+    low, high = (np.array([b[key] for b in blocks]) / 3600.0 for key in ("first_s", "last_s"))
+    axes.bar(
+        low, gains, width=high - low, align="edge", color=[BLUE if g > 0.0 else RED for g in gains], edgecolor="white",
+        linewidth=2.0, zorder=2,
+    )  # fmt: skip
+    axes.axhline(0.0, color=DARK, linewidth=0.6)
+    reach = float(np.abs(gains).max())
+    if reach > 30.0 * max(float(np.abs(gains).min()), 10.0):
+        axes.set_yscale("symlog", linthresh=10.0)
+        axes.yaxis.set_major_locator(_few_decades(reach))
+        axes.yaxis.set_minor_locator(_no_ticks())
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.set_ylim(-12.0 * reach if gains.min() < -10.0 else min(-3.0, 3.0 * gains.min()), 12.0 * reach)
+    else:
+        axes.set_ylim(min(0.0, 1.5 * gains.min()) - 0.02 * reach, 1.35 * max(gains.max(), 0.0) + 0.02 * reach)
+    for x, gain in zip(0.5 * (low + high), gains, strict=True):
+        axes.annotate(
+            f"{gain:+,.0f}", (x, gain), xytext=(0, 3 if gain > 0.0 else -3), textcoords="offset points", ha="center",
+            va="bottom" if gain > 0.0 else "top", fontsize=9,
+        )  # fmt: skip
+    axes.set_ylabel("gain in the block")
+    axes.set_xlabel("time, h")
+    return figure
+
+
+def _few_decades(reach: float) -> Any:
+    from matplotlib.ticker import FixedLocator
+
+    top = int(np.floor(np.log10(reach)))
+    each = [10.0**k for k in range(1, top + 1, max((top + 1) // 3, 1))]
+    return FixedLocator([-x for x in reversed(each)] + [0.0] + each)
+
+
 def _ladder(findings: Findings) -> Figure | None:
     rungs = findings.document["ladder"]
     if not rungs:
         return None
-    figure = _figure(0.5 * len(rungs) + 1.3)
+    figure = figure_of(0.5 * len(rungs) + 1.3)
     left, right = figure.subplots(1, 2, sharey=True)
     names = [_folded(r["twin"].replace("_", " ").replace(" + ", "\n+ ")) for r in rungs]
     places = np.arange(len(rungs))[::-1]
@@ -205,8 +182,11 @@ def _ladder(findings: Findings) -> Figure | None:
     left.set_yticks(places, names)
     left.axvline(1.0, color=DARK, linewidth=1.0, linestyle=":")
     left.set_xlabel("misfit left (chi² per block and sensor; dotted: 1, nothing but noise)")
-    right.axvline(6.0, color=DARK, linewidth=1.0, linestyle=":")
-    right.set_xlabel("score z of the best next effect (dotted: 6, below it nothing is claimed)")
+    limit = findings.document.get("threshold")
+    if limit is not None:
+        right.axvline(limit, color=DARK, linewidth=1.0, linestyle=":")
+    below = f" (dotted: {limit:.1f}, below it nothing is claimed)" if limit is not None else ""
+    right.set_xlabel(f"score z of the best next effect{below}")
     for axes in (left, right):
         axes.grid(axis="y", visible=False)
         axes.xaxis.label.set_size(8)
@@ -235,12 +215,6 @@ def _bars(axes: Axes, places: np.ndarray, values: list[float | None], colours: l
         axes.annotate(text, (x, place), xytext=(4, 0), textcoords="offset points", va="center", fontsize=9)
 
 
-def beside_answer(document: dict[str, Any]) -> list[dict[str, Any]]:
-    """What cannot be told from the answer, without the answer itself, which an ambiguous finding lists too."""
-    said = {(e["kind"], e["where"], e["driver"]) for e in document["effects"]}
-    return [a for a in document["indistinguishable"] if (a["kind"], a["where"], a["driver"]) not in said]
-
-
 def _others(findings: Findings) -> Figure | None:
     document = findings.document
     rows: list[tuple[str, float, str, str]] = []
@@ -253,7 +227,7 @@ def _others(findings: Findings) -> Figure | None:
         rows.append((plain(a), float(a["confidence"] or 0.0), a["why_not"], GREY))
     if not rows:
         return None
-    figure = _figure(0.33 * len(rows) + 0.8)
+    figure = figure_of(0.33 * len(rows) + 0.8)
     axes = figure.subplots()
     places = np.arange(len(rows))[::-1]
     axes.barh(places, [100.0 * r[1] for r in rows], height=0.6, color=[r[3] for r in rows])
@@ -282,7 +256,7 @@ def _errors(findings: Findings) -> Figure | None:
     ]  # fmt: skip
     if last == "re-tuned":
         kinds = [kinds[0], kinds[2], kinds[3]]
-    figure = _figure(0.42 * len(sensors) + 1.5)
+    figure = figure_of(0.42 * len(sensors) + 1.5)
     raw, means = figure.subplots(1, 2, sharey=True, sharex=True)
     places = np.arange(len(sensors))[::-1]
     for axes, title in ((raw, "every sample"), (means, "means of ten seconds")):
@@ -332,7 +306,7 @@ def _tunables(findings: Findings) -> Figure | None:
     moved.sort(key=lambda m: -max(abs(m["before_sd"]), abs(m["after_sd"])))
     left_out = len(moved) - _MOST_TUNABLES
     moved = moved[:_MOST_TUNABLES]
-    figure = _figure(0.3 * len(moved) + 1.3)
+    figure = figure_of(0.3 * len(moved) + 1.3)
     axes = figure.subplots()
     places = np.arange(len(moved))[::-1]
     before, after = (np.array([m[key] for m in moved]) for key in ("before_sd", "after_sd"))

@@ -167,6 +167,8 @@ def _review(folder: Path, *, quiet: bool) -> None:
 def _show(to: Console, d: Diagnosis) -> None:
     from rich.table import Table
 
+    from hil.diagnosis_words import reasons
+
     for warning in d.warnings:
         to.print(f"warning: {warning}", style="yellow", soft_wrap=True)
     to.print(f"[bold]{d.verdict}[/bold]: {d.summary}", soft_wrap=True)
@@ -183,6 +185,8 @@ def _show(to: Console, d: Diagnosis) -> None:
                 f"{e.onset_s / 3600.0:.2f} h", f"{e.z:.0f}",
             )  # fmt: skip
         to.print(table)
+    for reason in reasons(d.document()):
+        to.print(reason, soft_wrap=True)
     if d.indistinguishable or d.alternatives:
         table = Table(title="Other explanations", title_justify="left")
         for heading in ("kind", "where", "driver", "why not"):

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.diagnosis_pictures import after_label, beside_answer, plain, short
 from hil.diagnosis_store import Findings, Unknown, has_diagnosis, read_findings
+from hil.diagnosis_words import after_label, beside_answer, plain, reasons, short
 from hil.journal_rows import Header
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.looks import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, Plan, Stack, path
@@ -60,6 +60,7 @@ def notes(findings: Findings) -> dict[str, str]:
     d = findings.document
     parts = [f"### {str(d['verdict']).capitalize()}", str(d["summary"])]
     parts += [f"*{text}*" for text in (*d["warnings"], *d["notes"])]
+    parts += reasons(d)
     if others := beside_answer(d):
         parts.append("This record cannot tell it from: " + ", ".join(plain(a) for a in others) + ".")
     parts.append(

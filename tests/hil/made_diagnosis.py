@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.discovery.diagnosis import Alternative, Course, Diagnosis, Effect, Moved, Rung, SensorError
+from twin.discovery.diagnosis import Alternative, Course, Diagnosis, Effect, Fold, Moved, Rung, SensorError
 from twin.network import Network
 
 SENSORS = ("T_heater_C", "T_modules_C", "T_tank_C")
@@ -15,6 +15,7 @@ def effect(value: float = 180.0, where: str = "modules", onset_s: float = 7200.0
     return Effect(
         "heat_source", where, "constant", "new", value, "W", (value - 4.0, value + 4.0), onset_s,
         (onset_s - 60.0, onset_s + 60.0), "step", confidence, 41.0, "with it 99 % of the mismatch is gone", 0.0, SAYS,
+        1e-9,
     )  # fmt: skip
 
 
@@ -53,4 +54,8 @@ def made(
         residual_after=residual / 100.0,
         band=np.array([0.05, 0.02, 0.05]),
         network=network,
+        folds=tuple(
+            Fold(9000.0 * k, 9000.0 * (k + 1), 45, gain) for k, gain in enumerate((-4.0, 210.0, 3900.0, 4100.0))
+        ),
+        threshold=4.8,
     )

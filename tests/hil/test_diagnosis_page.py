@@ -11,7 +11,7 @@ import pytest
 
 from hil.diagnosing import write
 from hil.diagnosis_page import page
-from hil.diagnosis_pictures import after_label, pictures
+from hil.diagnosis_pictures import pictures
 from hil.diagnosis_store import (
     CURVES,
     DiagnosisFolderError,
@@ -22,13 +22,14 @@ from hil.diagnosis_store import (
     read_findings,
     write_curves,
 )
+from hil.diagnosis_words import after_label, often, reasons
 from hil.review import read_columns, read_words, write_findings_review, write_review
 from hil.review.looks import path
 from tests.hil.made_diagnosis import SAYS, SENSORS, made
 from tests.hil.synthetic_journal import make
 from tests.hil.synthetic_journal import write as write_journal
 
-PICTURES = {"residuals", "unknowns", "ladder", "others", "errors", "tunables"}
+PICTURES = {"residuals", "unknowns", "blocks", "ladder", "others", "errors", "tunables"}
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +104,20 @@ def test_what_did_not_explain_the_record_is_not_called_the_effect():
     assert after_label(made().document()) == "with the effect"
 
 
+def test_it_is_said_why_the_answer_should_be_believed(folder):
+    document = read_findings(folder).document
+    by_chance, blocks = reasons(document)
+    assert "less than once in a million" in by_chance and "reaches 4.8" in by_chance
+    assert "the effect foretells 3 of 4 blocks of time better" in blocks
+    text = (folder / "diagnosis.html").read_text(encoding="utf-8")
+    assert text.index("Where the unknown acts") < text.index(by_chance) < text.index(blocks) < text.index("Evidence")
+    # What no scan found has no probability, and a verdict without effects or blocks needs no reasons.
+    unscanned = dataclasses.replace(made().effects[0], family_wise=float("nan"))
+    assert reasons(made(effects=(unscanned,)).document()) == [blocks]
+    assert reasons(dataclasses.replace(made("adequate"), folds=()).document()) == []
+    assert [often(p) for p in (0.3, 0.004)] == ["in 30 of a hundred records", "once in 250 records"]
+
+
 def test_the_next_experiment_is_told_step_by_step():
     plan = {
         "why": "a long soak tells a loss from a source",
@@ -118,7 +133,7 @@ def test_the_next_experiment_is_told_step_by_step():
 
 def test_a_diagnosis_that_shows_little_still_makes_a_page():
     bare = dataclasses.replace(
-        made("adequate"), errors={}, courses=(), ladder=(), moved=(), indistinguishable=(), alternatives=()
+        made("adequate"), errors={}, courses=(), ladder=(), moved=(), indistinguishable=(), alternatives=(), folds=()
     )
     findings = Findings(bare.document(), curves_of(bare, SENSORS))
     assert set(pictures(findings)) == {"residuals"}
