@@ -9,6 +9,7 @@ import dataclasses
 import datetime
 import json
 import platform
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -23,6 +24,9 @@ from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
 from hil.record import Record, read_record
 from twin.discovery.basis import Columns
 from twin.discovery.diagnosis import Diagnosis
+from twin.discovery.engine import diagnose
+from twin.discovery.experiment import Limits
+from twin.discovery.growing.answer import diagnose_grown, fits_growth
 from twin.network import InputSpec, Network, Revision
 from twin.revisions import save_revision
 from twin.twinfile import save
@@ -106,11 +110,33 @@ def columns_of(network: Network, record: Record, hour_at_0: float | None) -> Col
     return Columns.of(network, record.time_s, columns)
 
 
-def read_columns(network: Network, path: Path, hour_at_0: float | None) -> tuple[Columns, tuple[str, ...]]:
-    """Columns of a record file, and what reading it met."""
-    record = read_record(path)
+def read_columns(
+    network: Network, path: Path, hour_at_0: float | None, *, at_rest: bool = False
+) -> tuple[Columns, tuple[str, ...]]:
+    """Columns of a record file, or of steady states, and what reading it met."""
+    record = read_record(path, at_rest=at_rest)
     hour = hour_at_0 if hour_at_0 is not None else start_hour(record)
     return columns_of(network, record, hour), record.messages
+
+
+def answer(
+    network: Network,
+    record: Columns,
+    healthy: Columns | None,
+    *,
+    more: tuple[Columns, ...],
+    limits: Limits | None,
+    at_rest: bool,
+    say: Callable[[str], None],
+) -> Diagnosis:
+    """A contest of effects with a twin that is nearly right, or the growth of one that was never commissioned.
+
+    Raises:
+        TwinFileError: the record cannot be diagnosed.
+    """
+    if at_rest or (healthy is None and fits_growth(network, record)):
+        return diagnose_grown(network, record, more=more, at_rest=at_rest, say=say)
+    return diagnose(network, record, healthy, more=more, say=say, limits=limits)
 
 
 def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path, *, empirical: bool = False) -> Path | None:

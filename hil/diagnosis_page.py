@@ -10,7 +10,7 @@ from typing import Any
 from hil.atomic import replacing
 from hil.diagnosis_pictures import pictures
 from hil.diagnosis_store import PAGE, Findings, read_findings
-from hil.diagnosis_words import after_label, beside_answer, plain, reasons
+from hil.diagnosis_words import after_label, at_rest, beside_answer, grown, plain, reasons
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
@@ -62,7 +62,9 @@ def page(findings: Findings) -> str:
         _section("Evidence", drawn, "ladder", _LADDER_NOTE),
         _section("Explanations", drawn, "others", _others_note(d)),
         _section("Error on data that no fit saw", drawn, "errors", _errors_note(d)),
-        _section("What re-tuning alone had to bend", drawn, "tunables", _TUNABLES_NOTE),
+        _section(
+            "What re-tuning alone had to bend", drawn, "tunables", _TUNABLES_NOTE if not grown(d) else _GROWN_NOTE
+        ),
         "<h2>Tables</h2>",
         _effects(d),
         _alternatives(d),
@@ -78,12 +80,17 @@ def page(findings: Findings) -> str:
 
 
 _UNKNOWN_NOTE = (
-    "No catalogue of effects is used here: each curve is the power (or the thermometer's offset) that would have to "
-    "act at that one place to explain the record. The place where one curve explains the record best is blue."
+    "No catalogue of effects is used here: each curve is the power (or the error of a thermometer, or the change of "
+    "what the radiator rejects or of the flow) that would have to act at that one place alone to explain the record. "
+    "The likeliest come first; the place where one curve explains the record best is blue."
 )
 _LADDER_NOTE = (
     "Left: the misfit of the twin with each effect that was added, the dotted line is what noise alone leaves. Right: "
     "how strongly one more effect would be called for."
+)
+_HIDDEN_NOTE = (
+    "Each part was hidden from the fit and foretold from the rest. Bars: how much better with the effects than with "
+    "the twin's own parameters fitted anew (fall of weighted squares). Red: worse."
 )
 _BLOCKS_NOTE = (
     "Each block of time is foretold from the rest of the record, less what the rig remembers on either side. Bars: how "
@@ -96,9 +103,17 @@ _TUNABLES_NOTE = (
 )
 
 
+_GROWN_NOTE = (
+    "A twin without the effects imitates them by moving its own parameters. Nothing was commissioned, so the grey band "
+    "is only how far the twin file's values may reasonably be off."
+)
+
+
 def _residual_note(d: dict[str, Any]) -> str:
+    band = "what the thermometers' noise leaves" if grown(d) else "what a twin in good order leaves"
+    run = "twin at rest" if at_rest(d) else "free-running twin"
     return (
-        "Measured minus the free-running twin. The grey band is what a twin in good order leaves; on the right the "
+        f"Measured minus the {run}. The grey band is {band}; on the right the "
         f"same, {after_label(d)}, on a scale of its own."
     )
 
@@ -114,6 +129,11 @@ def _others_note(d: dict[str, Any]) -> str:
 
 
 def _errors_note(d: dict[str, Any]) -> str:
+    if at_rest(d):
+        return (
+            "Scored on every fourth steady state, which was split off before any fit. Re-tuned: the twin's own "
+            "parameters fitted anew without any new term, so that re-tuning is not credited to the effect."
+        )
     low, high = (_hours(s) for s in d["error"]["held_out_s"])
     return (
         f"Free runs, never one step ahead; scored from {low} to {high}, which was split off before any fit. Re-tuned: "
@@ -133,7 +153,7 @@ def _section(title: str, drawn: dict[str, str], name: str, note: str) -> str:
 def _belief(d: dict[str, Any], drawn: dict[str, str]) -> str:
     """Chance, and the blocks of time left out."""
     said = "".join(f"<p>{html.escape(text)}</p>" for text in reasons(d))
-    blocks = _section("", drawn, "blocks", _BLOCKS_NOTE)
+    blocks = _section("", drawn, "blocks", _HIDDEN_NOTE if grown(d) else _BLOCKS_NOTE)
     return f"<h2>Why believe it</h2>{said}{blocks}" if said or blocks else ""
 
 
@@ -156,7 +176,8 @@ def _cards(d: dict[str, Any]) -> str:
         cards.append(("Where", e["where"].replace("_", " "), f"{e['kind']}, {e['driver']}".replace("_", " ")))
         onset_low, onset_high = e["onset_interval90_s"]
         spread = f"90 %: {_hours(onset_low)} to {_hours(onset_high)}" if onset_high - onset_low >= 60.0 else e["shape"]
-        cards.append(("Since", _hours(e["onset_s"]) if e["onset_s"] > 60.0 else "the beginning", spread))
+        if not at_rest(d):
+            cards.append(("Since", _hours(e["onset_s"]) if e["onset_s"] > 60.0 else "the beginning", spread))
     sensors = d["error"]["sensors"]
     if sensors:
         worst = max(sensors, key=lambda name: (sensors[name]["before"] or 0.0) / (sensors[name]["noise"] or 1.0))
@@ -198,7 +219,7 @@ def _effects(d: dict[str, Any]) -> str:
             [
                 e["kind"].replace("_", " "), e["where"], e["driver"].replace("_", " "), e["change"], e["shape"],
                 f"{_number(e['value'])} {e['unit']}", f"{_number(low)} to {_number(high)}",
-                _hours(e["onset_s"]), f"{_hours(early)} to {_hours(late)}",
+                _hours(e["onset_s"]), _between(early, late),
                 _number(e["confidence"]), _number(e["z"]),
             ]
         )  # fmt: skip
@@ -243,9 +264,9 @@ def _tunable_table(d: dict[str, Any]) -> str:
             ]
         )  # fmt: skip
         far.append(max(abs(m["before_sd"] or 0.0), abs(m["after_sd"] or 0.0)) > _FAR_SD)
-    head = ["parameter", "unit", "commissioned", "re-tuned alone", "in sd"]
+    head = ["parameter", "unit", "in the twin file" if grown(d) else "commissioned", "re-tuned alone", "in sd"]
     head += [after_label(d), "in sd"] if beside else []
-    note = "<p class=note>Bold: more than three standard deviations of commissioning.</p>"
+    note = "<p class=note>Bold: more than three standard deviations.</p>"
     return f"<h3>Tunables</h3>{_table(head, rows, len(head) - 2, tuple(far))}{note}" if rows else ""
 
 
@@ -264,6 +285,10 @@ def _lists(d: dict[str, Any]) -> str:
     return "".join(parts)
 
 
+_TOLD = ("why", "steps", "possible", "name", "causes", "expected_difference", "needed_difference", "hottest_C", "hours")
+"""Parts of a plan that its sentence and its table tell already."""
+
+
 def _experiment(d: dict[str, Any]) -> str:
     """What to run next, where the record leaves a question open."""
     plan = d["next_experiment"]
@@ -272,10 +297,11 @@ def _experiment(d: dict[str, Any]) -> str:
     why = f"<p>{html.escape(str(plan['why']))}</p>" if plan.get("why") else ""
     steps = plan.get("steps") or ()
     columns = list(dict.fromkeys(column for step in steps for column in step if column != "time_s"))
-    rows = [[_hours(step["time_s"]), *(_said(step.get(column, "")) for column in columns)] for step in steps]
+    rows = [[_hours(step["time_s"]), *(_said(step.get(column, "")) for column in columns)] for step in steps[:-1]]
+    rows += [[f"{_hours(step['time_s'])}: end", *[""] * len(columns)] for step in steps[-1:]]
     table = _table(["from", *columns], rows, len(columns)) if rows else ""
     beside = "<p class=note>As a load profile: experiment.csv beside this page.</p>" if rows else ""
-    rest = [[k.replace("_", " "), _said(v)] for k, v in plan.items() if v and k not in ("why", "steps", "possible")]
+    rest = [[k.replace("_", " "), _said(v)] for k, v in plan.items() if v and k not in _TOLD]
     return f"<h2>Next experiment</h2>{why}{table}{beside}{_table(['', ''], rest) if rest else ''}"
 
 
@@ -297,6 +323,13 @@ def _provenance(d: dict[str, Any]) -> str:
     if d.get("seconds") is not None:
         rows.append(["took", f"{d['seconds']:.0f} s"])
     return f"<h3>Provenance</h3>{_table(['', ''], rows)}" if rows else ""
+
+
+def _between(early: float, late: float) -> str:
+    """An interval of times; a short one in seconds."""
+    if late - early < 120.0:
+        return f"± {0.5 * (late - early):.0f} s"
+    return f"{_hours(early)} to {_hours(late)}"
 
 
 def _number(value: float | None, form: str = ".3g") -> str:

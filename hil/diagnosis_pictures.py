@@ -7,9 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.diagnosis_drawing import BAND, BLUE, DARK, GREY, ORANGE, RED, SKY, STYLE, figure_of, marks, marks_legend
+from hil.diagnosis_drawing import (
+    BAND,
+    BLUE,
+    DARK,
+    GREY,
+    ORANGE,
+    RED,
+    SKY,
+    STYLE,
+    axis_of,
+    few_decades,
+    figure_of,
+    log_axis,
+    marks,
+    marks_legend,
+    no_ticks,
+)
 from hil.diagnosis_store import Findings, Unknown
-from hil.diagnosis_words import after_label, beside_answer, plain, short
+from hil.diagnosis_words import after_label, at_rest, beside_answer, grown, plain, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,18 +59,20 @@ def pictures(findings: Findings) -> dict[str, str]:
 def _residuals(findings: Findings) -> Figure | None:
     curves, label = findings.curves, after_label(findings.document)
     sensors = list(curves.residual)
-    hours = curves.time_s / 3600.0
+    unit, along = axis_of(findings)
+    times, points = curves.time_s / unit, _points(findings)
+    usual = "noise (±2σ)" if grown(findings.document) else "healthy (±2σ)"
     figure = figure_of(1.5 * len(sensors) + 0.9)
     grid = figure.subplots(len(sensors), 2, sharex=True, squeeze=False, gridspec_kw={"width_ratios": [1.25, 1.0]})
     for row, sensor in zip(grid, sensors, strict=True):
         band = 2.0 * curves.band[sensor]
         for axes in row:
             marks(axes, findings)
-            axes.axhspan(-band, band, facecolor=BAND, edgecolor="none", label="healthy (±2σ)", zorder=1)
+            axes.axhspan(-band, band, facecolor=BAND, edgecolor="none", label=usual, zorder=1)
             axes.axhline(0.0, color=DARK, linewidth=0.6)
-        row[0].plot(hours, curves.residual[sensor], color=RED, linewidth=1.3, label="as it was")
-        row[0].plot(hours, curves.after[sensor], color=BLUE, linewidth=1.3, label=label)
-        row[1].plot(hours, curves.after[sensor], color=BLUE, linewidth=1.1)
+        row[0].plot(times, curves.residual[sensor], color=RED, linewidth=1.3, label="as it was", **points)
+        row[0].plot(times, curves.after[sensor], color=BLUE, linewidth=1.3, label=label, **points)
+        row[1].plot(times, curves.after[sensor], color=BLUE, linewidth=1.1, **points)
         good = curves.after[sensor][np.isfinite(curves.after[sensor])]
         reach = 1.15 * max(1.5 * band, float(np.abs(good).max()) if good.size else 0.0)
         row[1].set_ylim(-reach, reach)
@@ -62,34 +80,33 @@ def _residuals(findings: Findings) -> Figure | None:
     grid[0, 0].set_title("measured − twin")
     grid[0, 1].set_title(f"{label}, enlarged")
     for axes in grid[-1]:
-        axes.set_xlabel("time, h")
+        axes.set_xlabel(along)
     handles, _ = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles=[*handles, *marks_legend(findings)], loc="outside upper center", ncols=6)
     return figure
 
 
+def _points(findings: Findings) -> dict[str, Any]:
+    """Steady states are points, no lines."""
+    return {"marker": "o", "markersize": 3.5, "linestyle": "none"} if at_rest(findings.document) else {}
+
+
 def _unknowns(findings: Findings) -> Figure | None:
-    power = [u for u in findings.curves.unknowns if u.unit == "W"]
-    offset = [u for u in findings.curves.unknowns if u.unit != "W"]
-    columns = [c for c in (power, offset) if c]
-    if not columns:
+    unknowns = findings.curves.unknowns
+    if not unknowns:
         return None
-    hours = findings.curves.time_s / 3600.0
-    rows = max(len(c) for c in columns)
-    figure = figure_of(1.45 * rows + 0.9)
-    grid = figure.subplots(rows, len(columns), sharex=True, squeeze=False)
-    likeliest = findings.curves.unknowns[0] if findings.document["effects"] else None
-    for k, column in enumerate(columns):
-        for axes, unknown in zip(grid[:, k], column, strict=False):
-            _unknown(axes, findings, unknown, hours, unknown is likeliest)
-        for axes in grid[len(column) :, k]:
-            axes.set_visible(False)
-        grid[len(column) - 1, k].set_xlabel("time, h")
-        grid[len(column) - 1, k].tick_params(labelbottom=True)
-        title = (
-            "power, W, if it entered here alone" if column is power else "offset, K, if this thermometer alone erred"
-        )
-        grid[0, k].set_title(title)
+    unit, along = axis_of(findings)
+    rows = -(-len(unknowns) // 2)
+    figure = figure_of(1.5 * rows + 0.9)
+    grid = figure.subplots(rows, 2, sharex=True, squeeze=False)
+    likeliest = unknowns[0] if findings.document["effects"] else None
+    for axes, one in zip(grid.flat, unknowns, strict=False):
+        _unknown(axes, findings, one, findings.curves.time_s / unit, one is likeliest)
+    for axes in grid.flat[len(unknowns) :]:
+        axes.set_visible(False)
+    for axes in (grid[-1, 0], grid[-1 - len(unknowns) % 2, 1]):
+        axes.set_xlabel(along)
+        axes.tick_params(labelbottom=True)
     figure.legend(handles=_legend_unknown(findings), loc="outside upper center", ncols=5)
     return figure
 
@@ -115,11 +132,13 @@ def _unknown(axes: Axes, findings: Findings, unknown: Unknown, hours: np.ndarray
     axes.axhline(0.0, color=DARK, linewidth=0.6)
     behind = findings.curves.unknowns[0].log_evidence - unknown.log_evidence
     note = "explains the record best" if behind == 0.0 else f"log evidence {behind:,.0f} lower"
-    axes.set_ylabel(f"{short(unknown.site) if unknown.unit != 'W' else unknown.site}, {unknown.unit}")
-    axes.annotate(
-        note, (1.0, 1.0), xycoords="axes fraction", ha="right", va="top", fontsize=8, color=DARK,
-        bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
-    )  # fmt: skip
+    power = unknown.unit == "W"
+    site = (unknown.site if power else short(unknown.site)).replace("_", " ")
+    unit = unknown.unit if len(unknown.unit) < 8 else "share"
+    axes.set_ylabel(unit)
+    what = f"power at {site}" if power else f"error of {site}" if unknown.unit == "K" else site
+    axes.set_title(what, fontsize=9, pad=3.0)
+    axes.set_title(note, loc="right", fontsize=8, fontweight="normal", color=DARK, pad=3.0)
     spread = float(np.median(unknown.sd)) if unknown.sd.size else 0.0
     bottom, top = float(unknown.mean.min()) - 2.2 * spread, float(unknown.mean.max()) + 2.2 * spread
     room = 0.25 * (max(top, 0.0) - min(bottom, 0.0))
@@ -135,17 +154,16 @@ def _blocks(findings: Findings) -> Figure | None:
     axes = figure.subplots()
     marks(axes, findings)
     gains = np.array([b["gain"] for b in blocks])
-    low, high = (np.array([b[key] for b in blocks]) / 3600.0 for key in ("first_s", "last_s"))
-    axes.bar(
-        low, gains, width=high - low, align="edge", color=[BLUE if g > 0.0 else RED for g in gains], edgecolor="white",
-        linewidth=2.0, zorder=2,
-    )  # fmt: skip
+    unit, along = axis_of(findings)
+    low, high = (np.array([b[key] for b in blocks]) / unit for key in ("first_s", "last_s"))
+    colours = [BLUE if g > 0.0 else RED for g in gains]
+    axes.bar(0.5 * (low + high), gains, width=0.97 * (high - low), color=colours, zorder=2)
     axes.axhline(0.0, color=DARK, linewidth=0.6)
     reach = float(np.abs(gains).max())
     if reach > 30.0 * max(float(np.abs(gains).min()), 10.0):
         axes.set_yscale("symlog", linthresh=10.0)
-        axes.yaxis.set_major_locator(_few_decades(reach))
-        axes.yaxis.set_minor_locator(_no_ticks())
+        axes.yaxis.set_major_locator(few_decades(reach))
+        axes.yaxis.set_minor_locator(no_ticks())
         axes.yaxis.set_major_formatter("{x:g}")
         axes.set_ylim(-12.0 * reach if gains.min() < -10.0 else min(-3.0, 3.0 * gains.min()), 12.0 * reach)
     else:
@@ -153,19 +171,12 @@ def _blocks(findings: Findings) -> Figure | None:
     for x, gain in zip(0.5 * (low + high), gains, strict=True):
         axes.annotate(
             f"{gain:+,.0f}", (x, gain), xytext=(0, 3 if gain > 0.0 else -3), textcoords="offset points", ha="center",
-            va="bottom" if gain > 0.0 else "top", fontsize=9,
+            va="bottom" if gain > 0.0 else "top", fontsize=9 if len(gains) < 8 else 8,
+            bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
         )  # fmt: skip
     axes.set_ylabel("gain in the block")
-    axes.set_xlabel("time, h")
+    axes.set_xlabel(along)
     return figure
-
-
-def _few_decades(reach: float) -> Any:
-    from matplotlib.ticker import FixedLocator
-
-    top = int(np.floor(np.log10(reach)))
-    each = [10.0**k for k in range(1, top + 1, max((top + 1) // 3, 1))]
-    return FixedLocator([-x for x in reversed(each)] + [0.0] + each)
 
 
 def _ladder(findings: Findings) -> Figure | None:
@@ -258,8 +269,12 @@ def _errors(findings: Findings) -> Figure | None:
         kinds = [kinds[0], kinds[2], kinds[3]]
     figure = figure_of(0.42 * len(sensors) + 1.5)
     raw, means = figure.subplots(1, 2, sharey=True, sharex=True)
+    means.set_visible(not at_rest(findings.document))
     places = np.arange(len(sensors))[::-1]
-    for axes, title in ((raw, "every sample"), (means, "means of ten seconds")):
+    for axes, title in (
+        (raw, "steady states" if at_rest(findings.document) else "every sample"),
+        (means, "means of ten seconds"),
+    ):
         for key, label, colour, marker in kinds:
             cells = [e if axes is raw else e["ten_second_means"] for e in sensors.values()]
             values = np.array([_number(c.get(key)) for c in cells])
@@ -275,24 +290,10 @@ def _errors(findings: Findings) -> Figure | None:
         axes.set_title(title)
         axes.set_xlabel("RMSE, K (log)")
         axes.set_ylim(-0.6, len(sensors) - 0.4)
-    _log_axis(raw)
+    log_axis(raw)
     raw.set_yticks(places, [short(name) for name in sensors])
     figure.legend(*raw.get_legend_handles_labels(), loc="outside upper center", ncols=4)
     return figure
-
-
-def _log_axis(axes: Axes) -> None:
-    """A log axis of at least a decade with plain numbers."""
-    from matplotlib.ticker import LogLocator, NullLocator
-
-    axes.set_xscale("log")
-    low, high = axes.get_xlim()
-    widen = max(np.sqrt(10.0 / (high / low)), 1.1)
-    for each in axes.get_shared_x_axes().get_siblings(axes):
-        each.set_xlim(low / widen, high * widen)
-        each.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if high / low > 30.0 else (1.0, 2.0, 5.0)))
-        each.xaxis.set_major_formatter("{x:g}")
-        each.xaxis.set_minor_locator(NullLocator())
 
 
 def _number(value: float | None) -> float:
@@ -310,7 +311,8 @@ def _tunables(findings: Findings) -> Figure | None:
     axes = figure.subplots()
     places = np.arange(len(moved))[::-1]
     before, after = (np.array([m[key] for m in moved]) for key in ("before_sd", "after_sd"))
-    axes.axvspan(-2.0, 2.0, facecolor=BAND, edgecolor="none", alpha=0.6, label="as commissioned, ±2 sd")
+    where = "what is known of them" if grown(findings.document) else "as commissioned"
+    axes.axvspan(-2.0, 2.0, facecolor=BAND, edgecolor="none", alpha=0.6, label=f"{where}, ±2 sd")
     axes.axvline(0.0, color=DARK, linewidth=0.6)
     axes.scatter(before, places, s=46, color=ORANGE, marker="s", label="re-tuned alone", zorder=3)
     if after_label(findings.document) != "re-tuned":
@@ -323,15 +325,14 @@ def _tunables(findings: Findings) -> Figure | None:
         ticks = [t for t in (2, 4, 10, 20, 50, 100, 200, 500, 1000) if t <= reach]
         axes.set_xticks([-t for t in reversed(ticks)] + [0] + ticks)
         axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_locator(_no_ticks())
+        axes.xaxis.set_minor_locator(no_ticks())
     axes.set_xlim(-reach, reach)
     more = f"; {left_out} that moved less are in the table" if left_out > 0 else ""
-    axes.set_xlabel(f"moved against commissioning, in its standard deviations{more}")
+    origin = (
+        "the twin file, in standard deviations"
+        if grown(findings.document)
+        else "commissioning, in its standard deviations"
+    )
+    axes.set_xlabel(f"moved against {origin}{more}")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
-
-
-def _no_ticks() -> Any:
-    from matplotlib.ticker import NullLocator
-
-    return NullLocator()

@@ -28,6 +28,16 @@ def after_label(document: dict[str, Any]) -> str:
     return "with the best effect tried" if tried else "re-tuned"
 
 
+def grown(document: dict[str, Any]) -> bool:
+    """Whether the twin was grown from its file, with nothing known of it when healthy."""
+    return str(document.get("method", "")).startswith("growth")
+
+
+def at_rest(document: dict[str, Any]) -> bool:
+    """Whether the record was of steady states, whose times are their numbers."""
+    return document.get("method") == "growth at rest"
+
+
 def beside_answer(document: dict[str, Any]) -> list[dict[str, Any]]:
     """What cannot be told from the answer, without the answer itself, which an ambiguous finding lists too."""
     said = {(e["kind"], e["where"], e["driver"]) for e in document["effects"]}
@@ -77,4 +87,5 @@ def left_out(document: dict[str, Any]) -> str:
         if len(blocks) > 1
         else f"{won} of the one block of time that could be asked"
     )
-    return f"With sizes and tunables solved from the rest of the record, {what} {many} better than the twin without."
+    rest = "the other states" if at_rest(document) else "the rest of the record"
+    return f"With sizes and tunables solved from {rest}, {what} {many} better than the twin without."

@@ -26,7 +26,7 @@ from hil.atomic import replacing
 from hil.profile import WRITTEN_UNITS
 from hil.record_export import Exported, export_record
 from hil.record_file import RawRecord, RecordError, parse, read_raw
-from hil.record_time import describe_steps, order, read_time, span
+from hil.record_time import describe_steps, numbered, order, read_time, span
 
 __all__ = ["Exported", "Record", "RecordError", "export_record", "read_record", "write_record"]
 
@@ -77,15 +77,18 @@ class Record:
             )
 
 
-def read_record(path: Path) -> Record:
+def read_record(path: Path, *, at_rest: bool = False) -> Record:
     """The record in the Parquet or CSV file at `path`, cleaned; raises RecordError where nothing can be done.
+
+    With `at_rest` each row is a steady state of its own: all are kept in the order of the file, and their times, where
+    there are any, are left aside for their numbers.
 
     Rows are sorted by time. Of rows with the same stamp one is kept, with each column's last value that is not
     missing: a logger sends a correction after the original, or one row a device.
     """
     raw = read_raw(path)
     messages = list(raw.messages)
-    axis = read_time(raw)
+    axis = numbered(raw) if at_rest else read_time(raw)
     messages += axis.messages
     rows, moved = order(raw, axis.seconds)
     messages += moved
@@ -95,7 +98,7 @@ def read_record(path: Path) -> Record:
     repeats = len(stamps) - len(time_s)
     if repeats:
         messages.append(f"{repeats} repeated time stamps: the last value of each column is kept")
-    messages += describe_steps(time_s)
+    messages += [] if at_rest else describe_steps(time_s)
     columns: dict[str, NDArray[np.float64]] = {}
     quality: dict[str, NDArray[np.uint8]] = {}
     unmarked: list[str] = []

@@ -87,6 +87,12 @@ def read_time(raw: RawRecord) -> TimeAxis:
     return TimeAxis(column, seconds, start, tuple(messages))
 
 
+def numbered(raw: RawRecord) -> TimeAxis:
+    """Rows by their number instead of a time; a column that could be one is left aside."""
+    column = next((name for name in raw.names if name.lower() in SCALES), "")
+    return TimeAxis(column, np.arange(len(raw.cells[0]), dtype=np.float64), None, ())
+
+
 def _find(raw: RawRecord) -> str:
     if "time_s" in raw.names:
         return "time_s"

@@ -26,6 +26,7 @@ STEPS = 4.0
 @click.option("--twin", type=INPUT_FILE, help="Twin file; of a run, the one that it ran with.")
 @click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, the one it was commissioned on.")
 @click.option("--with", "more", type=INPUT_FILE, multiple=True, help="A later record of the rig; may be repeated.")
+@click.option("--at-rest", is_flag=True, help="Each row of RECORD is a steady state; its time counts for nothing.")
 @click.option("--rig", type=INPUT_FILE, help="Rig file whose limits a next experiment keeps; of a run, its own.")
 @click.option("--clock", help="Time of day at 0 s of the record, like 08:00, where the record does not tell.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")
@@ -39,6 +40,7 @@ def command(
     twin: Path | None,
     healthy: Path | None,
     more: tuple[Path, ...],
+    at_rest: bool,
     rig: Path | None,
     clock: str | None,
     out: Path | None,
@@ -53,14 +55,21 @@ def command(
     Writes diagnosis.json, a page with pictures, and a new revision of the twin beside the old one. Exit code 0 where
     the twin is adequate, 1 where something was found.
 
+    Without --healthy a commissioned twin is held against what its file says of its commissioning. A twin that never was
+    commissioned is grown instead, on records of up to 4000 samples and on steady states (--at-rest): effects that are
+    there from the beginning are added, in sets, in the order in which the record asks for them.
+
     \b
     Example:
       hil diagnose runs/<a run> --healthy runs/<a healthy run>/record.parquet
       hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet
       hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet --with experiment.parquet
+      hil diagnose short_test.csv --twin first_guess.toml --with another_test.csv
+      hil diagnose operating_points.csv --at-rest --twin first_guess.toml
       hil diagnose my_load.csv --forecast --twin my_twin.toml --healthy commissioning.parquet
     """
     from hil.diagnosing import (
+        answer,
         clock_beside,
         clock_of,
         provenance,
@@ -74,20 +83,23 @@ def command(
     from hil.experiment_file import limits_of, rig_of, write_experiment
     from hil.forecasting import foretell
     from hil.terminal import Steps, console, invocation
-    from twin.discovery.engine import diagnose
     from twin.network import TwinFileError
     from twin.twinfile import load
 
+    if at_rest and (healthy or more or forecast):
+        raise click.UsageError(
+            "--at-rest takes neither --healthy, --with nor --forecast: steady states are grown from alone"
+        )
     began = time.monotonic()
     subject = subject_of(target, twin, out)
     network = load(subject.twin)
     hour = clock_of(clock) if clock else clock_beside(subject.record)
-    told = with_clock(network) if hour is not None else network
+    told = with_clock(network) if hour is not None and not at_rest else network
     good = read_columns(told, healthy, hour)[0] if healthy else None
     if forecast:
         foretell(console(), told, subject.record, good, hour, as_json=as_json)
         return
-    record, messages = read_columns(told, subject.record, hour)
+    record, messages = read_columns(told, subject.record, hour, at_rest=at_rest)
     allowed = rig or (rig_of(target) if target.is_dir() else None)
     limits = limits_of(allowed) if allowed is not None else None
     later = tuple(read_columns(told, path, hour)[0] for path in more)
@@ -102,7 +114,7 @@ def command(
             steps.update(min(float(stages), STEPS), what)
 
         try:
-            diagnosis = diagnose(told, record, good, more=later, say=say, limits=limits)
+            diagnosis = answer(told, record, good, more=later, limits=limits, at_rest=at_rest, say=say)
         except TwinFileError as error:
             raise TwinFileError(f"{subject.record}: {error}") from None
     if empirical and diagnosis.verdict == "unexplained" and diagnosis.empirical is None:
@@ -164,6 +176,10 @@ def _review(folder: Path, *, quiet: bool) -> None:
         console(quiet=quiet).print(f"for Rerun: {folder / REVIEW}", soft_wrap=True)
 
 
+def _since(onset_s: float, d: Diagnosis) -> str:
+    return f"{onset_s / 3600.0:.2f} h" if d.method == "contest" else "start"
+
+
 def _show(to: Console, d: Diagnosis) -> None:
     from rich.table import Table
 
@@ -182,7 +198,7 @@ def _show(to: Console, d: Diagnosis) -> None:
             low, high = e.interval90
             table.add_row(
                 e.kind, e.where, e.driver, e.change, f"{e.value:.4g} {e.unit}", f"{low:.4g} to {high:.4g}",
-                f"{e.onset_s / 3600.0:.2f} h", f"{e.z:.0f}",
+                _since(e.onset_s, d), f"{e.z:.0f}",
             )  # fmt: skip
         to.print(table)
     for reason in reasons(d.document()):
@@ -200,14 +216,17 @@ def _show(to: Console, d: Diagnosis) -> None:
             table.add_row(a.kind, a.where, a.driver, a.why_not)
         to.print(table)
     low, high = d.held_out_s
-    title = f"RMSE in K, free run over {low / 3600.0:.1f} to {high / 3600.0:.1f} h, which the fit never saw"
-    table = Table(title=title, title_justify="left")
+    part = f"free run over {low / 3600.0:.1f} to {high / 3600.0:.1f} h, which the fit never saw"
+    to.print(
+        f"RMSE in K, {'every fourth state, which no fit saw' if d.method == 'growth at rest' else part}", style="italic"
+    )
+    table = Table()
     for heading in ("sensor", "stale", "re-tuned", "with the effect", "noise"):
         table.add_column(heading, justify="left" if heading == "sensor" else "right")
     for name, error in d.errors.items():
         table.add_row(name, *(f"{x:.3f}" for x in (error.stale, error.before, error.after, error.noise)))
     to.print(table)
-    far = [m for m in d.moved if max(abs(m.before_sd), abs(m.after_sd)) > 3.0]
+    far = [m for m in d.moved if d.method == "contest" and max(abs(m.before_sd), abs(m.after_sd)) > 3.0]
     if far and d.effects:
         table = Table(title="Tunables that had to move, in standard deviations of commissioning", title_justify="left")
         for heading in ("parameter", "commissioned", "re-tuned alone", "beside the effect", "unit"):

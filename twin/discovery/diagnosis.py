@@ -128,6 +128,8 @@ class Diagnosis:
         empirical: a curve that is offered where nothing explains the record. warnings: a sentence each.
         folds: blocks of time left out, and what the effects gain there.
         threshold: score that the best of a record of noise reaches once in a hundred.
+        method: `contest` of effects with a twin that is nearly right, or `growth` of one of which little is known; `at
+            rest` of steady states, whose times are their numbers from 1.
     """
 
     verdict: Verdict
@@ -153,11 +155,13 @@ class Diagnosis:
     folds: tuple[Fold, ...] = ()
     threshold: float = float("nan")
     empirical: Empirical | None = None
+    method: Literal["contest", "growth", "growth at rest"] = "contest"
 
     def document(self) -> dict[str, Any]:
         """The contract's ``diagnosis.json``."""
         return {
             "verdict": self.verdict,
+            "method": self.method,
             "summary": self.summary,
             "effects": [_effect(e) for e in self.effects],
             "indistinguishable": [_other(a) for a in self.indistinguishable],

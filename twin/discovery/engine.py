@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.discovery.basis import Columns, basis
+from twin.discovery.caution import as_commissioned, first_alone, nothing
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.experiment import Limits
 from twin.discovery.forecast import Forecast, forecast, plan_of, too_little, unseen_kinds
@@ -84,6 +85,14 @@ def diagnose(
         further = [Part.of(known, on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
         finding, said = weighed(finding, train, further)
         notes += said
+    off = errors(finding, network, record, grid, split)
+    usual = healthy is None and as_commissioned(network, off)
+    if usual:
+        finding = nothing(finding)
+        off = {name: replace(e, after=e.before, means=(*e.means[:2], e.means[1])) for name, e in off.items()}
+    elif healthy is None and finding.fit is not None and not more:
+        finding = first_alone(finding, train)
+        off = errors(finding, network, record, grid, split)
     if finding.fit is None:
         poor = too_little(whole.contest, whole.laws, known.book.candidates)
         if poor:
@@ -101,11 +110,12 @@ def diagnose(
         lasting=whole.entries,
         grid=grid,
         split=split,
-        errors=errors(finding, network, record, grid, split),
+        errors=off,
         notes=tuple(notes),
         single=single,
         still=still,
         limits=limits,
+        usual=usual,
     )
 
     def again(other: Columns) -> Diagnosis:

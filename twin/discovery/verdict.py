@@ -37,6 +37,10 @@ from twin.network import Array, Network
 if TYPE_CHECKING:
     from twin.discovery.basis import Basis
 
+_USUAL = (
+    "re-tuned, the twin is as good on the part that no fit saw as when it was commissioned; whether what it left as it "
+    "was means anything, only a healthy record could tell"
+)
 SURE = 0.8
 """Share of the weight that one kind at one place must have to be named alone."""
 
@@ -56,8 +60,13 @@ def conclude(
     single: tuple[Members, ...] = (),
     still: tuple[Stuck, ...] = (),
     limits: Limits | None = None,
+    usual: bool = False,
 ) -> Diagnosis:
-    """The verdict with everything that supports it."""
+    """The verdict with everything that supports it.
+
+    Args:
+        usual: what is left of the re-tuned twin is what it has always left, so nothing is missing.
+    """
     start = float(grid.time[0])
     scale = finding.count
     left = finding.retuned.chi if finding.fit is None else finding.fit.chi
@@ -74,8 +83,9 @@ def conclude(
     found = courses(whole, sites_of(network, whole, laws))
     claimed = finding.fit is not None and good
     spell = came_and_went(whole, laws, lasting, finding.entries if claimed else ())
-    if finding.fit is None and enough(finding.start / scale, 0.0, finding.contest):
+    if finding.fit is None and (usual or enough(finding.start / scale, 0.0, finding.contest)):
         verdict = "adequate"
+        notes = (*notes, *((_USUAL,) if usual and finding.ladder[0].best_z >= finding.threshold else ()))
     elif spell is not None and (claimed or explains(spell, found[0])):
         verdict = "unexplained"
         description, effects = described(spell) | signatures(found), (as_effect(spell, whole, start),)

@@ -30,10 +30,9 @@ def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0) -> str:
 def said(candidate: Candidate, size: float) -> str:
     """What a candidate of this size does, in plain words."""
     c = candidate
-    who = {"loop": "The loop", "modules": "The modules"}.get(c.where)
-    if who is None:
-        who = c.where if c.kind == "sensor" else f"The {c.where.replace('_', ' ')}"
-    says = _plural(c.says) if who == "The modules" else c.says
+    named = c.kind == "sensor" and c.where.endswith("_C")
+    who = c.where if named else f"The {c.where.replace('_', ' ')}"
+    says = _plural(c.says) if not named and c.where.endswith("s") else c.says
     return f"{who} {says.format(value=amount(size, c.unit))}"
 
 
@@ -74,7 +73,7 @@ def summarise(
     """The verdict in plain words."""
     if verdict == "adequate":
         best = finding.ladder[0].best_z
-        tried = ", which a fit did not confirm" if best >= finding.threshold else ""
+        tried = ", which was not confirmed" if best >= finding.threshold else ""
         return (
             "The twin is adequate: nothing in this record asks for an effect that it lacks "
             f"(best score {best:.1f}{tried}; noise alone reaches {finding.threshold:.1f} in one record of a hundred)."

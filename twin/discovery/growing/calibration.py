@@ -9,6 +9,9 @@ Young, Resampling-Based Multiple Testing, 1993).
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 
 from twin.discovery.growing.likelihood import Spectrum, table
@@ -20,11 +23,29 @@ TAIL = 3.14
 """Standard deviations of a maximum (Gumbel) above its mean at which one in a hundred lies."""
 
 
-def by_chance(problem: Problem, fit: Fit, seed: int = 0) -> float:
-    """Fall of -2 log likelihood that the best effect exceeds by chance in one of a hundred records like this one."""
+@dataclass(frozen=True)
+class Chance:
+    """Falls of -2 log likelihood that the best of all effects brings by chance: mean and standard deviation."""
+
+    mean: float
+    sd: float
+
+    @property
+    def limit(self) -> float:
+        """What is exceeded in one of a hundred records."""
+        return self.mean + TAIL * self.sd
+
+    def of(self, gain: float) -> float:
+        """Probability of at least this much, by the Gumbel law that maxima follow."""
+        scale = max(self.sd * math.sqrt(6.0) / math.pi, 1e-9)
+        return -math.expm1(-math.exp(min((self.mean - 0.5772 * scale - gain) / scale, 700.0)))
+
+
+def by_chance(problem: Problem, fit: Fit, seed: int = 0) -> Chance:
+    """What the best effect brings by chance on records like this one, in which nothing is missing that `fit` lacks."""
     found = [one.entry for one in scores(problem.wardrobe, problem, fit) if max(one.squares, one.likely) > 0.0]
     if not found:
-        return 0.0
+        return Chance(0.0, 0.0)
     sigma = problem.samples.sigma
     n, m = problem.samples.measured.shape
     white = Spectrum.white(sigma, n)
@@ -52,4 +73,4 @@ def by_chance(problem: Problem, fit: Fit, seed: int = 0) -> float:
         by_sensor = [tried.best(np.column_stack([before[:, i], np.maximum(after[:, i], 0.0)]))[0] for i in range(m)]
         cost = np.sum(by_sensor, axis=0)
         best[d] = cost[0] - cost.min()
-    return float(best.mean() + TAIL * best.std())
+    return Chance(float(best.mean()), float(best.std()))

@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twin.discovery.diagnosis import Fold
 from twin.discovery.equivalence import width
 from twin.discovery.grid import bridged, on_grid
 from twin.discovery.growing.beam import BEAM, Beam, FittedSet, Label, by_score
@@ -24,6 +25,7 @@ from twin.discovery.growing.merit import Merit, Refused
 from twin.discovery.growing.unaided import Fit, Problem, Samples
 from twin.discovery.growing.wardrobe import Wardrobe, name_of
 from twin.discovery.ranking import LEFT
+from twin.discovery.search import Entry
 from twin.gauss_newton import SE90
 from twin.kernel import clean_time
 from twin.network import Array, Network, TwinFileError
@@ -45,7 +47,10 @@ class Added:
         gain: fall of -2 log likelihood that it brings on its rung. needed: rise of it when the full set goes without.
         elsewhere: the same of the further records, which were not fitted.
         folds, foretold: hidden parts of the record that the full set foretells no worse with it, and its squares there
-            over those without it. others: labels (kind, where, driver) that the record cannot tell from it.
+            over those without it. others: labels (kind, where, driver) that the record cannot tell from it, and by how
+            much worse, in -2 log likelihood, their sets are. by_chance: probability that noise alone needs any effect
+            as much; `limit` is what it reaches in one of a hundred.
+        entry: the effect as it was fitted.
     """
 
     kind: str
@@ -60,7 +65,10 @@ class Added:
     elsewhere: float
     folds: int
     foretold: float
-    others: tuple[Label, ...]
+    others: dict[Label, float]
+    by_chance: float
+    limit: float
+    entry: Entry
 
 
 @dataclass(frozen=True)
@@ -75,12 +83,18 @@ class Rung:
 
 @dataclass(frozen=True)
 class Growth:
-    """The ladder. `verdict`: whether what the last rung leaves is the thermometers' noise."""
+    """The ladder. `verdict`: whether what the last rung leaves is the thermometers' noise.
+
+    `problem` is that of the last rung. `folds`: parts of the record hidden from the fit in turn, and what all effects
+    together gain there.
+    """
 
     rungs: tuple[Rung, ...]
     verdict: Literal["adequate", "unexplained"]
     summary: str
     refused: tuple[Refused, ...]
+    problem: Problem
+    folds: tuple[Fold, ...]
 
     @property
     def network(self) -> Network:
@@ -110,7 +124,7 @@ def grow(
     Raises:
         TwinFileError: a record too short or without readings, a twin without tunables.
     """
-    return _grown(network, samples_of(network, time_s, inputs, measured), more, most, beam, say)
+    return grow_samples(network, samples_of(network, time_s, inputs, measured), more, most=most, beam=beam, say=say)
 
 
 def grow_at_rest(
@@ -127,22 +141,19 @@ def grow_at_rest(
     Raises:
         TwinFileError: fewer than `FEWEST` states with a reading, a twin without tunables.
     """
-    y, u = np.asarray(measured, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
-    good = np.isfinite(y).any(axis=1) & np.isfinite(u).all(axis=1)
-    if good.sum() < FEWEST:
-        raise TwinFileError(f"{good.sum()} steady states have their readings; at least {FEWEST} are needed")
-    rows = Samples(np.arange(good.sum(), dtype=np.float64), u[good], y[good], network.sigma, at_rest=True)
-    return _grown(network, rows, (), most, beam, say)
+    return grow_samples(network, states_of(network, inputs, measured), most=most, beam=beam, say=say)
 
 
-def _grown(
+def grow_samples(
     network: Network,
     samples: Samples,
-    more: tuple[tuple[ArrayLike, ArrayLike, ArrayLike], ...],
-    most: int,
-    beam: int,
-    say: Callable[[str], None],
+    more: tuple[tuple[ArrayLike, ArrayLike, ArrayLike], ...] = (),
+    *,
+    most: int = MOST_EFFECTS,
+    beam: int = BEAM,
+    say: Callable[[str], None] = lambda _: None,
 ) -> Growth:
+    """As `grow`, for a record or states that have been made ready."""
     ids = network.tunables("commission" if "commission" in network.sets else None)
     if not ids:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
@@ -161,7 +172,32 @@ def _grown(
     chance = 1.0 + CHANCE * np.sqrt(2.0 / np.isfinite(samples.measured).sum(axis=0))
     good = bool(((rungs[-1].rms / samples.sigma) ** 2 <= np.maximum(LEFT, chance)).all())
     summary = _summary(network, rungs, good)
-    return Growth(rungs, "adequate" if good else "unexplained", summary, merit.refused(best))
+    verdict: Literal["adequate", "unexplained"] = "adequate" if good else "unexplained"
+    return Growth(rungs, verdict, summary, merit.refused(best), best.problem, _folds(search, merit, best))
+
+
+def _folds(beam: Beam, merit: Merit, best: FittedSet) -> tuple[Fold, ...]:
+    if not best.ids:
+        return ()
+    samples = beam.empty.samples
+    gains = -np.diff(merit.hidden(beam.known[frozenset()], best), axis=1)[:, 0]
+    return tuple(
+        Fold(float(samples.time[a]), float(samples.time[b]), int(np.isfinite(samples.measured[a : b + 1]).sum()), g)
+        for (a, b), g in zip(merit.pieces(), gains.tolist(), strict=True)
+    )
+
+
+def states_of(network: Network, inputs: ArrayLike, measured: ArrayLike) -> Samples:
+    """Steady states with a reading, one a row; their time counts them.
+
+    Raises:
+        TwinFileError: fewer than `FEWEST`.
+    """
+    y, u = np.asarray(measured, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
+    good = np.isfinite(y).any(axis=1) & np.isfinite(u).all(axis=1)
+    if good.sum() < FEWEST:
+        raise TwinFileError(f"{good.sum()} steady states have their readings; at least {FEWEST} are needed")
+    return Samples(np.arange(good.sum(), dtype=np.float64), u[good], y[good], network.sigma, at_rest=True)
 
 
 def samples_of(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike) -> Samples:
@@ -174,7 +210,7 @@ def samples_of(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured:
     least = (time[-1] - time[0]) / MOST_SAMPLES if len(time) > MOST_SAMPLES else 0.0
     grid = on_grid(network, time, inputs, measured, least)
     if least:
-        return Samples(grid.time - grid.time[0], grid.inputs, grid.measured, grid.sigma)
+        return Samples(grid.time - grid.time[0], grid.inputs, grid.measured, grid.sigma, means=True)
     y = np.asarray(measured, dtype=np.float64)
     return Samples(time - time[0], bridged(network, time, inputs), np.where(np.isfinite(y), y, np.nan), network.sigma)
 
@@ -197,11 +233,12 @@ def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[Rung, ...]:
         without = beam.reduced(best, entry)
         better, share = merit.foretold(without, best)
         elsewhere = merit.elsewhere(without) - merit.elsewhere(best)
+        needed, chance = without.fit.cost - best.fit.cost, merit.chance(without)
         spread = SE90 * entry.sd
         added = Added(
             *entry.label, entry.size, (entry.size - spread, entry.size + spread), entry.candidate.unit,
-            entry.candidate.says, now.fit.cost - new.fit.cost, without.fit.cost - best.fit.cost, elsewhere, better,
-            share, _others(beam, merit, best, without),
+            entry.candidate.says, now.fit.cost - new.fit.cost, needed, elsewhere, better, share,
+            _others(beam, merit, best, without), chance.of(needed + elsewhere), chance.limit, entry,
         )  # fmt: skip
         rungs.append(_rung(beam, new, added))
         del left[name_of(entry.candidate)]
@@ -209,18 +246,19 @@ def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[Rung, ...]:
     return tuple(rungs)
 
 
-def _others(beam: Beam, merit: Merit, best: FittedSet, without: FittedSet) -> tuple[Label, ...]:
-    """What could stand in the place of the one effect that `best` has and `without` has not."""
+def _others(beam: Beam, merit: Merit, best: FittedSet, without: FittedSet) -> dict[Label, float]:
+    """What could stand in the place of the one effect that `best` has and `without` has not, and how much worse."""
     named = {e.label for e in best.fit.entries}
-    found: dict[Label, None] = {}
+    found: dict[Label, float] = {}
     near = best.score + width(without.score - best.score)
-    told = best.score + merit.elsewhere(best) + width(0.0)
     for key, other in beam.known.items():
         if not without.ids < key or len(key) != len(best.ids) or other.score > near:
             continue
-        if other.score + merit.elsewhere(other) < told:
-            found.update((e.label, None) for e in other.fit.entries if e.label not in named)
-    return tuple(found)
+        worse = other.score + merit.elsewhere(other) - best.score - merit.elsewhere(best)
+        if worse < width(0.0):
+            for label in (e.label for e in other.fit.entries if e.label not in named):
+                found[label] = min(worse, found.get(label, worse))
+    return found
 
 
 def _rung(beam: Beam, at: FittedSet, added: Added | None) -> Rung:

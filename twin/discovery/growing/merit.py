@@ -8,11 +8,12 @@ import numpy as np
 
 from twin.discovery.equivalence import width
 from twin.discovery.growing.beam import Beam, FittedSet, Label, by_score
-from twin.discovery.growing.calibration import by_chance
+from twin.discovery.growing.calibration import Chance, by_chance
 from twin.discovery.growing.likelihood import cosines, judged
 from twin.discovery.growing.unaided import Samples
 from twin.discovery.growing.wardrobe import name_of
 from twin.discovery.search import Entry
+from twin.network import Array
 
 NEEDED = 25.0
 """Least fall of -2 log likelihood that an effect must bring, whatever chance could bring on this record."""
@@ -35,6 +36,7 @@ class Refused:
     where: str
     driver: str
     why: str
+    gain: float
 
 
 class Merit:
@@ -44,10 +46,9 @@ class Merit:
         self._beam = beam
         self._more: tuple[Samples, ...] = ()
         self._told: dict[frozenset[str], float] = {}
-        self._chance: dict[frozenset[str], float] = {}
+        self._chance: dict[frozenset[str], Chance] = {}
         rows = len(beam.empty.samples.time)
-        piece = np.arange(rows) * PIECES // rows
-        self._folds = [piece % FOLDS == f for f in range(FOLDS)]
+        self._piece = np.arange(rows) * PIECES // rows
 
     def earned(self) -> FittedSet:
         """The best set of which every member earns its place."""
@@ -73,7 +74,7 @@ class Merit:
             return best
         limit = width(self._beam.levels[0][0].score - best.score)
         alike = [
-            s for s in self._beam.known.values()
+            s for s in list(self._beam.known.values())
             if len(s.ids) == len(best.ids) and abs(s.score - best.score) < limit and self._weakest(s) is None
         ]  # fmt: skip
         self._more, told = more, self.elsewhere
@@ -81,7 +82,7 @@ class Merit:
         while True:
             larger = [
                 s
-                for s in self._beam.known.values()
+                for s in list(self._beam.known.values())
                 if best.ids < s.ids and len(s.ids) == len(best.ids) + 1 and s.score < best.score
             ]
             larger = [s for s in larger if told(s) < told(best)]
@@ -99,8 +100,9 @@ class Merit:
                 continue
             entry = _new(best, one)
             why = self._why_not(best, one, entry)
-            if best.fit.cost - one.fit.cost > 1.0 and entry.label not in found:
-                found[entry.label] = Refused(*entry.label, why or "its set holds others that are not needed")
+            gain = best.fit.cost - one.fit.cost
+            if gain > 1.0 and entry.label not in found:
+                found[entry.label] = Refused(*entry.label, why or "its set holds others that are not needed", gain)
         return tuple(found.values())
 
     def elsewhere(self, one: FittedSet) -> float:
@@ -131,7 +133,7 @@ class Merit:
             return f"gains {gain:.0f} where {NEEDED:.0f} are asked for"
         if _at_bound(entry):
             return "ends on the bound of what is possible"
-        chance = self._by_chance(without)
+        chance = self.chance(without).limit
         if gain < chance:
             return f"gains {gain:.0f} where {chance:.0f} come by chance"
         better, share = self.foretold(without, found)
@@ -139,25 +141,36 @@ class Merit:
             return f"foretells {better} of {FOLDS} hidden parts no worse, with {share:.2f} of their squares"
         return ""
 
-    def _by_chance(self, without: FittedSet) -> float:
+    def chance(self, without: FittedSet) -> Chance:
+        """What the best of all further effects brings a set by chance."""
         if without.ids not in self._chance:
             self._chance[without.ids] = by_chance(without.problem, without.fit)
         return self._chance[without.ids]
 
     def foretold(self, without: FittedSet, found: FittedSet) -> tuple[int, float]:
         """Folds that a set foretells no worse than a smaller one, and its squares over the other's, on hidden rows."""
-        better, squares = 0, np.zeros(2)
-        for rows in self._folds:
-            pair = []
-            for one in (without, found):
+        squares = self.hidden(without, found).reshape(-1, FOLDS, 2).sum(axis=0)
+        better = int((squares[:, 1] <= squares[:, 0] * (1.0 + SAME)).sum())
+        total = squares.sum(axis=0)
+        return better, float(total[1] / max(total[0], 1e-12))
+
+    def hidden(self, without: FittedSet, found: FittedSet) -> Array:
+        """Squares (pieces, 2) of what a smaller set and a set leave of each piece of the record that was hidden."""
+        out = np.zeros((PIECES, 2))
+        for fold in range(FOLDS):
+            for k, one in enumerate((without, found)):
                 samples = one.problem.samples
-                part = one.problem.with_entries(one.fit.entries, samples.without(rows))
+                part = one.problem.with_entries(one.fit.entries, samples.without(self._piece % FOLDS == fold))
                 v = part.descend(part.start(one.fit))
-                off = (samples.measured - part.readings(v[None, :])[0])[rows] / samples.sigma
-                pair.append(float(np.nansum(off**2)))
-            squares += pair
-            better += pair[1] <= pair[0] * (1.0 + SAME)
-        return better, float(squares[1] / max(squares[0], 1e-12))
+                off = (samples.measured - part.readings(v[None, :])[0]) / samples.sigma
+                for piece in range(fold, PIECES, FOLDS):
+                    out[piece, k] = float(np.nansum(off[self._piece == piece] ** 2))
+        return out
+
+    def pieces(self) -> list[tuple[int, int]]:
+        """First and last row of each piece."""
+        rows = [np.flatnonzero(self._piece == k) for k in range(PIECES)]
+        return [(int(r[0]), int(r[-1])) for r in rows]
 
 
 def _new(small: FittedSet, large: FittedSet) -> Entry:

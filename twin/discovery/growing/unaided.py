@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.discovery.grid import centred
 from twin.discovery.growing.likelihood import Spectrum, cosines, judged
 from twin.discovery.growing.wardrobe import Wardrobe
 from twin.discovery.search import Entry
@@ -31,7 +32,8 @@ _SIZE_STEP = 1.0e-3
 class Samples:
     """A record at its own stamps: time (n,) s, inputs (n, c) without gaps, measured (n, m) degC or NaN, sigma (m,).
 
-    With `at_rest` each row is a steady state of its own and the time only counts them.
+    With `at_rest` each row is a steady state of its own and the time only counts them. `means`: the readings are means
+    over bins that begin at `time`.
     """
 
     time: Array
@@ -39,6 +41,7 @@ class Samples:
     measured: Array
     sigma: Array
     at_rest: bool = False
+    means: bool = False
 
     def without(self, rows: np.ndarray) -> Samples:
         """The record with the readings of some rows hidden."""
@@ -139,7 +142,8 @@ class Problem:
         sizes = v[:, self.q + self.k :] * self.scales
         if self.samples.at_rest:
             return self.wardrobe.resting.readings(self.samples.inputs, self.model.parameters(values, sizes))
-        return self.model.run(self.samples.time, self.samples.inputs, state, values, sizes)
+        found = self.model.run(self.samples.time, self.samples.inputs, state, values, sizes)
+        return np.stack([centred(one) for one in found]) if self.samples.means else found
 
     def residual(self, v: Array) -> Array:
         """(n, m), NaN where nothing was measured."""

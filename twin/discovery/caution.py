@@ -1,0 +1,72 @@
+"""What may be claimed where no healthy record tells the twin's own error: less.
+
+A lumped twin of a rig that is not leaves a residual that looks like effects, and only a healthy record tells how much
+of it is usual. Without one, the twin file itself says what the twin left on data that its commissioning had not seen.
+Where re-tuning brings it back to that, nothing is claimed; and of several effects only those that win a fair share of
+what the first one wins are more than the first one's form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from twin.discovery.diagnosis import SensorError
+from twin.discovery.fitting import Fit, fit
+from twin.discovery.ladder import Part
+from twin.discovery.model import Model
+from twin.discovery.ranking import Finding, rank
+from twin.discovery.search import Entry
+from twin.discovery.validation import validate
+from twin.network import Network
+
+AS_GOOD = 1.1
+"""Times the error when commissioned that a re-tuned twin may have and still count as good as then."""
+SHARE = 0.25
+"""Of what the first effect wins that a further one must win."""
+FITTED = 6
+"""Effects that are fitted again, each alone."""
+
+
+def as_commissioned(network: Network, errors: Mapping[str, SensorError]) -> bool:
+    """Whether the re-tuned twin is as good, where no fit saw it, as the twin file says of its commissioning.
+
+    Of a twin that was never commissioned the thermometers' noise is asked for.
+    """
+    known = network.revision.error_after_K
+    return bool(errors) and all(e.before <= AS_GOOD * max(known.get(name, 0.0), e.noise) for name, e in errors.items())
+
+
+def nothing(finding: Finding) -> Finding:
+    """The finding without what was found."""
+    return replace(finding, entries=(), fit=None, ranked=(), folds=(), ladder=finding.ladder[:1], beside=None)
+
+
+def first_alone(finding: Finding, part: Part) -> Finding:
+    """The finding with its first effect alone, where the others win too little beside it."""
+    if len(finding.entries) < 2 or _fair(finding):
+        return finding
+    network, ids = part.basis.probe.network, part.basis.probe.scaling.ids
+    singles: dict[str, Entry] = {finding.entries[0].candidate.id: finding.entries[0]}
+    for entry in part.entries:
+        if len(singles) < FITTED:
+            singles.setdefault(entry.candidate.id, entry)
+    trials: list[tuple[Fit, tuple[Entry, ...]]] = []
+    for entry in singles.values():
+        part.reset()
+        trials.append((fit(part.contest, Model.of(network, (entry,), ids), part.state), (entry,)))
+    order = rank(trials, part.contest, finding.start)
+    best = order[0].fit
+    part.reset()
+    folds = validate(part.contest, Model.of(network, best.entries, ids), best)
+    part.reset()
+    return replace(
+        finding, entries=best.entries, fit=best, ranked=order, folds=folds, ladder=finding.ladder[:2],
+        beside=replace(finding.entries[1], gain=finding.ladder[1].best_z ** 2),
+    )  # fmt: skip
+
+
+def _fair(finding: Finding) -> bool:
+    """Whether each further rung wins its share."""
+    chi = [rung.chi for rung in finding.ladder]
+    return all(b - c >= SHARE * (chi[0] - chi[1]) for b, c in zip(chi[1:], chi[2:], strict=False))

@@ -1,0 +1,244 @@
+"""A growth as a diagnosis: the same verdict, ladder, alternatives and errors as where something healthy is known.
+
+The last quarter of a record, or every fourth of its steady states, is split off before anything is fitted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from twin.discovery.basis import Columns
+from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
+from twin.discovery.equivalence import width
+from twin.discovery.grid import on_grid
+from twin.discovery.growing.growth import Added, Growth, grow_samples, samples_of, states_of
+from twin.discovery.growing.merit import NEEDED
+from twin.discovery.growing.unaided import Fit, Samples
+from twin.discovery.held_out import binned
+from twin.discovery.ranking import LEFT
+from twin.discovery.verdict import SURE
+from twin.discovery.words import amount, said
+from twin.network import Array, Network, TwinFileError
+
+EVERY = 4
+"""One steady state in so many is held out; of a record that share of its end."""
+MOST_BLOCKS = 240
+LONGEST = 4000
+"""Samples up to which a twin is grown by itself: its hypotheses are each simulated, and a longer record takes hours."""
+REST = 0.1
+"""Share of the re-tuned twin's misfit that may be left beyond noise: a real rig is never quite of the forms assumed,
+and no healthy record tells how far it is from them. Public records leave 0.03 to 0.07."""
+_NOT_KNOWN = (
+    "nothing healthy is known of this rig: the twin was grown from its file, and the noise is told from the record "
+    "itself; every effect is taken to be there from the beginning"
+)
+
+
+def fits_growth(network: Network, record: Columns) -> bool:
+    """Whether a twin is to be grown on a record: it was never commissioned, and the record is not too long."""
+    return network.revision.number == 0 and len(record.time_s) <= LONGEST
+
+
+def diagnose_grown(
+    network: Network,
+    record: Columns,
+    *,
+    more: tuple[Columns, ...] = (),
+    at_rest: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """What a twin lacks from the beginning of a record, with nothing healthy to compare with.
+
+    Args:
+        network: with tunables, values as its file has them. more: further records, which choose between sets of
+            effects that this one cannot tell apart. at_rest: each row is a steady state of its own.
+
+    Raises:
+        TwinFileError: a record too short or without readings, a twin without tunables, further records of states.
+    """
+    if at_rest and more:
+        raise TwinFileError("steady states are grown from one record alone; put all of them into one file")
+    if at_rest:
+        whole = states_of(network, record.inputs, record.measured)
+        hidden = np.arange(len(whole.time)) % EVERY == EVERY - 1
+        train = states_of(network, whole.inputs[~hidden], whole.measured[~hidden])
+    else:
+        whole = samples_of(network, record.time_s, record.inputs, record.measured)
+        hidden = np.arange(len(whole.time)) >= len(whole.time) * (EVERY - 1) // EVERY
+        train = replace(whole, time=whole.time[~hidden], inputs=whole.inputs[~hidden], measured=whole.measured[~hidden])
+    further = tuple((r.time_s, r.inputs, r.measured) for r in more)
+    growth = grow_samples(network, train, further, say=say)
+    say("judging")
+    return _Answer(network, record, growth, whole, hidden).diagnosis()
+
+
+class _Answer:
+    """A growth, and the record it was made on with its `hidden` rows (n,)."""
+
+    def __init__(self, network: Network, record: Columns, growth: Growth, whole: Samples, hidden: np.ndarray) -> None:
+        self.network, self.growth, self.whole, self.hidden = network, growth, whole, hidden
+        self.start = 0.0 if whole.at_rest else float(record.time_s[0])
+        self.added = [r.added for r in growth.rungs if r.added is not None]
+        first, last = growth.rungs[0].fit, growth.rungs[-1].fit
+        self.residuals = [self._residual(None), self._residual(first), self._residual(last)]
+        self.record = record
+
+    def diagnosis(self) -> Diagnosis:
+        """Everything that is said of it."""
+        g = self.growth
+        misfit = [float(np.mean((r.rms / self.whole.sigma) ** 2)) for r in g.rungs]
+        good = g.verdict == "adequate" or misfit[-1] <= max(LEFT, REST * misfit[0])
+        effects = tuple(self._effect(a) for a in self.added)
+        verdict: Verdict
+        if not effects:
+            verdict = "adequate" if g.verdict == "adequate" else "unexplained"
+        elif not good:
+            verdict = "unexplained"
+        else:
+            verdict = "effect found" if all(e.confidence >= SURE for e in effects) else "ambiguous"
+        refused = tuple(Alternative(r.kind, r.where, r.driver, 0.0, r.why) for r in g.refused)
+        if verdict == "unexplained":
+            why = "wins its place, but with all that do the record is still not explained"
+            refused = (*(Alternative(e.kind, e.where, e.driver, 0.0, why) for e in effects), *refused)
+            effects = ()
+        errors = self._errors()
+        hours, blocks = self._blocks()
+        top = float(self.whole.time[-1]) + self.start + (1.0 if self.whole.at_rest else 0.0)
+        held = float(self.whole.time[np.argmax(self.hidden)]) + self.start + (1.0 if self.whole.at_rest else 0.0)
+        return Diagnosis(
+            verdict=verdict,
+            summary=self._summary(verdict, effects, errors),
+            effects=effects,
+            indistinguishable=self._others() if verdict in ("effect found", "ambiguous") else (),
+            alternatives=refused,
+            held_out_s=(held, top),
+            errors=errors,
+            moved=self._moved(),
+            blind_spots=(),
+            ladder=self._ladder(misfit),
+            courses=(),
+            hours=hours,
+            residual=blocks[0],
+            residual_after=blocks[2],
+            band=self.whole.sigma / math.sqrt(max(len(self.whole.time) / len(hours), 1.0)),
+            network=g.network if verdict == "effect found" else None,
+            warnings=(_NOT_KNOWN,),
+            notes=(f"{g.summary}",) if effects and g.verdict == "unexplained" else (),
+            folds=tuple(replace(f, first_s=f.first_s + self.start, last_s=f.last_s + self.start) for f in g.folds),
+            threshold=math.sqrt(max([NEEDED, *(a.limit for a in self.added)])),
+            method="growth at rest" if self.whole.at_rest else "growth",
+        )
+
+    def _residual(self, fit: Fit | None) -> Array:
+        """Measured less simulated (n, m) of the whole record: of a fit, or of the twin as its file has it."""
+        problem = self.growth.problem.with_entries(fit.entries if fit else (), self.whole)
+        return problem.residual(problem.start(fit) if fit else problem.start())
+
+    def _effect(self, a: Added) -> Effect:
+        temper = max(width(a.needed), 10.0) / 10.0
+        elsewhere = {(label[0], label[1]): 0.0 for label in a.others if label[:2] != (a.kind, a.where)}
+        for label, worse in a.others.items():
+            if label[:2] in elsewhere:
+                elsewhere[label[:2]] = max(elsewhere[label[:2]], math.exp(-0.5 * max(worse, 0.0) / temper))
+        score = a.needed + a.elsewhere
+        return Effect(
+            kind=a.kind, where=a.where, driver=a.driver, change=a.entry.change, value=a.value, unit=a.unit,
+            interval90=a.interval90, onset_s=self.start, onset_interval90_s=(self.start, self.start), shape="step",
+            confidence=1.0 / (1.0 + sum(elsewhere.values())), z=math.sqrt(max(score, 0.0)),
+            evidence=f"{said(a.entry.candidate, a.value)}; without it the record would be less likely by {score:.0f} in -2 log "
+            f"likelihood, and {a.folds} of {EVERY} hidden parts of it are foretold no worse with it",
+            says=said(a.entry.candidate, a.value), family_wise=a.by_chance,
+        )  # fmt: skip
+
+    def _others(self) -> tuple[Alternative, ...]:
+        found: dict[tuple[str, str, str], Alternative] = {}
+        for a in self.added:
+            temper = max(width(a.needed), 10.0) / 10.0
+            for label, worse in a.others.items():
+                found[label] = Alternative(*label, confidence=0.5 * math.exp(-0.5 * max(worse, 0.0) / temper))
+        return tuple(found.values())
+
+    def _errors(self) -> dict[str, SensorError]:
+        grid = None
+        if not self.whole.at_rest and not self.whole.means:
+            grid = on_grid(self.network, self.record.time_s, self.record.inputs, self.record.measured)
+        out = {}
+        for j, name in enumerate(self.network.sensor_names):
+            off = [np.where(self.hidden, r[:, j], np.nan) for r in self.residuals]
+            if not np.isfinite(off[0]).any():
+                continue
+            raw = [float(np.sqrt(np.nanmean(x**2))) for x in off]
+            means = raw
+            if grid is not None:
+                means = [float(np.sqrt(np.nanmean(binned(x, self.record.time_s, grid) ** 2))) for x in off]
+            out[name] = SensorError(raw[0], raw[1], raw[2], float(self.whole.sigma[j]), (means[0], means[1], means[2]))
+        return out
+
+    def _blocks(self) -> tuple[Array, list[Array]]:
+        """Hours (b,), or numbers of states over 3600, and block means (b, m) of the residuals."""
+        n = len(self.whole.time)
+        count = n if self.whole.at_rest else min(n, MOST_BLOCKS)
+        edges = np.linspace(0, n, count + 1).astype(int)
+        rows = list(pairwise(edges.tolist()))
+        time = self.whole.time + self.start + (1.0 if self.whole.at_rest else 0.0)
+        hours = np.array([float(time[a:b].mean()) for a, b in rows]) / 3600.0
+        return hours, [np.stack([_mean(r[a:b]) for a, b in rows]) for r in self.residuals]
+
+    def _ladder(self, misfit: list[float]) -> tuple[Rung, ...]:
+        names, rungs = "re-tuned", []
+        gains = [a.gain for a in self.added] + [max((r.gain for r in self.growth.refused), default=0.0)]
+        for i, (chi, gain) in enumerate(zip(misfit, gains, strict=True)):
+            names = " + ".join(f"{a.kind} at {a.where}" for a in self.added[:i]) or names
+            rungs.append(Rung(names, chi, math.sqrt(max(gain, 0.0))))
+        return tuple(rungs)
+
+    def _moved(self) -> tuple[Moved, ...]:
+        problem = self.growth.problem
+        scaling, index = problem.scaling, problem.scaling.index
+        was, sd = self.network.values[index], scaling.prior_sd()
+        values = [r.fit.values[index] for r in (self.growth.rungs[0], self.growth.rungs[-1])]
+        far = [(scaling.to_z(v) - scaling.to_z(was)) / sd for v in values]
+        return tuple(
+            Moved(
+                name, float(was[i]), float(values[0][i]), float(values[1][i]), self.network.parameters[name].unit,
+                float(far[0][i]), float(far[1][i]),
+            )
+            for i, name in enumerate(scaling.ids)
+        )  # fmt: skip
+
+    def _summary(self, verdict: Verdict, effects: tuple[Effect, ...], errors: dict[str, SensorError]) -> str:
+        if verdict == "adequate":
+            return "Re-tuned, the twin explains this record: nothing is missing that it could show."
+        worst = max(errors, key=lambda n: errors[n].before / errors[n].noise) if errors else ""
+        told = ""
+        if worst:
+            e = errors[worst]
+            part = "On states that no fit saw" if self.whole.at_rest else "On the part that the fit never saw"
+            told = (
+                f" {part}, {worst} is off by {amount(e.before, 'K')} when re-tuned, by {amount(e.after, 'K')} with "
+                f"what was added, at a noise of {amount(e.noise, 'K')}."
+            )
+        if verdict == "unexplained":
+            left = self.growth.summary.rpartition("; ")[2]
+            return f"The twin does not fit this record, and nothing is added: {left}."
+        text = ". ".join(e.says for e in effects)
+        others = dict.fromkeys(
+            f"{kind.replace('_', ' ')} at {where}"
+            for a in self.added
+            for kind, where, _ in a.others
+            if (kind, where) not in {(x.kind, x.where) for x in self.added}
+        )
+        if verdict == "ambiguous":
+            text += f"; but this record cannot tell that from {', '.join(others)}; give a further record with --with"
+        return f"{text}.{told}"
+
+
+def _mean(rows: Array) -> Array:
+    good = np.isfinite(rows)
+    count = good.sum(axis=0)
+    return np.where(count > 0, np.where(good, rows, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
