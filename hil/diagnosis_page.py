@@ -171,13 +171,16 @@ def _cards(d: dict[str, Any]) -> str:
     cards: list[tuple[str, str, str]] = []
     for e in d["effects"]:
         low, high = e["interval90"]
-        label = "What" if len(d["effects"]) == 1 else plain(e)
-        cards.append((label, f"{_number(e['value'])} {e['unit']}", f"90 %: {_number(low)} to {_number(high)}"))
+        size, spread = _sized(e), f"90 %: {_number(low)} to {_number(high)}"
+        since = _hours(e["onset_s"]) if e["onset_s"] > 60.0 else "the beginning"
+        if len(d["effects"]) > 1:
+            cards.append((plain(e), size, spread if at_rest(d) else f"since {since}; {spread}"))
+            continue
+        cards.append(("What", size, spread))
         cards.append(("Where", e["where"].replace("_", " "), f"{e['kind']}, {e['driver']}".replace("_", " ")))
-        onset_low, onset_high = e["onset_interval90_s"]
-        spread = f"90 %: {_hours(onset_low)} to {_hours(onset_high)}" if onset_high - onset_low >= 60.0 else e["shape"]
+        early, late = e["onset_interval90_s"]
         if not at_rest(d):
-            cards.append(("Since", _hours(e["onset_s"]) if e["onset_s"] > 60.0 else "the beginning", spread))
+            cards.append(("Since", since, f"90 %: {_between(early, late)}" if late > early else e["shape"]))
     sensors = d["error"]["sensors"]
     if sensors:
         worst = max(sensors, key=lambda name: (sensors[name]["before"] or 0.0) / (sensors[name]["noise"] or 1.0))
@@ -218,7 +221,7 @@ def _effects(d: dict[str, Any]) -> str:
         rows.append(
             [
                 e["kind"].replace("_", " "), e["where"], e["driver"].replace("_", " "), e["change"], e["shape"],
-                f"{_number(e['value'])} {e['unit']}", f"{_number(low)} to {_number(high)}",
+                _sized(e), f"{_number(low)} to {_number(high)}",
                 _hours(e["onset_s"]), _between(early, late),
                 _number(e["confidence"]), _number(e["z"]),
             ]
@@ -323,6 +326,10 @@ def _provenance(d: dict[str, Any]) -> str:
     if d.get("seconds") is not None:
         rows.append(["took", f"{d['seconds']:.0f} s"])
     return f"<h3>Provenance</h3>{_table(['', ''], rows)}" if rows else ""
+
+
+def _sized(effect: dict[str, Any]) -> str:
+    return _number(effect["value"]) + (f" {effect['unit']}" if effect["unit"] != "1" else "")
 
 
 def _between(early: float, late: float) -> str:

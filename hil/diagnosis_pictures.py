@@ -157,7 +157,8 @@ def _blocks(findings: Findings) -> Figure | None:
     unit, along = axis_of(findings)
     low, high = (np.array([b[key] for b in blocks]) / unit for key in ("first_s", "last_s"))
     colours = [BLUE if g > 0.0 else RED for g in gains]
-    axes.bar(0.5 * (low + high), gains, width=0.97 * (high - low), color=colours, zorder=2)
+    wide = high - low + 0.7 if at_rest(findings.document) else 0.97 * (high - low)
+    axes.bar(0.5 * (low + high), gains, width=wide, color=colours, zorder=2)
     axes.axhline(0.0, color=DARK, linewidth=0.6)
     reach = float(np.abs(gains).max())
     if reach > 30.0 * max(float(np.abs(gains).min()), 10.0):

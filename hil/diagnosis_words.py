@@ -82,10 +82,9 @@ def left_out(document: dict[str, Any]) -> str:
     )
     if len(document["effects"]) == 1:
         what = what.replace("the effects foretell", "the effect foretells")
+    parts = "groups of states" if at_rest(document) else "blocks of time"
     many = (
-        f"{won} of {len(blocks)} blocks of time"
-        if len(blocks) > 1
-        else f"{won} of the one block of time that could be asked"
+        f"{won} of {len(blocks)} {parts}" if len(blocks) > 1 else f"{won} of the one block of time that could be asked"
     )
     rest = "the other states" if at_rest(document) else "the rest of the record"
     return f"With sizes and tunables solved from {rest}, {what} {many} better than the twin without."

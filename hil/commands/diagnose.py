@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.commands.paths import INPUT_FILE
+from hil.commands.paths import INPUT_FILE, INPUT_PATH
 from hil.errors import FOUND
 
 if TYPE_CHECKING:
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
     from twin.discovery.diagnosis import Diagnosis
 
-STEPS = 4.0
+STEPS = 6.0
 
 
 @click.command()
-@click.argument("target", type=click.Path(exists=True, path_type=Path), metavar="RUN|RECORD")
+@click.argument("target", type=INPUT_PATH, metavar="RUN|RECORD")
 @click.option("--twin", type=INPUT_FILE, help="Twin file; of a run, the one that it ran with.")
 @click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, the one it was commissioned on.")
 @click.option("--with", "more", type=INPUT_FILE, multiple=True, help="A later record of the rig; may be repeated.")
@@ -146,7 +146,8 @@ def command(
             again = f"{invocation()} diagnose {target} --twin {subject.twin}" + (
                 f" --healthy {healthy}" if healthy else ""
             )
-            to.print(f"then:   {again} --with <the new run>/record.parquet", soft_wrap=True)
+            before = "".join(f" --with {path}" for path in more)
+            to.print(f"then:   {again}{before} --with <the new run>/record.parquet", soft_wrap=True)
         if diagnosis.empirical is not None:
             to.print(
                 f"offered, {'and adopted' if revision else 'not adopted'}: {diagnosis.empirical.says}", soft_wrap=True
@@ -184,6 +185,7 @@ def _show(to: Console, d: Diagnosis) -> None:
     from rich.table import Table
 
     from hil.diagnosis_words import reasons
+    from hil.record_time import span
 
     for warning in d.warnings:
         to.print(f"warning: {warning}", style="yellow", soft_wrap=True)
@@ -196,8 +198,9 @@ def _show(to: Console, d: Diagnosis) -> None:
             table.add_column(heading, justify="right" if heading in ("size", "90 %", "since", "z") else "left")
         for e in d.effects:
             low, high = e.interval90
+            size = f"{e.value:.4g} {e.unit}".removesuffix(" 1")
             table.add_row(
-                e.kind, e.where, e.driver, e.change, f"{e.value:.4g} {e.unit}", f"{low:.4g} to {high:.4g}",
+                e.kind, e.where, e.driver, e.change, size, f"{low:.4g} to {high:.4g}",
                 _since(e.onset_s, d), f"{e.z:.0f}",
             )  # fmt: skip
         to.print(table)
@@ -216,10 +219,10 @@ def _show(to: Console, d: Diagnosis) -> None:
             table.add_row(a.kind, a.where, a.driver, a.why_not)
         to.print(table)
     low, high = d.held_out_s
-    part = f"free run over {low / 3600.0:.1f} to {high / 3600.0:.1f} h, which the fit never saw"
-    to.print(
-        f"RMSE in K, {'every fourth state, which no fit saw' if d.method == 'growth at rest' else part}", style="italic"
-    )
+    part = f"free run from {span(low)} to {span(high)}, which the fit never saw"
+    if d.method == "growth at rest":
+        part = "every fourth steady state, which no fit saw"
+    to.print(f"RMSE in K, {part}", style="italic", soft_wrap=True)
     table = Table()
     for heading in ("sensor", "stale", "re-tuned", "with the effect", "noise"):
         table.add_column(heading, justify="left" if heading == "sensor" else "right")

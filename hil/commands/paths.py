@@ -10,6 +10,18 @@ import click
 PROJECT = Path(__file__).resolve().parents[2]
 
 
+class InputPath(click.ParamType[Path]):
+    """A file or a folder that exists."""
+
+    name = "path"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        path = Path(value)
+        if path.exists():
+            return path
+        return self.fail(f"{path}: there is no such file or folder; check the path", param, ctx)
+
+
 class InputFile(click.ParamType[Path]):
     """A file that exists; a path of the project's `profiles/` is found from any working directory."""
 
@@ -28,4 +40,5 @@ class InputFile(click.ParamType[Path]):
 
 
 INPUT_FILE = InputFile()
+INPUT_PATH = InputPath()
 VIRTUAL_RIG = "profiles/rigs/virtual.toml"

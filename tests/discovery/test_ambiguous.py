@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from tests.discovery.plans import inputs_of, run, steady
-from twin.discovery.basis import Columns
+from tests.discovery.plans import STEADY, inputs_of, run, steady
+from twin.discovery.basis import Columns, basis
+from twin.discovery.design import Runner, informed
 from twin.discovery.engine import diagnose
 from twin.discovery.experiment import Limits
+from twin.discovery.fitting import fit
+from twin.discovery.grid import on_grid
+from twin.discovery.ladder import Part
+from twin.discovery.model import Model
 from twin.kernel import Kernel
 from twin.network import Network
 
@@ -74,6 +79,44 @@ def test_what_an_effect_follows_is_left_open_and_the_planned_record_tells(bench:
     (effect,) = settled.effects
     assert (effect.kind, effect.where, effect.driver) == PUMPED
     assert effect.value == pytest.approx(60.0 / 0.85**3, rel=0.05)
+
+
+def test_a_second_plan_goes_on_from_what_the_first_records_told(bench: Bench, healthy: Columns) -> None:
+    """Load and fan were moved since, the pump not: only what the pump tells is asked for again."""
+    network, changed = bench.network, truths(bench)[PUMPED]
+    record = run(network, steady(8.0), changed, 3.0)
+    first = diagnose(network, record, healthy, limits=RIG).next_experiment
+    warm, slow = {**STEADY, "heater_power_W": 860.0}, {**STEADY, "fan_speed_pct": 40.0}
+    since = [{"time_s": 0.0, **STEADY}, {"time_s": 2400.0, **warm}, {"time_s": 4800.0, **slow}]
+    later = run(network, [*since, {"time_s": 7200.0, **slow}], changed, seed=2)
+    second = diagnose(network, record, healthy, more=(later,), limits=RIG).next_experiment
+    assert first is not None and second is not None and second["possible"]
+    assert set(second["causes"]) < set(first["causes"])
+    assert second["hours"] < first["hours"]
+    speeds = {step["pump_speed_pct"] for step in second["steps"]}
+    assert len(speeds) > 1
+    settled = diagnose(
+        network, record, healthy, more=(later, run(network, second["steps"], changed, seed=3)), limits=RIG
+    )
+    assert settled.next_experiment is None
+    assert [(e.kind, e.where, e.driver) for e in settled.effects] == [PUMPED]
+
+
+def test_what_a_record_told_of_a_cause_leaves_it_less_room_in_the_next(bench: Bench, healthy: Columns) -> None:
+    network = bench.network
+    grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
+    known = basis(network, healthy, grid)
+    part = Part.of(known, grid.part(0, 720))
+    fitted = fit(part.contest, Model.of(network, (), known.probe.scaling.ids), part.state)
+    state = network.initial_state(grid.measured[:30])
+    runner = Runner(network, fitted, np.empty(0), known.prior, known.probe.scaling, state)
+    before = runner.precision
+    runner.learn(informed(runner, grid, known.noise))
+    gained = np.linalg.eigvalsh(runner.precision - before)
+    assert gained.min() > -1e-6 * gained.max() and gained.max() > 1.0
+    # Where that record began tells nothing of where the next one does.
+    q = len(known.probe.scaling.ids)
+    assert (runner.precision - before)[q : q + 4] == pytest.approx(0.0)
 
 
 def test_a_plan_keeps_every_cause_below_the_hottest_that_the_rig_allows(bench: Bench, healthy: Columns) -> None:

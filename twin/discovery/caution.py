@@ -22,6 +22,8 @@ from twin.network import Network
 
 AS_GOOD = 1.1
 """Times the error when commissioned that a re-tuned twin may have and still count as good as then."""
+NEVER = 1.5
+"""The same of a twin that was never commissioned, in times its thermometers' noise."""
 SHARE = 0.25
 """Of what the first effect wins that a further one must win."""
 FITTED = 6
@@ -34,7 +36,8 @@ def as_commissioned(network: Network, errors: Mapping[str, SensorError]) -> bool
     Of a twin that was never commissioned the thermometers' noise is asked for.
     """
     known = network.revision.error_after_K
-    return bool(errors) and all(e.before <= AS_GOOD * max(known.get(name, 0.0), e.noise) for name, e in errors.items())
+    times = AS_GOOD if known else NEVER
+    return bool(errors) and all(e.before <= times * max(known.get(name, 0.0), e.noise) for name, e in errors.items())
 
 
 def nothing(finding: Finding) -> Finding:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.discovery.fitting import Fit
-from twin.discovery.grid import centred
+from twin.discovery.grid import Grid, centred
 from twin.discovery.model import Model
 from twin.discovery.noise import Noise
 from twin.discovery.search import Entry
@@ -99,6 +99,19 @@ class Runner:
         precision[q + k :, q + k :] = _FREE * np.eye(e)
         self.precision = precision
         self.sizes, self.effects = sizes, slice(q + k, q + k + e)
+        self._own = slice(q, q + k)
+
+    def learn(self, slopes: Array) -> None:
+        """Take in what a record tells of tunables and sizes; its own initial state tells nothing of the next one.
+
+        Args:
+            slopes: (rows, q + k + e) of the whitened record, widened as far as it is to be believed.
+        """
+        inner = slopes.T @ slopes
+        own, rest = inner[self._own, self._own], inner[:, self._own]
+        inner -= rest @ np.linalg.pinv(own, rcond=1e-12, hermitian=True) @ rest.T
+        inner[self._own, :] = inner[:, self._own] = 0.0
+        self.precision = self.precision + inner
 
     def advance(self, state: Array, time: Array, inputs: Array) -> tuple[Array, Array, Array]:
         """Readings (n, m) of the hypothesis, slopes (n, m, q + k + e), and the states it ends with."""
@@ -140,10 +153,17 @@ class Designed:
 
 
 class Designer:
-    """Plans for telling hypotheses apart."""
+    """Plans for telling hypotheses apart.
 
-    def __init__(self, runners: list[Runner], around: Surroundings, levels: Levels, noise: Noise) -> None:
+    Args:
+        apart: (h, h) by how much, in weighted squares, hypothesis j (column) is worse than i (row) already.
+    """
+
+    def __init__(
+        self, runners: list[Runner], around: Surroundings, levels: Levels, noise: Noise, apart: Array | None = None
+    ) -> None:
         self._runners, self._around, self._levels, self._noise = runners, around, levels, noise
+        self._apart = np.zeros((len(runners),) * 2) if apart is None else apart
         self._bins = max(round(SEGMENT_S / around.step_s), 2)
         self.segment_s = self._bins * around.step_s
         self._per_block = max(round(BLOCK_S / around.step_s), 1)
@@ -183,7 +203,7 @@ class Designer:
                 if warmest > self._levels.hottest_C:
                     continue
                 longer = _joined(track, step)
-                differences, gains = self.expected(longer)
+                differences, gains = self._in_all(longer)
                 # A sum of logarithms drives the least difference up, and also where one half hour alone cannot.
                 each = np.array([min(differences[i, j], differences[j, i]) for i, j in pairs])
                 score = float(np.log1p(each / (NEARLY * (enough + share * float(gains.max())))).sum())
@@ -192,7 +212,7 @@ class Designer:
             if best is None:
                 step, warmest, at = self._coolest(track, number, options)
                 longer = _joined(track, step)
-                best = (0.0, longer, at, warmest, *self.expected(longer))
+                best = (0.0, longer, at, warmest, *self._in_all(longer))
             _, track, at, warmest, differences, gains = best
             chosen.append(options[at])
             hottest = max(hottest, warmest)
@@ -222,10 +242,7 @@ class Designer:
         return step, warmest, at
 
     def _blocks(self, values: Array) -> Array:
-        count = len(values) // self._per_block
-        shaped = values[: count * self._per_block].reshape(count, self._per_block, *values.shape[1:])
-        means: Array = shaped.mean(axis=1)
-        return means
+        return _block_means(values, self._per_block)
 
     def expected(self, track: _Track) -> tuple[Array, Array]:
         """Expected differences (h, h) and gains (h,) of what has been run."""
@@ -247,9 +264,27 @@ class Designer:
             gains[i] = max(float(effect @ effect - pull @ np.linalg.solve(normal, pull)), 0.0)
         return out, gains
 
+    def _in_all(self, track: _Track) -> tuple[Array, Array]:
+        """Expected differences with what is known already, and gains."""
+        differences, gains = self.expected(track)
+        return np.maximum(differences + self._apart, 0.0), gains
+
     def _white(self, values: Array) -> Array:
         whitened = self._noise.whiten(values, self._block_s)
         return whitened.reshape(-1, values.shape[2])
+
+
+def informed(runner: Runner, grid: Grid, noise: Noise) -> Array:
+    """Whitened slopes (rows, q + k + e) of a record with these inputs, begun in the runner's state."""
+    per_block = max(round(BLOCK_S / grid.step_s), 1)
+    _, slopes, _ = runner.advance(runner.state, grid.time - grid.time[0], grid.inputs)
+    return noise.whiten(_block_means(slopes, per_block), per_block * grid.step_s).reshape(-1, slopes.shape[2])
+
+
+def _block_means(values: Array, per_block: int) -> Array:
+    count = len(values) // per_block
+    means: Array = values[: count * per_block].reshape(count, per_block, *values.shape[1:]).mean(axis=1)
+    return means
 
 
 def _joined(track: _Track, step: _Track) -> _Track:

@@ -80,6 +80,7 @@ def diagnose(
         notes.append(f"{why}; the fit was given the record up to {split * grid.step_s / 3600.0:.1f} h")
         train = Part.of(known, grid.part(0, split))
     finding = finding or search(train, say)
+    further: list[Part] = []
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
         further = [Part.of(known, on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
@@ -116,6 +117,7 @@ def diagnose(
         still=still,
         limits=limits,
         usual=usual,
+        later=tuple(part.grid for part in further),
     )
 
     def again(other: Columns) -> Diagnosis:

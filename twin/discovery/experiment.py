@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.discovery.design import Designed, Designer, Levels, Runner, Surroundings
+from twin.discovery.design import Designed, Designer, Levels, Runner, Surroundings, informed
 from twin.discovery.equivalence import SHARE, open_questions, width
 from twin.discovery.grid import Grid
 from twin.discovery.search import Entry
@@ -30,8 +30,8 @@ LEAST_PERCENT = 30.0
 MOST_CAUSES = 8
 SETTLED = 1.5
 """Times the width of the set that a planned record is to push the wrong cause out of it by."""
-
-
+WIDEN = 4.0
+"""Factor on the variances that a later record is believed to tell of tunables and sizes, as for commissioning."""
 OWN_ERROR = 200.0
 """Expected difference beyond what decides for which a plan is lengthened: under loads that are new to it a twin's own
 error weighs as much."""
@@ -47,20 +47,23 @@ class Limits:
     rig: str = ""
 
 
-def levels_of(network: Network, grid: Grid, tried: Array, limits: Limits | None = None) -> Levels:
+def levels_of(
+    network: Network, grid: Grid, tried: Array, limits: Limits | None = None, later: tuple[Grid, ...] = ()
+) -> Levels:
     """Low, middle and high of everything that is driven: about where the twin has been tried, within the limits.
 
     Args:
-        tried: (2, c) lowest and highest inputs of the record that the twin was commissioned on.
+        tried: (2, c) lowest and highest inputs of the record that the twin was commissioned on. later: records made
+            since.
     """
+    ranges = np.array([np.percentile(g.inputs, (2.0, 98.0), axis=0) for g in (grid, *later)])
     driven: dict[str, tuple[float, ...]] = {}
     for j, column in enumerate(network.input_columns):
         unit = column.rsplit("_", 1)[-1]
         known = column in limits.driven if limits is not None else column.startswith(("heater", "pump", "fan"))
         if not known or unit not in LEAST_RANGE:
             continue
-        here = np.percentile(grid.inputs[:, j], (2.0, 98.0))
-        seen = (float(min(here[0], tried[0, j])), float(max(here[1], tried[1, j])))
+        seen = (float(min(ranges[:, 0, j].min(), tried[0, j])), float(max(ranges[:, 1, j].max(), tried[1, j])))
         beyond = BEYOND * (seen[1] - seen[0])
         low, high = (seen[k] * LEAST_RANGE[unit][k] for k in (0, 1))
         low, high = min(seen[0] - beyond, low), max(seen[1] + beyond, high)
@@ -74,24 +77,34 @@ def levels_of(network: Network, grid: Grid, tried: Array, limits: Limits | None 
             low, high = max(low, network.inputs[column].lower), min(high, seen[1])
         if high > low:
             driven[column] = tuple(float(f"{x:.3g}") for x in (low, 0.5 * (low + high), high))
-    hottest = float(np.nanmax(grid.measured)) + MARGIN_K
+    hottest = max(float(np.nanmax(g.measured)) for g in (grid, *later)) + MARGIN_K
     if limits is not None and np.isfinite(limits.hottest_C):
         hottest = limits.hottest_C - MARGIN_K
     return Levels(driven, hottest)
 
 
 def plan(
-    finding: Finding, known: Basis, grid: Grid, limits: Limits | None = None, ambiguous: bool = True
+    finding: Finding,
+    known: Basis,
+    grid: Grid,
+    limits: Limits | None = None,
+    ambiguous: bool = True,
+    later: tuple[Grid, ...] = (),
 ) -> dict[str, Any] | None:
-    """The next experiment as the contract of `diagnosis.json` has it; None where nothing is open."""
+    """The next experiment as the contract of `diagnosis.json` has it; None where nothing is open.
+
+    Args:
+        later: records made since. The plan goes on from where the last one ended, with what they tell of tunables and
+            sizes, and asks only for the difference that they have left to be shown.
+    """
     causes = open_questions(finding, ambiguous)[:MOST_CAUSES]
     if not causes:
         return None
-    levels = levels_of(known.probe.network, grid, known.tried, limits)
+    levels = levels_of(known.probe.network, grid, known.tried, limits, later)
     names = [said(r.entries[-1]) for r in causes]
     if not levels.driven:
         return _impossible(causes, "this rig drives nothing that the twin knows of")
-    designer = _designer(finding, known, grid, levels, causes)
+    designer = _designer(finding, known, (grid, *later), levels, causes)
     groups = alike(designer.shuffled())
     if len(groups) == 1:
         return _impossible(causes, "no sequence of load, pump and fan separates them")
@@ -128,20 +141,31 @@ def plan(
     }  # fmt: skip
 
 
-def _designer(finding: Finding, known: Basis, grid: Grid, levels: Levels, causes: tuple[Ranked, ...]) -> Designer:
-    probe = known.probe
-    state = probe.network.initial_state(grid.measured[-30:])
+def _designer(
+    finding: Finding, known: Basis, grids: tuple[Grid, ...], levels: Levels, causes: tuple[Ranked, ...]
+) -> Designer:
+    probe, last = known.probe, grids[-1]
     span = finding.contest.grid.span_s
-    runners = []
-    for r in causes:
-        sizes: Array = np.array([e.size * e.shape.mean(span - 1.0, span) for e in r.entries])
-        runners.append(Runner(probe.network, r.fit, sizes, known.prior, probe.scaling, state))
-    base = np.median(grid.inputs, axis=0)
+
+    def runners(state: Array) -> list[Runner]:
+        found = []
+        for r in causes:
+            sizes: Array = np.array([e.size * e.shape.mean(span - 1.0, span) for e in r.entries])
+            found.append(Runner(probe.network, r.fit, sizes, known.prior, probe.scaling, state))
+        return found
+
+    base = np.median(last.inputs, axis=0)
     for j, column in enumerate(probe.network.input_columns):
         if column.startswith("time_of_day"):
-            base[j] = grid.inputs[-1, j]
-    around = Surroundings(probe.network.input_columns, base, grid.step_s)
-    return Designer(runners, around, levels, known.noise)
+            base[j] = last.inputs[-1, j]
+    around = Surroundings(probe.network.input_columns, base, last.step_s)
+    costs = np.array([r.cost for r in causes])
+    apart = costs[None, :] - costs[:, None] if len(grids) > 1 else None
+    going_on = runners(probe.network.initial_state(last.measured[-30:]))
+    for later in grids[1:]:
+        for runner, begun in zip(going_on, runners(probe.network.initial_state(later.measured[:30])), strict=True):
+            runner.learn(informed(begun, later, known.noise) / np.sqrt(WIDEN))
+    return Designer(going_on, around, levels, known.noise, apart)
 
 
 def _least(best: Designed, a: int, b: int) -> float:

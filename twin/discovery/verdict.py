@@ -61,11 +61,13 @@ def conclude(
     still: tuple[Stuck, ...] = (),
     limits: Limits | None = None,
     usual: bool = False,
+    later: tuple[Grid, ...] = (),
 ) -> Diagnosis:
     """The verdict with everything that supports it.
 
     Args:
         usual: what is left of the re-tuned twin is what it has always left, so nothing is missing.
+        later: records made since, by which the finding has been weighed.
     """
     start = float(grid.time[0])
     scale = finding.count
@@ -124,6 +126,9 @@ def conclude(
     for span in still:
         effects = (standing(span), *effects)
         verdict = "effect found" if verdict == "adequate" else verdict
+    open_plan = None
+    if bigger is not None:
+        open_plan = plan(finding, known, grid, limits, verdict == "ambiguous", later)
     after = finding.fit or finding.retuned
     readings = _run(finding, after, network, grid)
     return Diagnosis(
@@ -143,7 +148,7 @@ def conclude(
         residual_after=whole.block_means(grid.measured - readings),
         band=whole.noise.sd[0] * math.sqrt(grid.step_s / whole.step_s),
         network=bigger if verdict == "effect found" else None,
-        next_experiment=plan(finding, known, grid, limits, verdict == "ambiguous") if bigger is not None else None,
+        next_experiment=open_plan,
         warnings=known.warnings,
         notes=notes,
         description=description,

@@ -16,7 +16,8 @@ from twin.discovery.basis import Columns
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
 from twin.discovery.equivalence import width
 from twin.discovery.grid import on_grid
-from twin.discovery.growing.growth import Added, Growth, grow_samples, samples_of, states_of
+from twin.discovery.growing.beam import BEAM
+from twin.discovery.growing.growth import MOST_EFFECTS, Added, Growth, grow_samples, samples_of, states_of
 from twin.discovery.growing.merit import NEEDED
 from twin.discovery.growing.unaided import Fit, Samples
 from twin.discovery.held_out import binned
@@ -33,6 +34,9 @@ LONGEST = 4000
 REST = 0.1
 """Share of the re-tuned twin's misfit that may be left beyond noise: a real rig is never quite of the forms assumed,
 and no healthy record tells how far it is from them. Public records leave 0.03 to 0.07."""
+FAR = 4.0
+"""Times the noise that any thermometer may be off where no fit saw it: what comes in half way is else taken for several
+things that have always been there."""
 _NOT_KNOWN = (
     "nothing healthy is known of this rig: the twin was grown from its file, and the noise is told from the record "
     "itself; every effect is taken to be there from the beginning"
@@ -50,13 +54,16 @@ def diagnose_grown(
     *,
     more: tuple[Columns, ...] = (),
     at_rest: bool = False,
+    most: int = MOST_EFFECTS,
+    beam: int = BEAM,
     say: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """What a twin lacks from the beginning of a record, with nothing healthy to compare with.
 
     Args:
         network: with tunables, values as its file has them. more: further records, which choose between sets of
-            effects that this one cannot tell apart. at_rest: each row is a steady state of its own.
+            effects that this one cannot tell apart. at_rest: each row is a steady state of its own. most, beam: as
+            `grow`.
 
     Raises:
         TwinFileError: a record too short or without readings, a twin without tunables, further records of states.
@@ -72,7 +79,7 @@ def diagnose_grown(
         hidden = np.arange(len(whole.time)) >= len(whole.time) * (EVERY - 1) // EVERY
         train = replace(whole, time=whole.time[~hidden], inputs=whole.inputs[~hidden], measured=whole.measured[~hidden])
     further = tuple((r.time_s, r.inputs, r.measured) for r in more)
-    growth = grow_samples(network, train, further, say=say)
+    growth = grow_samples(network, train, further, most=most, beam=beam, say=say)
     say("judging")
     return _Answer(network, record, growth, whole, hidden).diagnosis()
 
@@ -82,7 +89,7 @@ class _Answer:
 
     def __init__(self, network: Network, record: Columns, growth: Growth, whole: Samples, hidden: np.ndarray) -> None:
         self.network, self.growth, self.whole, self.hidden = network, growth, whole, hidden
-        self.start = 0.0 if whole.at_rest else float(record.time_s[0])
+        self.start = 1.0 if whole.at_rest else float(record.time_s[0])
         self.added = [r.added for r in growth.rungs if r.added is not None]
         first, last = growth.rungs[0].fit, growth.rungs[-1].fit
         self.residuals = [self._residual(None), self._residual(first), self._residual(last)]
@@ -92,11 +99,15 @@ class _Answer:
         """Everything that is said of it."""
         g = self.growth
         misfit = [float(np.mean((r.rms / self.whole.sigma) ** 2)) for r in g.rungs]
+        errors = self._errors()
+        if not errors:
+            raise TwinFileError("the part of the record that is held out has no reading of any of the twin's sensors")
         good = g.verdict == "adequate" or misfit[-1] <= max(LEFT, REST * misfit[0])
+        good = good and all(e.after <= FAR * e.noise for e in errors.values())
         effects = tuple(self._effect(a) for a in self.added)
         verdict: Verdict
         if not effects:
-            verdict = "adequate" if g.verdict == "adequate" else "unexplained"
+            verdict = "adequate" if g.verdict == "adequate" and good else "unexplained"
         elif not good:
             verdict = "unexplained"
         else:
@@ -106,17 +117,15 @@ class _Answer:
             why = "wins its place, but with all that do the record is still not explained"
             refused = (*(Alternative(e.kind, e.where, e.driver, 0.0, why) for e in effects), *refused)
             effects = ()
-        errors = self._errors()
-        hours, blocks = self._blocks()
-        top = float(self.whole.time[-1]) + self.start + (1.0 if self.whole.at_rest else 0.0)
-        held = float(self.whole.time[np.argmax(self.hidden)]) + self.start + (1.0 if self.whole.at_rest else 0.0)
+        times = self.whole.time + self.start
+        hours, blocks = self._blocks(times)
         return Diagnosis(
             verdict=verdict,
             summary=self._summary(verdict, effects, errors),
             effects=effects,
             indistinguishable=self._others() if verdict in ("effect found", "ambiguous") else (),
             alternatives=refused,
-            held_out_s=(held, top),
+            held_out_s=(float(times[np.argmax(self.hidden)]), float(times[-1])),
             errors=errors,
             moved=self._moved(),
             blind_spots=(),
@@ -179,14 +188,17 @@ class _Answer:
             out[name] = SensorError(raw[0], raw[1], raw[2], float(self.whole.sigma[j]), (means[0], means[1], means[2]))
         return out
 
-    def _blocks(self) -> tuple[Array, list[Array]]:
+    def _shown(self, time: float) -> float:
+        """A time of the fitted part in that of the record; a state by its number in all."""
+        return float(np.flatnonzero(~self.hidden)[int(time)] + 1) if self.whole.at_rest else time + self.start
+
+    def _blocks(self, times: Array) -> tuple[Array, list[Array]]:
         """Hours (b,), or numbers of states over 3600, and block means (b, m) of the residuals."""
         n = len(self.whole.time)
         count = n if self.whole.at_rest else min(n, MOST_BLOCKS)
         edges = np.linspace(0, n, count + 1).astype(int)
         rows = list(pairwise(edges.tolist()))
-        time = self.whole.time + self.start + (1.0 if self.whole.at_rest else 0.0)
-        hours = np.array([float(time[a:b].mean()) for a, b in rows]) / 3600.0
+        hours = np.array([float(times[a:b].mean()) for a, b in rows]) / 3600.0
         return hours, [np.stack([_mean(r[a:b]) for a, b in rows]) for r in self.residuals]
 
     def _ladder(self, misfit: list[float]) -> tuple[Rung, ...]:
@@ -214,18 +226,20 @@ class _Answer:
     def _summary(self, verdict: Verdict, effects: tuple[Effect, ...], errors: dict[str, SensorError]) -> str:
         if verdict == "adequate":
             return "Re-tuned, the twin explains this record: nothing is missing that it could show."
-        worst = max(errors, key=lambda n: errors[n].before / errors[n].noise) if errors else ""
-        told = ""
-        if worst:
-            e = errors[worst]
-            part = "On states that no fit saw" if self.whole.at_rest else "On the part that the fit never saw"
-            told = (
-                f" {part}, {worst} is off by {amount(e.before, 'K')} when re-tuned, by {amount(e.after, 'K')} with "
-                f"what was added, at a noise of {amount(e.noise, 'K')}."
-            )
+        part = "On states that no fit saw" if self.whole.at_rest else "On the part that the fit never saw"
         if verdict == "unexplained":
-            left = self.growth.summary.rpartition("; ")[2]
-            return f"The twin does not fit this record, and nothing is added: {left}."
+            won = f"with the {len(self.added)} best effects" if self.added else "re-tuned"
+            worst, e = max(errors.items(), key=lambda item: item[1].after / item[1].noise)
+            return (
+                f"The twin does not fit this record, and no effects of the catalogue explain it. {part}, {worst} is "
+                f"off by {amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}. If something came in half "
+                "way, cut the record there."
+            )
+        worst, e = max(errors.items(), key=lambda item: item[1].before / item[1].noise)
+        told = (
+            f" {part}, {worst} is off by {amount(e.before, 'K')} when re-tuned, by {amount(e.after, 'K')} with what "
+            f"was added, at a noise of {amount(e.noise, 'K')}."
+        )
         text = ". ".join(e.says for e in effects)
         others = dict.fromkeys(
             f"{kind.replace('_', ' ')} at {where}"
@@ -234,7 +248,8 @@ class _Answer:
             if (kind, where) not in {(x.kind, x.where) for x in self.added}
         )
         if verdict == "ambiguous":
-            text += f"; but this record cannot tell that from {', '.join(others)}; give a further record with --with"
+            text += f"; but this record cannot tell that from {', '.join(others)}"
+            text += "" if self.whole.at_rest else "; a further record, given with --with, may"
         return f"{text}.{told}"
 
 

@@ -130,7 +130,7 @@ class Merit:
         """Why an effect has not earned its place in a set, "" where it has, in all records together."""
         gain = without.fit.cost - found.fit.cost + self.elsewhere(without) - self.elsewhere(found)
         if gain < NEEDED:
-            return f"gains {gain:.0f} where {NEEDED:.0f} are asked for"
+            return f"gains {max(gain, 0.0):.0f} where {NEEDED:.0f} are asked for"
         if _at_bound(entry):
             return "ends on the bound of what is possible"
         chance = self.chance(without).limit
