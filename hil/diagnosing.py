@@ -26,8 +26,9 @@ from twin.discovery.basis import Columns
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.engine import diagnose
 from twin.discovery.experiment import Limits
+from twin.discovery.grid import on_grid
 from twin.discovery.growing.answer import diagnose_grown, fits_growth
-from twin.network import InputSpec, Network, Revision
+from twin.network import InputSpec, Network, Revision, TwinFileError
 from twin.revisions import save_revision
 from twin.twinfile import save
 
@@ -113,10 +114,21 @@ def columns_of(network: Network, record: Record, hour_at_0: float | None) -> Col
 def read_columns(
     network: Network, path: Path, hour_at_0: float | None, *, at_rest: bool = False
 ) -> tuple[Columns, tuple[str, ...]]:
-    """Columns of a record file, or of steady states, and what reading it met."""
+    """Columns of a record file, or of steady states, and what reading it met.
+
+    Raises:
+        RecordError, TwinFileError: it cannot be read, lacks a column or is too short; the message names the file.
+    """
     record = read_record(path, at_rest=at_rest)
     hour = hour_at_0 if hour_at_0 is not None else start_hour(record)
-    return columns_of(network, record, hour), record.messages
+    try:
+        columns = columns_of(network, record, hour)
+        if not at_rest:
+            on_grid(network, columns.time_s, columns.inputs, columns.measured)
+    except TwinFileError as error:
+        text = [message for message in record.messages if message.endswith("holds text: dropped")]
+        raise TwinFileError("; ".join([f"{path}: {error}", *text])) from None
+    return columns, record.messages
 
 
 def answer(

@@ -66,7 +66,9 @@ class Record:
         """Raise RecordError naming the columns of `names` that are missing or hold no value at all."""
         problems = []
         for name in names:
-            if name not in self.columns:
+            if f"column '{name}' holds text: dropped" in self.messages:
+                problems.append(f"{name} (there, but as text)")
+            elif name not in self.columns:
                 near = difflib.get_close_matches(name, self.columns, n=1)
                 problems.append(f"{name} (did you mean {near[0]}?)" if near else name)
             elif np.isnan(self.columns[name]).all():

@@ -107,7 +107,8 @@ def _find(raw: RawRecord) -> str:
     place = f" line {raw.header_line}" if raw.header_line else ""
     shown = ", ".join(raw.names[:8]) + (", ..." if len(raw.names) > 8 else "")
     raise RecordError(
-        f"{raw.path}{place} has no column time_s (it has {shown}); name the column of sample times time_s, in seconds"
+        f"{raw.path}{place} has no column time_s (it has {shown}); name the column of sample times time_s, in seconds, "
+        "or give --at-rest to hil diagnose where each row is a steady state"
     )
 
 

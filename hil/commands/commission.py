@@ -41,6 +41,7 @@ def command(
     from hil.record import read_record
     from twin.commission import commission
     from twin.datasheet import from_datasheet
+    from twin.network import TwinFileError
     from twin.twinfile import load, save
 
     if twin is None and datasheet is None:
@@ -50,7 +51,10 @@ def command(
     network = from_datasheet(datasheet, twin) if datasheet is not None else load(twin or "")
     data = read_record(record)
     data.require(*network.input_columns)
-    inputs, measured = network.select(data.columns)
+    try:
+        inputs, measured = network.select(data.columns)
+    except TwinFileError as error:
+        raise TwinFileError(f"{record}: {error}") from None
     result = commission(
         network, data.time_s, inputs, measured,
         seed=seed, initial_sd=initial_sd, made_by=f"hil commission {record.name}",

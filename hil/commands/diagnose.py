@@ -83,13 +83,12 @@ def command(
     from hil.experiment_file import limits_of, rig_of, write_experiment
     from hil.forecasting import foretell
     from hil.terminal import Steps, console, invocation
+    from twin.discovery.basis import NotHealthyError
     from twin.network import TwinFileError
     from twin.twinfile import load
 
     if at_rest and (healthy or more or forecast):
-        raise click.UsageError(
-            "--at-rest takes neither --healthy, --with nor --forecast: steady states are grown from alone"
-        )
+        raise click.UsageError("--at-rest goes without --healthy, --with and --forecast; put all states into one file")
     began = time.monotonic()
     subject = subject_of(target, twin, out)
     network = load(subject.twin)
@@ -115,6 +114,8 @@ def command(
 
         try:
             diagnosis = answer(told, record, good, more=later, limits=limits, at_rest=at_rest, say=say)
+        except NotHealthyError as error:
+            raise TwinFileError(f"{healthy}: {error}") from None
         except TwinFileError as error:
             raise TwinFileError(f"{subject.record}: {error}") from None
     if empirical and diagnosis.verdict == "unexplained" and diagnosis.empirical is None:

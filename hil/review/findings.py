@@ -159,7 +159,9 @@ def _tab(findings: Findings) -> Stack:
 
 
 def _unknown(u: Unknown) -> Panel:
-    what = "power if it entered here alone" if u.unit == "W" else "offset if it alone erred"
+    what = {"W": "power if it entered here alone", "K": "offset if it alone erred"}.get(
+        u.unit, "change if it alone had"
+    )
     title = f"{u.site if u.unit == 'W' else short(u.site)}: {what} [{u.unit}]"
     return Panel("lines", title, (path("diagnosis", "unknown", u.site),), legend=False)
 

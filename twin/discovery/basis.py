@@ -24,6 +24,10 @@ UNHEALTHY = 6.0
 """Times the noise of a bin that a healthy record's residual may reach."""
 
 
+class NotHealthyError(TwinFileError):
+    """The record that is said to be healthy is not, or not of this twin; the message is about that record."""
+
+
 @dataclass(frozen=True)
 class Columns:
     """A record as a network sees it: time (N,) s, inputs (N, c), measured (N, m) degC.
@@ -66,7 +70,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
     """Noise and prior from a healthy record, or from the record itself.
 
     Raises:
-        TwinFileError: the healthy record does not fit the twin.
+        NotHealthyError: the healthy record does not fit the twin. TwinFileError: a twin without tunables.
     """
     ids = network.tunables("commission" if "commission" in network.sets else None)
     if not ids:
@@ -79,7 +83,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         raw = network.sigma
         worst = int(np.nanargmax(rms / raw))
         if rms[worst] > UNHEALTHY * raw[worst]:
-            raise TwinFileError(
+            raise NotHealthyError(
                 f"the healthy record does not fit the twin: {network.sensor_names[worst]} is off by {rms[worst]:.2f} K "
                 f"(noise {raw[worst]:.2f} K); commission the twin on this record first, or give one that is healthy"
             )

@@ -111,7 +111,7 @@ class _Answer:
         elif not good:
             verdict = "unexplained"
         else:
-            verdict = "effect found" if all(e.confidence >= SURE for e in effects) else "ambiguous"
+            verdict = "effect found" if all(e.confidence >= SURE and _sized(e) for e in effects) else "ambiguous"
         refused = tuple(Alternative(r.kind, r.where, r.driver, 0.0, r.why) for r in g.refused)
         if verdict == "unexplained":
             why = "wins its place, but with all that do the record is still not explained"
@@ -248,9 +248,17 @@ class _Answer:
             if (kind, where) not in {(x.kind, x.where) for x in self.added}
         )
         if verdict == "ambiguous":
-            text += f"; but this record cannot tell that from {', '.join(others)}"
+            vague = [f"{e.kind.replace('_', ' ')} at {e.where}" for e in effects if not _sized(e)]
+            text += f"; but this record cannot tell that from {', '.join(others)}" if others else ""
+            text += f"; but this record does not tell the size of {' and '.join(vague)}" if vague else ""
             text += "" if self.whole.at_rest else "; a further record, given with --with, may"
         return f"{text}.{told}"
+
+
+def _sized(effect: Effect) -> bool:
+    """Whether the record tells an effect's size from nothing: beside another that does nearly the same it may not."""
+    low, high = effect.interval90
+    return low > 0.0 or high < 0.0
 
 
 def _mean(rows: Array) -> Array:

@@ -79,6 +79,9 @@ class Merit:
         ]  # fmt: skip
         self._more, told = more, self.elsewhere
         best = min((*alike, best), key=lambda s: s.score + told(s))
+        while (weakest := self._weakest(best)) is not None:
+            # What the further records speak against has lost its place.
+            best = self._beam.reduced(best, weakest)
         while True:
             larger = [
                 s
