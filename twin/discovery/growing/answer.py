@@ -159,8 +159,8 @@ class _Answer:
             kind=a.kind, where=a.where, driver=a.driver, change=a.entry.change, value=a.value, unit=a.unit,
             interval90=a.interval90, onset_s=self.start, onset_interval90_s=(self.start, self.start), shape="step",
             confidence=1.0 / (1.0 + sum(elsewhere.values())), z=math.sqrt(max(score, 0.0)),
-            evidence=f"{said(a.entry.candidate, a.value)}; without it the record would be less likely by {score:.0f} in "
-            f"-2 log likelihood, and {a.folds} of {EVERY} hidden parts of it are foretold no worse with it",
+            evidence=f"{said(a.entry.candidate, a.value)}; without it the record would be less likely by {score:.0f} "
+            f"in -2 log likelihood, and {a.folds} of {EVERY} hidden parts of it are foretold no worse with it",
             says=said(a.entry.candidate, a.value), family_wise=a.by_chance,
         )  # fmt: skip
 
