@@ -14,7 +14,7 @@ from twin.discovery.experiment import Limits
 from twin.discovery.forecast import Forecast, forecast, plan_of, too_little, unseen_kinds
 from twin.discovery.grid import Grid, on_grid
 from twin.discovery.held_out import binned, contradicted, errors
-from twin.discovery.ladder import Part, search, weighed
+from twin.discovery.ladder import SECOND_SHARE, Part, search, weighed
 from twin.discovery.members import Members, members
 from twin.discovery.ranking import Finding
 from twin.discovery.readings import Stuck, stuck
@@ -65,7 +65,7 @@ def diagnose(
     if not _begins_late(whole, train, split):
         finding = search(train, say)
     most = max(split, int(bins * (1.0 - held_out * STILL_HELD)))
-    later, why = split, ""
+    later, why, share = split, "", SECOND_SHARE
     if finding is None or (finding.fit is None and whole.best_z >= train.threshold):
         onset_s = whole.entries[0].shape.onset_s
         later = min((int(onset_s / grid.step_s) + bins) // 2, bins - 6)
@@ -73,13 +73,13 @@ def diagnose(
         if later <= split:
             later, why = most, "what stands out does so in the part that was to be kept out of the fit"
     elif contradicted(errors(finding, network, record, grid, split)):
-        later = most
+        later, share = most, 0.0
         why = "on the part that was to be kept out of the fit the best answer was far off"
     if later > split:
         split, finding = later, None
         notes.append(f"{why}; the fit was given the record up to {split * grid.step_s / 3600.0:.1f} h")
         train = Part.of(known, grid.part(0, split))
-    finding = finding or search(train, say)
+    finding = finding or search(train, say, share)
     further: list[Part] = []
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
@@ -117,6 +117,7 @@ def diagnose(
         still=still,
         limits=limits,
         usual=usual,
+        doubted=share == 0.0,
         later=tuple(part.grid for part in further),
     )
 

@@ -13,7 +13,7 @@ from twin.discovery.model import Model
 from twin.discovery.ranking import Finding
 from twin.network import Array, Network
 
-FAR_OFF, FAR_SHARE = 3.0, 0.15
+FAR_OFF, FAR_SHARE = 3.0, 0.25
 """Times a sensor's noise that block means may be off where a fit was not shown them, and the share of the squares that
 re-tuning alone leaves: beyond both an answer is contradicted."""
 

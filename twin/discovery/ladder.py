@@ -72,8 +72,12 @@ class Part:
         self.contest.look_at(self.run)
 
 
-def search(part: Part, say: Callable[[str], None]) -> Finding:
-    """Add effects one by one, each the best of the finalists after a joint fit, until nothing more is to be gained."""
+def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_SHARE) -> Finding:
+    """Add effects one by one, each the best of the finalists after a joint fit, until nothing more is to be gained.
+
+    Args:
+        second_share: of the first effect's gain, what a further one has to win.
+    """
     network, contest, threshold = part.basis.probe.network, part.contest, part.threshold
     ids = part.basis.probe.scaling.ids
     start_chi = contest.misfit / max(contest.count, 1)
@@ -87,7 +91,7 @@ def search(part: Part, say: Callable[[str], None]) -> Finding:
     ranked: tuple[Ranked, ...] = ()
     entries, first_gain = part.entries, 0.0
     while entries and entries[0].z >= threshold and len(chosen) < MOST_EFFECTS:
-        small = SECOND_SHARE * first_gain
+        small = second_share * first_gain
         if best is not None and entries[0].gain < small and enough(best.chi, start_chi, contest):
             break
         finalists = _finalists(entries, chosen)

@@ -25,6 +25,7 @@ KINDS = {
 """How likely a kind of effect is before any data, relative to a heat source."""
 _MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
 """What an actuator moves: a pump that turns slower is a flow that is less."""
+_LATE = ("history", "rate_of_change")
 _RARE = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
 
 
@@ -34,9 +35,13 @@ def enough(chi: float, start: float, contest: Contest) -> bool:
 
 
 def piled_up(entries: tuple[Entry, ...]) -> bool:
-    """Whether effects share a place: they then stand for one of a form that no candidate has."""
+    """Whether effects share a place: they then stand for one of a form that no candidate has.
+
+    What is slow there and what is late there (a mass, a thermometer's lag) do not stand for one another.
+    """
     named = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
-    places = [_MOVED_BY.get(name, name) for name in named]
+    late = [e.candidate.driver in _LATE for e in entries]
+    places = list(zip((_MOVED_BY.get(name, name) for name in named), late, strict=True))
     same = [tuple(e.candidate.changes) for e in entries]
     return len(set(places)) < len(places) or len(set(same)) < len(same)
 

@@ -61,12 +61,14 @@ def conclude(
     still: tuple[Stuck, ...] = (),
     limits: Limits | None = None,
     usual: bool = False,
+    doubted: bool = False,
     later: tuple[Grid, ...] = (),
 ) -> Diagnosis:
     """The verdict with everything that supports it.
 
     Args:
         usual: what is left of the re-tuned twin is what it has always left, so nothing is missing.
+        doubted: an answer to less of the record was contradicted by the rest, so that this one has to leave nothing.
         later: records made since, by which the finding has been weighed.
     """
     start = float(grid.time[0])
@@ -74,6 +76,7 @@ def conclude(
     left = finding.retuned.chi if finding.fit is None else finding.fit.chi
     good = enough(left, finding.start / scale, finding.contest) and not piled_up(finding.entries)
     good = good and holds(finding.folds) and not contradicted(errors)
+    good = good and not (doubted and finding.beside)
     verdict: Verdict
     effects: tuple[Effect, ...] = ()
     others: tuple[Alternative, ...] = ()
