@@ -112,9 +112,11 @@ class Trial:
                 try:
                     ablation = self._ablation.ask(**given, effects=hidden["effects"], labels=hidden["labels"])
                 except WorkerError as error:
-                    ablation = {"failed": str(error), "z_truth": [], "sizes": [], "linear": [], "raw": []}
-            z = max((v for v in (ablation or {}).get("z_truth", []) if v is not None), default=None)
-            outcome = judge(name, case.load, hidden, answer, seconds, z, (ablation or {}).get("sizes", ()))
+                    ablation = {"failed": str(error), "linear": [], "raw": []}
+            told: dict[str, list[float | None]] = ablation or {}
+            z = max((v for v in told.get("z_truth", []) if v is not None), default=None)
+            beside = [v for v in told.get("z_beside", []) if v is not None]
+            outcome = judge(name, case.load, hidden, answer, seconds, z, told.get("sizes", ()), beside)
             done = Finished(outcome, answer, ablation)
             _write(done, kept)
             return done

@@ -61,8 +61,9 @@ def answer(request: Request) -> Request:
                 forecast(contest, found, network, table, label)
                 for table, label in zip(request["effects"], request["labels"], strict=False)
             ]
-            said["z_truth"] = [f[0] for f in forecasts]
-            said["sizes"] = [f[1] for f in forecasts]
+            said["z_truth"] = [f.z if f else None for f in forecasts]
+            said["z_beside"] = beside(contest, forecasts)
+            said["sizes"] = [f.size if f else None for f in forecasts]
     if importlib.util.find_spec("pysindy"):
         from hil.bench.peers.sindy_peer import contributions
 
@@ -77,13 +78,32 @@ def _row(e: Entry) -> dict[str, Any]:
     return {"kind": e.candidate.kind, "where": e.candidate.where, "driver": e.driver, "z": e.z, "size": e.size}
 
 
+@dataclasses.dataclass(frozen=True)
+class Forecast:
+    """Score `z` of a true effect at its true size; that size in the catalogue's unit at the end of the fit.
+
+    Where the catalogue measures the effect otherwise, the score is that of the fitted size and `size` None. `vector`
+    (sites, b) is the effect at its size.
+    """
+
+    z: float
+    size: float | None
+    vector: Array
+
+
+def beside(contest: Contest, forecasts: list[Forecast | None]) -> list[float]:
+    """Scores of true effects at their true sizes, each with the others' sizes fitted along."""
+    known = [f.vector for f in forecasts if f is not None]
+    if len(known) < len(forecasts):
+        return []
+    covariance = np.linalg.pinv(contest.joint(np.stack(known))[0], rcond=1e-12, hermitian=True)
+    return [float(max(v, 1e-30) ** -0.5) for v in np.diag(covariance)]
+
+
 def forecast(
     contest: Contest, found: list[Law], network: Network, table: Mapping[str, Any], label: tuple[str, str, str]
-) -> tuple[float | None, float | None]:
-    """Score of a true effect at its true size, and that size in the catalogue's unit at the end of the fit.
-
-    Where the catalogue measures the effect otherwise, the score is that of the fitted size and the size None.
-    """
+) -> Forecast | None:
+    """How visible a true effect is; None where the catalogue has none of its kind there."""
     laws_of: list[Law] = []
     for where in dict.fromkeys((label[1], family(label[1]))):
         laws_of = laws_of or [w for w in found if (w.candidate.kind, w.candidate.where) == (label[0], where)]
@@ -92,17 +112,18 @@ def forecast(
     drivers = [w for w in laws_of if same_driver(w.candidate.driver, driver)]
     chosen = drivers or laws_of
     if not chosen:
-        return None, None
+        return None
     course = course_of(table, contest.edges * contest.grid.step_s)
-    best: tuple[float, float | None] = (0.0, None)
+    best: Forecast | None = None
     for law in chosen:
         p = contest.vector(law) * course
         gram, score = contest.joint(p[None])
         bottom = max(float(gram[0, 0]), 1e-12)
         size = catalogue_size(table, law, network)
-        z = abs(size) * bottom**0.5 if size is not None else abs(float(score[0])) / bottom**0.5
-        if z > best[0]:
-            best = (z, None if size is None else size * float(course[-1]))
+        full = size if size is not None else float(score[0]) / bottom
+        z = abs(full) * bottom**0.5
+        if best is None or z > best.z:
+            best = Forecast(z, None if size is None else size * float(course[-1]), p * full)
     return best
 
 

@@ -33,11 +33,12 @@ class Outcome:
 
     Attributes:
         z, confidence: of the answer's first effect. z_truth: forecast for the true effect, see `discovery_ablation`.
+        z_least: of two true effects the lesser forecast, each with the other's size fitted along.
         exact: the kinds and places named are those of the truth, and no others. top1: the first one is.
         class1: it is, or is indistinguishable from it by the answer's own words or by physics. in_set: the truth is
             among those that the answer does not exclude. set_size: how many these are.
         in_words: something outside the catalogue was described by several effects of the right kind at the right place,
-            as a loss that ends is by two opposite steps.
+            as a loss that ends is by two opposite steps, or as what it is, a thermometer that stands still.
         onset_min: error of the onset, minutes. size: relative error. errors_K: RMSE on the held-out part, re-tuned,
             with the effects, and the thermometers' noise, over all sensors.
         excess: share of the squared error above the floor that the effects took away.
@@ -64,6 +65,7 @@ class Outcome:
     onset_min: float | None
     size: float | None
     errors_K: tuple[float, float, float] | None
+    z_least: float | None = None
 
     @property
     def named(self) -> bool:
@@ -87,7 +89,7 @@ class Outcome:
 
 def judge(
     case: str, load: str, hidden: Mapping[str, Any], answer: Mapping[str, Any], seconds: float,
-    z_truth: float | None = None, sizes: Sequence[float | None] = (),
+    z_truth: float | None = None, sizes: Sequence[float | None] = (), z_beside: Sequence[float] = (),
 ) -> Outcome:  # fmt: skip
     """Compare an answer, `diagnosis.json`, with a truth as it was sealed.
 
@@ -124,11 +126,14 @@ def judge(
         z=first["z"] if first else None, confidence=first["confidence"] if first else None,
         seconds=seconds, z_truth=z_truth, exact=exact, top1=top1, class1=class1, in_set=in_set, set_size=set_size,
         place=right_place, driver=right_driver, in_words=in_words, onset_min=onset, size=size, errors_K=pooled(answer),
+        z_least=min(z_beside, default=None),
     )  # fmt: skip
 
 
 def _in_words(effects: Sequence[Mapping[str, Any]], label: tuple[str, str, str]) -> bool:
-    """Whether something that came and went is told by steps of one kind, place and driver."""
+    """Whether something that came and went is told by steps of one kind, place and driver, or a stuck one as stuck."""
+    if len(effects) == 1 and effects[0]["shape"] == "stuck":
+        return (effects[0]["kind"], effects[0]["where"]) == (label[0], label[1])
     told = {(e["kind"], e["where"], e["driver"], e["shape"]) for e in effects}
     kind, where, _, shape = next(iter(told))
     return (

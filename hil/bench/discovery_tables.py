@@ -12,6 +12,8 @@ from hil.bench.machine import median
 from hil.bench.report import Cell, Table, number
 
 Z_EDGES = (0.0, 3.0, 6.0, 10.0, 20.0, 50.0, math.inf)
+SEEN = 5.0
+"""Score of the truth from which it is asked to be named."""
 COVERAGES = (0.25, 0.5, 0.75, 0.9, 1.0)
 GROUP_NAMES = {
     "none": "nothing", "one": "one effect of the catalogue", "two": "two of them", "outside": "not in the catalogue",
@@ -70,7 +72,10 @@ def _scores(outcomes: Sequence[Outcome], how: str) -> Table:
         _count("one effect: truth in the set, of named", one, lambda o: o.in_set),
         _count("one effect: place right, of named", one, lambda o: o.place),
         _count("one effect: driver right, of those with kind and place right", one, lambda o: o.driver),
+        *_visible([o for o in one if (o.z_truth or 0.0) >= SEEN]),
         _count("two effects: both right", two, lambda o: bool(o.exact)),
+        _count(f"two effects, the lesser with a score of {SEEN:g} or more: both right or equivalents",
+               [o for o in two if (o.z_least or 0.0) >= SEEN], lambda o: bool(o.in_set and o.class1)),
         _count("two effects: the first right but for equivalents", two, lambda o: bool(o.class1)),
         _count("two effects: both in the set, of named", two, lambda o: o.in_set),
         _count("catalogue, something found: left unexplained", seen, lambda o: o.verdict == "unexplained"),
@@ -84,6 +89,16 @@ def _scores(outcomes: Sequence[Outcome], how: str) -> Table:
     ]  # fmt: skip
     columns = ("what", "cases", "of", "%", "90 % from", "to")
     return Table("scores", "Scores", columns, tuple(r for r in rows if r[2]), (how,))
+
+
+def _visible(one: Sequence[Outcome]) -> tuple[tuple[Cell, ...], ...]:
+    """What is asked of single effects that the record can show."""
+    name = f"one effect with a score of {SEEN:g} or more"
+    return (
+        _count(f"{name}: right but for equivalents", one, lambda o: bool(o.class1)),
+        _count(f"{name}: named wrongly", one, lambda o: o.named and not o.class1),
+        _count(f"{name}: truth in the set", one, lambda o: bool(o.in_set or o.class1)),
+    )
 
 
 def _verdicts(outcomes: Sequence[Outcome]) -> Table:
