@@ -87,4 +87,5 @@ def test_a_block_that_says_nothing_is_not_asked() -> None:
     assert holds(()) and holds((Fold(0.0, 1.0, 10, 0.5),))
     assert holds((Fold(0.0, 1.0, 10, 0.5), Fold(1.0, 2.0, 10, 40.0)))
     assert not holds((Fold(0.0, 1.0, 10, -30.0), Fold(1.0, 2.0, 10, 40.0)))
-    assert not holds(tuple(Fold(0.0, 1.0, 10, g) for g in (-9.0, 40.0, 40.0, 4.0)))
+    assert not holds(tuple(Fold(0.0, 1.0, 10, g) for g in (-15.0, 40.0, 40.0, 4.0)))
+    assert holds(tuple(Fold(0.0, 1.0, 10, g) for g in (-9.0, 21.0, 7.0)))  # as chance does to a weak one

@@ -9,7 +9,9 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from twin.discovery.basis import Columns
+from twin.discovery.diagnosis import SensorError
 from twin.discovery.engine import diagnose
+from twin.discovery.held_out import contradicted
 
 
 def test_water_that_flows_less_for_a_time_is_told_from_heat_and_from_readings(bench: Bench, healthy: Columns) -> None:
@@ -42,6 +44,31 @@ def test_what_lasts_is_not_said_to_have_ended(bench: Bench, healthy: Columns) ->
     found = diagnose(bench.network, bench.record(14.0, changed=more, onset_h=5.0), healthy)
     assert found.verdict in ("effect found", "ambiguous")
     assert (found.effects[0].kind, found.effects[0].where) == ("heat_source", "tank")
+
+
+def test_an_answer_that_the_held_out_part_contradicts_is_withdrawn() -> None:
+    """Squares of all sensors count; one that is a little off beside a large gain does not contradict."""
+
+    def off(before: float, after: float) -> SensorError:
+        return SensorError(before, before, after, 0.05, (before, before, after))
+
+    assert contradicted({"T": off(0.5, 0.4)})
+    assert not contradicted({"T": off(2.0, 0.2)})
+    assert not contradicted({"T": off(0.1, 0.1)})  # within three times the noise
+    assert not contradicted({"T": off(2.0, 0.1), "U": off(0.1, 0.2)})
+
+
+def test_what_shows_in_the_held_out_part_alone_is_found(bench: Bench, healthy: Columns) -> None:
+    """A loss that grows from the beginning, seen at the end: the fit is given more of the record, which is said."""
+    grown = bench.record(16.0, noise=1.0)
+    sized = bench.record(
+        16.0, changed=bench.with_values(tank_loss__hA=bench.network.parameters["tank_loss.hA"].value + 1.0)
+    )
+    share = np.clip(grown.time_s / grown.time_s[-1], 0.0, 1.0)[:, None] ** 4
+    record = replace(grown, measured=grown.measured + share * (sized.measured - grown.measured))
+    found = diagnose(bench.network, record, healthy)
+    assert found.verdict != "adequate"
+    assert any("kept out of the fit" in note for note in found.notes)
 
 
 def test_a_reading_that_is_off_now_and_then_is_told_from_heat_and_from_flow(bench: Bench, healthy: Columns) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ from drivers.rigfile import load_rig
 from drivers.virtual.effects import load_effects
 from drivers.virtual.thermocouple_module import ThermocoupleModule
 from hil.bench import discovery
-from hil.bench.discovery_ablation import course_of
+from hil.bench.discovery_ablation import Forecast, beside, course_of
 from hil.bench.discovery_cases import effects_text, profile, profile_text, setting, truth
 from hil.bench.discovery_direct import direct_record
 from hil.bench.discovery_injector import RIG, opened, seal
@@ -104,6 +106,21 @@ def test_what_came_and_went_may_be_told_by_two_steps() -> None:
     assert judged(answer("effect found", *steps), hidden).right
     assert not judged(answer("effect found", *steps, effect("flow", "loop")), hidden).right
     assert not judged(answer("effect found", steps[0]), hidden).right
+
+
+def test_a_thermometer_that_stands_still_may_be_called_that_and_nothing_else() -> None:
+    hidden = HIDDEN | {"group": "outside", "labels": [["sensor", "T_tank_C", "constant"]]}
+    assert judged(answer("effect found", effect("sensor", "T_tank_C", shape="stuck")), hidden).right
+    assert not judged(answer("effect found", effect("sensor", "T_heater_C", shape="stuck")), hidden).right
+    assert not judged(answer("effect found", effect("sensor", "T_tank_C")), hidden).right
+
+
+def test_of_two_effects_the_lesser_counts_beside_the_other() -> None:
+    """Two that nearly do the same are each plain alone, and neither is beside the other."""
+    contest = SimpleNamespace(joint=lambda v: (np.array([[100.0, 99.0], [99.0, 100.0]]), np.zeros(2)))
+    alike_two = [Forecast(10.0, 1.0, np.ones((1, 2))), Forecast(10.0, 1.0, np.ones((1, 2)))]
+    assert beside(contest, alike_two) == pytest.approx([math.sqrt(100.0 - 99.0**2 / 100.0)] * 2)  # type: ignore[arg-type]
+    assert beside(contest, [alike_two[0], None]) == []  # type: ignore[arg-type]
 
 
 def test_risk_counts_the_surest_first() -> None:
