@@ -93,11 +93,12 @@ class Forecast:
 
 def beside(contest: Contest, forecasts: list[Forecast | None]) -> list[float]:
     """Scores of true effects at their true sizes, each with the others' sizes fitted along."""
-    known = [f.vector for f in forecasts if f is not None]
+    known = [f for f in forecasts if f is not None]
     if len(known) < len(forecasts):
         return []
-    covariance = np.linalg.pinv(contest.joint(np.stack(known))[0], rcond=1e-12, hermitian=True)
-    return [float(max(v, 1e-30) ** -0.5) for v in np.diag(covariance)]
+    covariance = np.linalg.pinv(contest.joint(np.stack([f.vector for f in known]))[0], rcond=1e-12, hermitian=True)
+    # Of one that the part at hand does not hold nothing is known, whatever the inverse says.
+    return [min(f.z, float(max(v, 1e-30) ** -0.5)) for f, v in zip(known, np.diag(covariance), strict=True)]
 
 
 def forecast(
