@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from drivers.codec import WIDTH, ByteOrder, RegisterType
+from drivers.interlock_specs import KINDS, HeaterPowerSpec, InterlockSpec
 from drivers.points import ConfigurationError, Signal
 from drivers.units import canonical_unit
 
@@ -157,16 +158,21 @@ class Heartbeat(_Section):
 
 
 class Rig(_Section):
-    """A whole rig file. `twin` is the twin file that runs beside this rig unless another is named."""
+    """A whole rig file. `twin` is the twin file that runs beside this rig unless another is named.
+
+    A run that an alarm has tripped waits `acknowledge_within_s` at safe values for an operator; 0 ends it at once.
+    """
 
     name: str
     description: str = ""
     period_s: Annotated[float, Field(gt=0, le=3600)] = 1.0
     abort_after_s: Annotated[float, Field(gt=0)] = 5.0
+    acknowledge_within_s: Annotated[float, Field(ge=0)] = 0.0
     twin: Path | None = None
     heartbeat: Heartbeat | None = None
     bus: dict[str, Annotated[ModbusTcpBus | CanBus, Field(discriminator="transport")]]
     point: tuple[Point, ...]
+    interlock: tuple[InterlockSpec, ...] = ()
 
     @property
     def setpoints(self) -> tuple[Point, ...]:
@@ -275,6 +281,23 @@ def _cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
             named = getattr(rig.heartbeat, key)
             if named is not None and named not in names:
                 found.append((("heartbeat", key), f"heartbeat: no point {named!r}; declare it or correct {key}"))
+    return found + _interlock_checks(rig)
+
+
+def _interlock_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
+    """Interlocks that watch what there is not."""
+    found: list[tuple[tuple[Any, ...], str]] = []
+    points = {point.name: point for point in rig.point}
+    for index, spec in enumerate(rig.interlock):
+        for key, name in spec.points.items():
+            point, place = points.get(name), ("interlock", index, key)
+            if point is None:
+                found.append((place, f"{spec.kind}: no point {name!r}; declare it or correct {key}"))
+            elif not (point.is_setpoint if key == "setpoint" else point.access == "r"):
+                what = "a set-point" if key == "setpoint" else "read on every tick (access = 'r')"
+                found.append((place, f"{spec.kind}: {name} is not {what}; correct {key}"))
+            elif isinstance(spec, HeaterPowerSpec) and point.readback is None:
+                found.append((place, f"{spec.kind}: {name} has no readback to compare with; add one to the point"))
     return found
 
 
@@ -312,6 +335,8 @@ def _line(text: str, place: Sequence[Any]) -> int:
     return start + 1
 
 
+_TAGS = ("modbus_tcp", "socketcand", "socketcan", *KINDS)
+"""Which member of a union was meant: pydantic puts it into the place of a mistake."""
 _REMEDY = {
     "missing": "is missing; add it",
     "extra_forbidden": "is not a key of this section; check its spelling",
@@ -319,12 +344,13 @@ _REMEDY = {
 
 
 def _sentence(path: Path, text: str, item: Any) -> str:
-    place = tuple(part for part in item["loc"] if part not in ("modbus_tcp", "socketcand", "socketcan"))
+    place = tuple(part for part in item["loc"] if part not in _TAGS)
     what = _REMEDY.get(item["type"], item["msg"].removeprefix("Value error, "))
     if item["type"] == "literal_error":
         what = f"{item['input']!r} is not known; use {item['ctx']['expected']}"
     elif item["type"] == "union_tag_invalid":
-        what = f"transport {item['input'].get('transport')!r} is not known; use {item['ctx']['expected_tags']}"
+        key = item["ctx"]["discriminator"].strip("'")
+        what = f"{key} {item['input'].get(key)!r} is not known; use {item['ctx']['expected_tags']}"
     elif item["type"] not in ("missing", "extra_forbidden", "value_error") and not isinstance(item["input"], dict):
         what = f"{what}, got {item['input']!r}"
     key = ".".join(str(part) for part in place if not isinstance(part, int))

@@ -19,6 +19,7 @@ VERBS = {
     "bench": "Measure speed and fits, repeat the paper's experiments",
     "check": "Check a rig file, twin, profile, scenario or record",
     "commission": "Fit a twin to a healthy record",
+    "ctl": "Hold, pause, resume, abort or ask a live run",
     "diagnose": "Trace what a twin gets wrong to the effect that it lacks",
     "profile": "Build and picture load profiles",
     "review": "Look at a run in Rerun: measured against twin",

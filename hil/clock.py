@@ -12,6 +12,8 @@ from typing import Protocol
 from drivers.points import LinkError
 
 LOCKSTEP_DEADLINE_S = 20.0
+LONGEST_WAIT_S = 1.0
+"""An operator's verb is obeyed on the next tick; no longer than this may it be off."""
 
 
 class Clock(Protocol):
@@ -34,6 +36,9 @@ class Clock(Protocol):
 
     async def advance(self) -> None:
         """Let one period of rig time pass, outside the grid."""
+
+    async def wait(self) -> None:
+        """Before a tick of a run that waits for a person: no faster than time goes for them."""
 
     async def close(self) -> None:
         """Let go of the rig's time."""
@@ -76,6 +81,9 @@ class MonotonicClock:
     async def advance(self) -> None:
         """Sleep for one period."""
         await asyncio.sleep(self.period_s / self._speed)
+
+    async def wait(self) -> None:
+        """Nothing to do: ticks come no faster than they are due."""
 
     async def close(self) -> None:
         """Nothing is held."""
@@ -180,6 +188,10 @@ class LockstepClock:
     async def advance(self) -> None:
         """Grant one step and wait for it."""
         await self.next_tick()
+
+    async def wait(self) -> None:
+        """A period of wall time: else hours would pass on the rig while an operator looks at it."""
+        await asyncio.sleep(min(self.period_s, LONGEST_WAIT_S))
 
     async def close(self) -> None:
         """Let go of the rig's time; the rig goes on in real time."""

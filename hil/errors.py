@@ -35,7 +35,7 @@ def exit_code(error: BaseException) -> int | None:
         "HieraError",
     }:
         return USAGE
-    if names & {"VirtualRigError", "ViewerError"}:
+    if names & {"VirtualRigError", "ViewerError", "ControlError"}:
         return FOUND
     return None
 

@@ -1,85 +1,178 @@
-"""What ends a run, judged in the tick on this tick's values: alarm limits, faulty sensors, lost links, the rig's trip.
+"""The interlocks of a run, at two levels, judged in the tick on this tick's values.
 
-A sensor that cannot be trusted counts as high: it does not hide an over-temperature for longer than the rig file's
-`abort_after_s`.
+An alarm trips: it is latched until it is acknowledged, and cannot be acknowledged while its cause lasts. A warning is
+active from its on-delay until its cause has been gone, by its deadband, for its off-delay. Beside those that the rig
+file declares, every rig has: the `alarm` limits of its points, lost links and sensors, its own trip, its counter.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-from drivers.points import Quality, Snapshot
+from drivers.interlock_specs import (
+    HeaterPowerSpec,
+    InterlockSpec,
+    Level,
+    LimitSpec,
+    NoFlowSpec,
+    RateOfRiseSpec,
+    ResidualSpec,
+)
+from drivers.points import Snapshot
 from drivers.rigfile import Point, Rig
+from hil.conditions import (
+    Condition,
+    Disagreement,
+    Frozen,
+    Limit,
+    NoFlow,
+    RateOfRise,
+    Residual,
+    Residuals,
+    RigTrip,
+    Tick,
+    Untrusted,
+    of_heartbeat,
+)
+
+_NOT_AT_START = (RigTrip, Frozen, Disagreement, RateOfRise)
+"""Arming resets the first, the others need a history."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What stands against the run on a tick: latched trips and active warnings, a sentence each."""
+
+    trips: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+class Interlock:
+    """One condition with its delays: `active` while it counts, `present` while its cause is there."""
+
+    def __init__(self, level: Level, condition: Condition, on_delay_s: float, off_delay_s: float = 0.0) -> None:
+        self.level = level
+        self.condition = condition
+        self.active = False
+        self.present = False
+        self.reason = ""
+        self._on_delay_s, self._off_delay_s = on_delay_s, off_delay_s
+        self._since: float | None = None  # of what speaks against the present value of `active`
+
+    def update(self, tick: Tick) -> None:
+        """Judge one tick."""
+        said = self.condition.judge(tick, self.active)
+        self.present = said is not None
+        if self.present == self.active:
+            self._since = None
+            return
+        self._since = tick.now_s if self._since is None else self._since
+        waited = tick.now_s - self._since
+        if said is not None and waited >= self._on_delay_s:
+            self.active, self.reason, self._since = True, said, None
+        elif said is None and self.level == "warning" and waited >= self._off_delay_s:
+            self.active, self._since = False, None
+
+    def acknowledge(self) -> bool:
+        """Let go of a trip whose cause is gone; whether it is gone."""
+        if self.active and not self.present:
+            self.active = False
+        return not self.active
 
 
 class Interlocks:
     """State of the interlocks of one run over the rig's polled `points`."""
 
     def __init__(self, rig: Rig, points: tuple[Point, ...]) -> None:
-        self._rig = rig
-        self._points = points
-        self._bad_since: dict[str, float] = {}
-        index = {point.name: position for position, point in enumerate(points)}
-        heartbeat = rig.heartbeat
-        self._status = index.get(heartbeat.status) if heartbeat and heartbeat.status else None
-        self._counter = index.get(heartbeat.counter) if heartbeat and heartbeat.counter else None
-        self._trip_mask = heartbeat.trip_mask if heartbeat else 0
-        self._counter_value = math.nan
-        self._counter_since = -math.inf
+        self._names = tuple(point.name for point in points)
+        alarmed = [point for point in points if point.alarm is not None]
+        heartbeat = [] if rig.heartbeat is None else of_heartbeat(rig.heartbeat, frozenset(self._names))
+        self._rig_trips = [condition for condition in heartbeat if isinstance(condition, RigTrip)]
+        all_alarms: list[tuple[Condition, float]] = [
+            *((Limit(point, *point.alarm), 0.0) for point in alarmed if point.alarm is not None),
+            *((condition, 0.0) for condition in heartbeat),
+            *((Untrusted(point, rig.abort_after_s, point.alarm is not None), rig.abort_after_s) for point in points),
+        ]
+        self._all = [Interlock("alarm", condition, delay) for condition, delay in all_alarms]
+        for spec in rig.interlock:
+            self._all += _made(spec, rig)
 
-    def alarms(self, snapshot: Snapshot) -> list[str]:
-        """Alarm limits that are exceeded now, one sentence each; used before the start as well."""
-        found = []
-        for point, value, quality in zip(self._points, snapshot.values, snapshot.quality, strict=True):
-            if point.alarm is None or quality not in (Quality.GOOD, Quality.OUT_OF_RANGE):
-                continue
-            low, high = point.alarm
-            if not low <= value <= high:
-                found.append(f"{point.name} is {value:.2f} {point.unit}, its alarm limits are {low:g} to {high:g}")
-        return found
+    def refusals(self, snapshot: Snapshot) -> list[str]:
+        """Alarms that stand against a start, one sentence each; nothing is latched by asking."""
+        tick = self._tick(snapshot, 0.0, {}, {})
+        alarms = (item for item in self._all if item.level == "alarm")
+        said = (item.condition.judge(tick, False) for item in alarms if not isinstance(item.condition, _NOT_AT_START))
+        return list(dict.fromkeys(sentence for sentence in said if sentence is not None))
 
-    def check(self, snapshot: Snapshot, now_s: float) -> str | None:
-        """Why the run must end on this tick, or None. Call once a tick, with rig time."""
-        alarms = self.alarms(snapshot)
-        if alarms:
-            return alarms[0]
-        tripped = self.tripped(snapshot)
-        if tripped is not None:
-            return tripped
-        return self._untrusted(snapshot, now_s) or self._frozen(snapshot, now_s)
+    def judge(
+        self,
+        snapshot: Snapshot,
+        now_s: float,
+        commanded: Mapping[str, float] | None = None,
+        residuals: Residuals | None = None,
+    ) -> Judgement:
+        """What stands against the run now. Call once a tick, with rig time and what was commanded before it."""
+        tick = self._tick(snapshot, now_s, commanded or {}, residuals or {})
+        for item in self._all:
+            item.update(tick)
+        return self.standing()
 
-    def tripped(self, snapshot: Snapshot) -> str | None:
+    def standing(self) -> Judgement:
+        """Latched trips and active warnings."""
+        active = [item for item in self._all if item.active]
+        return Judgement(
+            tuple(item.reason for item in active if item.level == "alarm"),
+            tuple(item.reason for item in active if item.level == "warning"),
+        )
+
+    def acknowledge(self) -> list[str]:
+        """Let go of the trips of which the cause is gone; the sentences of those that stay."""
+        return [item.reason for item in self._all if item.level == "alarm" and not item.acknowledge()]
+
+    def rig_trip(self, snapshot: Snapshot) -> str | None:
         """What the rig says of its own watchdog and thermostat, where it has tripped."""
-        if self._status is None or snapshot.quality[self._status] != Quality.GOOD:
-            return None
-        bits = int(snapshot.values[self._status]) & self._trip_mask
-        if bits:
-            name = self._points[self._status].name
-            return f"the rig tripped by itself ({name} has bits {bits:#06b} set); look for the cause, then arm it again"
-        return None
+        tick = self._tick(snapshot, 0.0, {}, {})
+        return next((said for each in self._rig_trips if (said := each.judge(tick, False)) is not None), None)
 
-    def _untrusted(self, snapshot: Snapshot, now_s: float) -> str | None:
-        limit = self._rig.abort_after_s
-        for point, quality in zip(self._points, snapshot.quality, strict=True):
-            if quality == Quality.GOOD or (quality == Quality.OUT_OF_RANGE and point.alarm is None):
-                self._bad_since.pop(point.name, None)
-                continue
-            if point.alarm is None and quality == Quality.SENSOR_FAULT:
-                continue
-            since = self._bad_since.setdefault(point.name, now_s)
-            if now_s - since >= limit:
-                why = Quality(quality).name.lower().replace("_", " ")
-                cause = f" ({snapshot.faults[0]})" if snapshot.faults else ""
-                return f"{point.name} has been without a good value for {limit:g} s: {why}{cause}"
-        return None
+    def _tick(self, snapshot: Snapshot, now_s: float, commanded: Mapping[str, float], residuals: Residuals) -> Tick:
+        values = dict(zip(self._names, snapshot.values, strict=True))
+        quality = dict(zip(self._names, snapshot.quality, strict=True))
+        return Tick(now_s, values, quality, commanded, tuple(snapshot.faults), residuals)
 
-    def _frozen(self, snapshot: Snapshot, now_s: float) -> str | None:
-        if self._counter is None or self._rig.heartbeat is None or snapshot.quality[self._counter] != Quality.GOOD:
-            return None
-        value = snapshot.values[self._counter]
-        if value != self._counter_value:
-            self._counter_value, self._counter_since = value, now_s
-        elif now_s - self._counter_since > self._rig.heartbeat.timeout_s:
-            name = self._points[self._counter].name
-            return f"the rig has stopped: {name} has not advanced for {self._rig.heartbeat.timeout_s:g} s"
-        return None
+
+def _made(spec: InterlockSpec, rig: Rig) -> list[Interlock]:
+    """A declared interlock, and one of the same level for each sensor that it cannot do without."""
+    condition, needs = _condition(spec, rig)
+    on_delay_s = spec.on_delay_s
+    if on_delay_s is None:
+        on_delay_s = rig.get(spec.points["setpoint"]).readback_within_s
+    sensors = (
+        Interlock(spec.level, Untrusted(rig.get(name), rig.abort_after_s, True), rig.abort_after_s, spec.off_delay_s)
+        for name in needs
+        # An alarm on the same sensor speaks for it already.
+        if spec.level == "alarm" or rig.get(name).alarm is None
+    )
+    own = [] if condition is None else [Interlock(spec.level, condition, on_delay_s, spec.off_delay_s)]
+    return [*own, *sensors]
+
+
+def _condition(spec: InterlockSpec, rig: Rig) -> tuple[Condition | None, tuple[str, ...]]:
+    """The condition of `spec`, and the points that must be good for it to mean anything."""
+    if isinstance(spec, LimitSpec):
+        low = -math.inf if spec.low is None else spec.low
+        high = math.inf if spec.high is None else spec.high
+        return Limit(rig.get(spec.point), low, high, spec.deadband, spec.level), (spec.point,)
+    if isinstance(spec, RateOfRiseSpec):
+        return RateOfRise(spec, rig.get(spec.point).unit), (spec.point,)
+    if isinstance(spec, NoFlowSpec):
+        setpoint = rig.setpoint_of_column(spec.heater)
+        return NoFlow(spec, None if setpoint is None else setpoint.name), (spec.flow,)
+    if isinstance(spec, HeaterPowerSpec):
+        setpoint = rig.get(spec.setpoint)
+        assert setpoint.readback is not None
+        return Disagreement(setpoint, setpoint.readback, spec.tolerance, spec.deadband), (setpoint.readback,)
+    if isinstance(spec, ResidualSpec):
+        return Residual(spec), ()
+    return None, (spec.point,)

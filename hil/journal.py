@@ -5,7 +5,7 @@ synchronous=FULL, so a crash or a power cut loses at most that much. Everything 
 derived from the journal, live or afterwards, through `JournalReader`.
 
 Tables: `meta` (key, JSON), `samples` (a row a tick, a column a signal), `twins` (a row a tick and twin, a column a
-twin sensor), `calibrations`, `proposals`, `bands`, `writes`, `events`.
+twin sensor), `calibrations`, `proposals`, `bands`, `writes`, `events`, `states` (a row a transition).
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from hil.journal_rows import (
     Header,
     ProposalRow,
     Samples,
+    StateRow,
     TwinOutput,
     WriteRow,
 )
@@ -47,6 +48,8 @@ CREATE TABLE writes (id INTEGER PRIMARY KEY, tick INTEGER NOT NULL, time_s REAL 
     value REAL NOT NULL, reason TEXT NOT NULL);
 CREATE TABLE events (id INTEGER PRIMARY KEY, tick INTEGER NOT NULL, time_s REAL NOT NULL, wall_s REAL NOT NULL,
     level TEXT NOT NULL, text TEXT NOT NULL);
+CREATE TABLE states (id INTEGER PRIMARY KEY, tick INTEGER NOT NULL, time_s REAL NOT NULL, wall_s REAL NOT NULL,
+    profile_s REAL NOT NULL, source TEXT NOT NULL, event TEXT NOT NULL, target TEXT NOT NULL, reason TEXT NOT NULL);
 """
 
 
@@ -159,6 +162,18 @@ class JournalWriter:
             )
         )
         self.commit()
+
+    def state(
+        self, tick: int, time_s: float, profile_s: float, source: str, event: str, target: str, reason: str
+    ) -> None:
+        """Append a transition; `profile_s` is where the profile's clock stands. Committed with the event about it."""
+        self._other.append(
+            (
+                "INSERT INTO states (tick, time_s, wall_s, profile_s, source, event, target, reason) "
+                "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                (tick, time_s, time.time(), profile_s, source, event, target, reason),
+            )
+        )
 
     def put_meta(self, key: str, value: Any) -> None:
         """Set one entry of the header table."""
@@ -295,6 +310,10 @@ class JournalReader:
             EventRow(*row)
             for row in self._database.execute("SELECT * FROM events WHERE id > ? ORDER BY id", (after_id,))
         ]
+
+    def states(self, after_id: int = 0) -> list[StateRow]:
+        """Transitions with an id above `after_id`; none in a journal from before there were any."""
+        return [StateRow(*row) for row in self._optional("states", after_id)]
 
     def close(self) -> None:
         """Close the file."""

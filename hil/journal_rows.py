@@ -99,3 +99,18 @@ class EventRow:
     wall_s: float
     level: str
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class StateRow:
+    """One transition of the run's state (see `hil.states`); `profile_s` is where the profile's clock stood."""
+
+    id: int
+    tick: int
+    time_s: float
+    wall_s: float
+    profile_s: float
+    source: str
+    event: str
+    target: str
+    reason: str

@@ -63,6 +63,11 @@ class RunFolder:
         return self.path / "diagnosis"
 
     @property
+    def control(self) -> Path:
+        """Socket on which a live run listens to `hil ctl`."""
+        return self.path / "control.sock"
+
+    @property
     def manifest(self) -> Path:
         """Identity, hashes, versions and exit status."""
         return self.path / "run.json"

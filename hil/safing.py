@@ -41,7 +41,7 @@ async def make_safe(
     """
     began = time.monotonic()
     while True:
-        problem = await _write(connection, safe_values)
+        problem = await write_safe(connection, safe_values)
         if not problem:
             break
         if time.monotonic() - began > (HURRIED_WRITE_DEADLINE_S if hurried() else WRITE_DEADLINE_S):
@@ -61,8 +61,8 @@ async def make_safe(
     return Safed(True, not problem, problem)
 
 
-async def _write(connection: RigConnection, safe_values: dict[str, float]) -> str:
-    """Write and read back; what went wrong, or an empty string."""
+async def write_safe(connection: RigConnection, safe_values: dict[str, float]) -> str:
+    """Write in order and read back, once; what went wrong, or an empty string."""
     try:
         for name, value in safe_values.items():
             await connection.write({name: value})

@@ -6,8 +6,7 @@ import asyncio
 import contextlib
 import datetime
 import shutil
-import signal
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -16,12 +15,14 @@ from drivers.rigfile import Rig
 from hil import adoption
 from hil.adoption import Adoption
 from hil.clock import Clock, LockstepClock, MonotonicClock
+from hil.control import serving
 from hil.engine import Engine, Outcome, Publisher, Status
 from hil.journal import Header, JournalReader, JournalWriter
 from hil.live_diagnosis import LiveConfig, LiveDiagnosis, Reply
 from hil.record import export_record, read_record
 from hil.run_folder import RunFolder, create_run_folder, new_manifest
 from hil.run_request import Prepared, RunRequest, prepare, tracking_config
+from hil.signals import interrupted, stopping
 from hil.tracking import STATIC, Comparison, Proposed, Twins
 from hil.tracking_process import Tracking
 
@@ -136,17 +137,19 @@ async def _run_in(
             journal,
             publisher=_Publishers(tuple(p for p in (tracking, live) if p is not None)),
             observer=observer,
+            told=announce,
             lockstep=request.mode == "lockstep",
         )
-        with _signals(engine):
-            outcome = await engine.run()
+        async with serving(folder.control, engine, announce):
+            with stopping(engine):
+                outcome = await engine.run()
         comparison = await tracking.finish() if tracking is not None else None
         outcome.problems.extend(tracking.failures if tracking is not None else ())
         wall_s = loop.time() - began
         told = None
         if live is not None:
             announce("diagnosing the whole run (Ctrl-C skips it)")
-            with _interrupted(live.give_up):
+            with interrupted(live.give_up):
                 told = await live.finish(folder.diagnosis)
         manifest |= {
             "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -307,35 +310,3 @@ async def _live_review(request: RunRequest, folder: RunFolder, announce: Callabl
         yield True
     finally:
         await asyncio.to_thread(follower.finish)
-
-
-@contextlib.contextmanager
-def _interrupted(callback: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C and SIGTERM call `callback`: what is derived after a run must not be lost to an impatient operator."""
-    loop = asyncio.get_running_loop()
-    numbers = signal.SIGINT, signal.SIGTERM
-    for number in numbers:
-        loop.add_signal_handler(number, callback)
-    try:
-        yield
-    finally:
-        for number in numbers:
-            loop.remove_signal_handler(number)
-
-
-@contextlib.contextmanager
-def _signals(engine: Engine) -> Any:
-    """Ctrl-C, SIGTERM and a lost terminal ask the engine to stop; a second one shortens its waits."""
-    loop = asyncio.get_running_loop()
-    names = {
-        signal.SIGINT: "stopped by the operator (Ctrl-C)",
-        signal.SIGTERM: "stopped by SIGTERM",
-        signal.SIGHUP: "stopped because the terminal went away (SIGHUP)",
-    }
-    for number, reason in names.items():
-        loop.add_signal_handler(number, engine.request_stop, reason)
-    try:
-        yield
-    finally:
-        for number in names:
-            loop.remove_signal_handler(number)

@@ -187,7 +187,8 @@ class LiveRun:
         )
         power = status.values.get("heater_power")
         heater = f"{power:.0f} W  " if power is not None else ""
-        self._steps.update(status.time_s, f"{hours(status.time_s)}  {heater}{temperatures} °C")
+        state = "" if status.state == "running" else f"{status.state.upper()}  "
+        self._steps.update(status.profile_s, f"{state}{hours(status.profile_s)}  {heater}{temperatures} °C")
 
     def show_result(self, result: RunResult) -> None:
         """Table of errors, how it ended, where it is."""

@@ -61,7 +61,8 @@ def command(
 ) -> None:
     """Replay PROFILE on a rig while a static twin and tracked ones run beside it.
 
-    Ctrl-C ends the run with the heater at its safe value; a second Ctrl-C shortens the waits.
+    Ctrl-C ends the run with the heater at its safe value; a second Ctrl-C shortens the waits. `hil ctl` holds, pauses,
+    resumes and aborts it from a second terminal.
 
     \b
     Example:

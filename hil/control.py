@@ -1,0 +1,139 @@
+"""The socket on which a live run listens to `hil ctl`, and the client's half of it.
+
+A Unix socket in the run folder, mode 0600: who may write to the folder's owner's files may steer the run, nobody else
+and nobody from another machine. One JSON object a line, asked and answered: `{"verb": "pause", "reason": "..."}` and
+`{"ok": true, "text": "...", "status": {...}}`. `verb` is one of `hil.operator.Verb`, or `status`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import os
+import socket
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from hil.engine import Engine, Status
+from hil.operator import RefusedError, Verb
+
+LONGEST_LINE = 4096
+ANSWER_WITHIN_S = 20.0
+
+
+class ControlError(Exception):
+    """There is no live run to talk to; the message says where one was looked for."""
+
+
+@contextlib.contextmanager
+def _short(path: Path) -> Iterator[str]:
+    """The socket's address by way of its open folder: 107 bytes are all that an address may have."""
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        yield f"/proc/self/fd/{folder}/{path.name}"
+    finally:
+        os.close(folder)
+
+
+@contextlib.asynccontextmanager
+async def serving(path: Path, engine: Engine, announce: Callable[[str], None]) -> AsyncIterator[None]:
+    """Listen at `path` for as long as the block lasts; where that cannot be, say so and let the run go on without."""
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    talks: set[asyncio.Task[None]] = set()
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        talks.add(task)
+        try:
+            await _talk(engine, reader, writer)
+        finally:
+            talks.discard(task)
+            writer.close()
+
+    try:
+        with _short(path) as address:
+            listener.bind(address)
+            os.chmod(address, 0o600)  # before it listens: nobody can have connected yet
+        server = await asyncio.start_unix_server(serve, sock=listener, limit=LONGEST_LINE)
+    except OSError as error:
+        listener.close()
+        announce(f"`hil ctl` cannot reach this run ({path}: {error}); Ctrl-C ends it all the same")
+        yield
+        return
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            os.unlink(path)
+        server.close()
+        # What was asked last is answered still.
+        if talks:
+            _, late = await asyncio.wait(talks, timeout=0.2)
+            for task in late:
+                task.cancel()
+            await asyncio.gather(*late, return_exceptions=True)
+
+
+async def _talk(engine: Engine, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Answer line by line until the client goes."""
+    with contextlib.suppress(OSError, ValueError):
+        while line := await reader.readline():
+            writer.write(json.dumps(await _answer(engine, line), allow_nan=False).encode() + b"\n")
+            await writer.drain()
+
+
+async def _answer(engine: Engine, line: bytes) -> dict[str, Any]:
+    try:
+        asked = json.loads(line)
+        verb, reason = asked["verb"], str(asked.get("reason") or "by an operator (hil ctl)")[:200]
+        text = str(engine.state) if verb == "status" else await engine.ask(Verb(verb), reason)
+    except RefusedError as error:
+        return {"ok": False, "text": str(error), "status": document(engine.status())}
+    except (ValueError, TypeError, KeyError, AttributeError):
+        verbs = ", ".join(["status", *Verb])
+        return {"ok": False, "text": f"not understood; send one JSON object a line, with verb one of {verbs}"}
+    return {"ok": True, "text": text, "status": document(engine.status())}
+
+
+def document(status: Status) -> dict[str, Any]:
+    """A status as JSON has it: what is not known is null."""
+    plain = asdict(status)
+    for key in ("values", "setpoints"):
+        plain[key] = {name: value if math.isfinite(value) else None for name, value in plain[key].items()}
+    return plain
+
+
+def ask(path: Path, verb: str, reason: str = "") -> dict[str, Any]:
+    """The answer of the run that listens at `path`; raises ControlError where none does."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        client.settimeout(ANSWER_WITHIN_S)
+        try:
+            with _short(path) as address:
+                client.connect(address)
+            client.sendall(json.dumps({"verb": verb, "reason": reason}).encode() + b"\n")
+            with client.makefile("rb") as lines:
+                line = lines.readline()
+        except TimeoutError:
+            raise ControlError(f"{path.parent}: the run does not answer within {ANSWER_WITHIN_S:g} s") from None
+        except OSError as error:
+            raise ControlError(f"{path.parent} is no live run ({error.strerror}); `hil run` starts one") from None
+    if not line:
+        raise ControlError(f"{path.parent}: the run ended before it answered")
+    answer: dict[str, Any] = json.loads(line)
+    return answer
+
+
+def live_runs(runs: Path) -> list[Path]:
+    """Folders under `runs` whose run listens."""
+    found = []
+    for path in sorted(runs.glob("*/control.sock")):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client, contextlib.suppress(OSError):
+            with _short(path) as address:
+                client.connect(address)
+            found.append(path.parent)
+    return found
