@@ -65,11 +65,6 @@ class Desk:
         self._asked.clear()
         return asked
 
-    def close(self, state: State) -> None:
-        """Nobody is left waiting."""
-        for request in self.take():
-            request.refuse(f"the run is {state}")
-
 
 def refusal(state: State, verb: Verb, trips: tuple[str, ...]) -> str | None:
     """Why a run in `state` with latched `trips` does not obey `verb`, or None."""

@@ -65,12 +65,9 @@ class Setpoints:
                 changed[point.name] = target
         return changed
 
-    def put_safe(self) -> dict[str, float]:
-        """Go to the safe values at once, without slew; those that changed, in the order in which they are applied."""
-        safe = self.safe_values()
-        changed = {name: value for name, value in safe.items() if self.values[name] != value}
-        self.values.update(safe)
-        return changed
+    def put_safe(self) -> None:
+        """Go to the safe values at once, without slew."""
+        self.values.update(self.safe_values())
 
     def safe_values(self) -> dict[str, float]:
         """Safe value of each set-point, in the order in which they are to be applied."""

@@ -66,7 +66,7 @@ class Collector:
         self._units: dict[str, str] = {}
         self._commissioned: dict[str, float] = {}
         self._proposals = Proposals()
-        self._ids = {"calibrations": 0, "proposals": 0, "bands": 0, "writes": 0, "events": 0}
+        self._ids = {"calibrations": 0, "proposals": 0, "bands": 0, "writes": 0, "events": 0, "states": 0}
         self._noise_mark = -1
         self.end_s = 0.0
 
@@ -252,6 +252,12 @@ class Collector:
                 yield Rows(path("relative", calibrator, name), end_s, relative[:, None])
 
     def _texts(self) -> Iterator[Batch]:
+        states = self._reader.states(self._ids["states"])
+        if states:
+            self._ids["states"] = states[-1].id
+            # Where several follow one another on a tick, the last is what the run was.
+            at = {row.time_s: row.target for row in states}
+            yield States("/state", np.array(list(at)), list(at.values()))
         events = self._reader.events(self._ids["events"])
         if events:
             self._ids["events"] = events[-1].id

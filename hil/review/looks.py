@@ -9,6 +9,7 @@ from typing import Literal
 
 from drivers.points import Quality
 from hil.journal_rows import Header
+from hil.states import State
 
 Colour = tuple[int, int, int]
 NEUTRAL: Colour = (158, 163, 170)
@@ -44,6 +45,20 @@ GATE_COLOURS = {
     "HIGH_UNCERTAINTY": ORANGE,
     "OUT_OF_ENVELOPE": VIOLET,
     **dict.fromkeys(("CONTRADICTORY_EVENT", "FLAT_RECORD", "SHUFFLED_RECORD", "LEAKAGE"), RED),
+}
+STATE_COLOURS = {
+    State.IDLE: FAINT,
+    State.VALIDATING: FAINT,
+    State.CONNECTING: FAINT,
+    State.SOAKING: (45, 95, 120),
+    State.RUNNING: GREEN,
+    State.HELD: (45, 150, 255),
+    State.PAUSED: YELLOW,
+    State.SUSPENDED: ORANGE,
+    State.FINISHING: (45, 95, 120),
+    State.DONE: FAINT,
+    State.ABORTED: VIOLET,
+    State.FAULTED: RED,
 }
 FLAG_COLOURS = {"calibrated": GREEN, "not calibrated": RED}
 _UNIT_SYMBOLS = {"degC": "°C", "1": "", "m3/h": "m³/h"}

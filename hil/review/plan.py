@@ -12,6 +12,7 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
     /actuators/<name>                    set-point and read-back, (n, 1 or 2)
     /measured/<column>                   what else the rig reports, (n, 1)
     /status                              counters and bit fields, (n, k)
+    /state                               lane: where the run was (`hil.states`)
     /quality/<column>, /quality          lanes, one a signal, and the worst of all
     /windows/<calibrator>                lane: kind of each calibration window
     /calibrated/<calibrator>             lane: whether the window's fit was accepted
@@ -38,6 +39,7 @@ from hil.review.looks import (
     NEUTRAL,
     QUALITY_COLOURS,
     QUALITY_NAMES,
+    STATE_COLOURS,
     TRACKED,
     WINDOW_COLOURS,
     Colour,
@@ -148,6 +150,7 @@ def make_plan(
         lines.append(Lines(path("fit", name), names, (FAINT, colours[name]), steps=True))
     lanes = [Lane(path("quality", signal.column), _quality_colours()) for signal in header.signals]
     lanes.append(Lane("/quality", _worst_colours(header)))
+    lanes.append(Lane("/state", {state.value: colour for state, colour in STATE_COLOURS.items()}))
     lanes += [Lane(path("windows", name), WINDOW_COLOURS) for name in calibrators]
     lanes += [Lane(path("calibrated", name), FLAG_COLOURS) for name in calibrators]
     lanes += [Lane(path("gates", name), GATE_COLOURS) for name in calibrators]

@@ -81,8 +81,8 @@ def overview(
         rows.append(Stack("columns", unit_panels(others), share=6.0))
     lanes = Panel(
         "lanes",
-        "Quality, gates and windows" if proposers else "Calibration windows and quality",
-        ("/quality", *gates, "/windows/**"),
+        "State, quality, gates and windows" if proposers else "State, calibration windows and quality",
+        ("/state", "/quality", *gates, "/windows/**"),
     )
     events = Panel("texts", "Events", ("/events",))
     rows.append(Stack("columns", (*unit_panels(actuators), lanes, events), share=3.0))
@@ -139,7 +139,7 @@ def calibration_tab(
 
 
 def quality_tab(status: bool) -> Stack:
-    lanes = Panel("lanes", "Quality of every signal", ("/quality/**",), 4.0)
+    lanes = Panel("lanes", "State of the run, quality of every signal", ("/state", "/quality/**"), 4.0)
     counters = (Panel("lines", "Counters and bit fields", ("/status",), 1.5),) if status else ()
     writes = Panel("texts", "Writes other than profile and slew", ("/writes",), 1.5)
     return Stack(

@@ -169,7 +169,7 @@ async def test_an_exception_in_the_loop_still_ends_safe(tmp_path):
     async def break_it(trial: Trial, _: Any) -> None:
         while not hasattr(trial, "engine") or trial.engine.tick < 100:
             await asyncio.sleep(0.005)
-        trial.engine._setpoints.move = None  # type: ignore[assignment, method-assign]
+        trial.engine._outputs.move = None  # type: ignore[assignment, method-assign]
 
     with pytest.raises(TypeError):
         await trial.run(break_it)

@@ -1,0 +1,150 @@
+"""Where a run is and what is next: the state table moved by operators, interlocks and stop requests, once a tick.
+
+Operators come first, interlocks have the last word. A trip ends the run, unless the rig file lets it wait for an
+acknowledgement (`acknowledge_within_s`): then the run is paused, and nothing moves until the trip is acknowledged with
+its cause gone, the rig armed again, and the run resumed.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+from drivers.points import Snapshot
+from drivers.rigfile import Point, Rig
+from hil.conditions import Residuals
+from hil.interlocks import Interlocks, Judgement
+from hil.operator import EVENT_OF, Desk, RefusedError, Request, Verb, refusal
+from hil.outputs import ARMING_TICKS
+from hil.states import HEATED, LIVE, Event, Machine, State, Transition, following
+
+SECOND_REQUEST_S = 0.5
+
+End = tuple[Event, str]
+"""COMPLETE, ABORT or FAIL, and why."""
+
+
+class Supervisor:
+    """State, interlocks and operators of one run; `log` is told every transition, `note` what else happens."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        points: tuple[Point, ...],
+        *,
+        log: Callable[[Transition], None],
+        note: Callable[[str, str], None],
+    ) -> None:
+        self.machine = Machine(log)
+        self.interlocks = Interlocks(rig, points)
+        self.hurried = False
+        self._waits_s = rig.acknowledge_within_s
+        self._note = note
+        self._desk = Desk()
+        self._obeyed: list[Request] = []
+        self._acking: tuple[Request, int] | None = None
+        self._trips: tuple[str, ...] = ()
+        self._tripped_s = 0.0
+        self._stop_reason: str | None = None
+        self._stop_asked = 0.0
+
+    @property
+    def state(self) -> State:
+        """Where the run is."""
+        return self.machine.state
+
+    @property
+    def arming(self) -> bool:
+        """Whether a trip is being acknowledged, for which the rig is armed again."""
+        return self._acking is not None
+
+    @property
+    def stop(self) -> End | None:
+        """The end that was asked for, where one was."""
+        return None if self._stop_reason is None else (Event.ABORT, self._stop_reason)
+
+    def request_stop(self, reason: str) -> None:
+        """End the run at the next tick. A second request shortens the waits of making safe, and skips nothing.
+
+        One that comes within `SECOND_REQUEST_S` is taken for an echo of the first: a terminal and a supervisor may
+        both pass on the same Ctrl-C.
+        """
+        if self._stop_reason is None:
+            self._stop_reason, self._stop_asked = reason, time.monotonic()
+        elif time.monotonic() - self._stop_asked > SECOND_REQUEST_S:
+            self.hurried = True
+
+    async def ask(self, verb: Verb, reason: str) -> str:
+        """Have `verb` obeyed on the next tick, and what came of it as a sentence; raises RefusedError."""
+        if verb is Verb.ABORT:
+            self.request_stop(reason)
+            return "aborting: the outputs go to their safe values; the run's own terminal says when they are there"
+        if self.state not in LIVE:
+            raise RefusedError(f"a run that is {self.state} can only be aborted")
+        return await self._desk.ask(verb, reason)
+
+    def step(
+        self, snapshot: Snapshot, now_s: float, commanded: Mapping[str, float], residuals: Residuals
+    ) -> End | None:
+        """One tick: judge, obey, protect; how the run ends, where it does."""
+        judgement = self.interlocks.judge(snapshot, now_s, commanded, residuals)
+        self._acknowledge()
+        self._obey(judgement)
+        return self._protect(self.interlocks.standing(), now_s) or self.stop
+
+    def answer(self, said: str) -> None:
+        """Tell operators what came of what they asked, now that it is written."""
+        for request in self._obeyed:
+            request.done(said)
+        self._obeyed.clear()
+
+    def close(self) -> None:
+        """The run has ended: nobody is left waiting."""
+        acking = [] if self._acking is None else [self._acking[0]]
+        for request in [*self._desk.take(), *self._obeyed, *acking]:
+            request.refuse(f"the run is {self.state}")
+
+    def _obey(self, judgement: Judgement) -> None:
+        for request in self._desk.take():
+            why_not = refusal(self.state, request.verb, self.interlocks.standing().trips)
+            if why_not is not None:
+                request.refuse(why_not)
+            elif request.verb is Verb.ACK:
+                self._acking = request, ARMING_TICKS
+                self._note("INFO", f"acknowledged {request.reason}: {'; '.join(judgement.trips)}")
+            else:
+                if following(self.state, EVENT_OF[request.verb]) is not None:
+                    self.machine.take(EVENT_OF[request.verb], request.reason)
+                self._obeyed.append(request)
+
+    def _acknowledge(self) -> None:
+        """Let go of trips whose causes are gone. The rig's own goes when it is armed again, which takes a tick."""
+        if self._acking is None:
+            return
+        request, left = self._acking
+        stay = self.interlocks.acknowledge()
+        self._acking = None if not stay or left == 0 else (request, left - 1)
+        if not stay:
+            self._trips = ()
+            request.done(f"acknowledged; the run is {self.state}, `hil ctl resume` lets it go on")
+        elif left == 0:
+            request.refuse(f"still there: {'; '.join(stay)}")
+
+    def _protect(self, judgement: Judgement, now_s: float) -> End | None:
+        trips = judgement.trips
+        if trips:
+            said = trips[0] + (f" (and {len(trips) - 1} more)" if len(trips) > 1 else "")
+            if self._waits_s <= 0:
+                return Event.FAIL, said
+            if not self._trips:
+                self._tripped_s = now_s
+            if set(trips) - set(self._trips):
+                self.machine.take(Event.TRIP, f"tripped: {said}")
+            self._trips = trips
+            if now_s - self._tripped_s > self._waits_s:
+                return Event.FAIL, f"{said}; not acknowledged within {self._waits_s:g} s"
+        elif judgement.warnings and self.state in HEATED:
+            self.machine.take(Event.WARN, "; ".join(judgement.warnings))
+        elif not judgement.warnings and self.state is State.SUSPENDED:
+            self.machine.take(Event.CLEAR, "all warnings are gone")
+        return None
