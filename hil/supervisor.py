@@ -109,6 +109,8 @@ class Supervisor:
             why_not = refusal(self.state, request.verb, self.interlocks.standing().trips)
             if why_not is not None:
                 request.refuse(why_not)
+            elif request.verb is Verb.ACK and self._acking is not None:
+                request.refuse("an acknowledgement is under way; see `hil ctl status`")
             elif request.verb is Verb.ACK:
                 self._acking = request, ARMING_TICKS
                 self._note("INFO", f"acknowledged {request.reason}: {'; '.join(judgement.trips)}")

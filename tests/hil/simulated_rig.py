@@ -38,6 +38,10 @@ def rig_with(acknowledge_within_s: float = 0.0, interlocks: tuple[Any, ...] = IN
     return SHIPPED.model_copy(update={"acknowledge_within_s": acknowledge_within_s, "interlock": interlocks})
 
 
+START_QUALITY: dict[str, Quality] = {}
+"""Of what is not good from the beginning."""
+
+
 class SimulatedRig:
     """What a `RigConnection` is to the engine. The plain attributes are what a test does to it."""
 
@@ -50,7 +54,7 @@ class SimulatedRig:
         self.counts = True
         self.loses_writes = False
         self.readings: dict[str, float] = {}
-        self.quality: dict[str, Quality] = {}
+        self.quality: dict[str, Quality] = dict(START_QUALITY)
         self.water_C = 40.0
         self.watch: Callable[[float], None] = lambda passed_s: None
         self._power = 0.0
