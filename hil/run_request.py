@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from drivers.interlock_specs import ResidualSpec
 from drivers.points import ConfigurationError
 from drivers.rigfile import Rig, load_rig
 from hil.adoption import NetworkMode
 from hil.profile import Profile, SetpointLimit, read_profile, validate
 from hil.setpoints import setpoint_columns
-from hil.tracking import DEFAULT, TrackingConfig
+from hil.tracking import DEFAULT, STATIC, TrackingConfig
 
 if TYPE_CHECKING:
     from twin.network import Network
@@ -75,6 +76,7 @@ def prepare(request: RunRequest) -> Prepared:
         network = load(twin)
         _check_twin_columns(twin, network, rig)
         check_calibrators(request.calibrators)
+    _check_residuals(request, rig, network)
     if request.mode == "scaled" and not 0 < request.speed <= MOST_SPEED:
         raise ConfigurationError(
             f"--speed {request.speed:g} is not between 0 and {MOST_SPEED:g}; use --lockstep to go faster"
@@ -88,6 +90,23 @@ def prepare(request: RunRequest) -> Prepared:
     if request.diagnose_s is not None:
         notes = [*notes, *_check_diagnosis(request, network)]
     return Prepared(rig, profile, twin, network, tuple(notes))
+
+
+def _check_residuals(request: RunRequest, rig: Rig, network: Network | None) -> None:
+    """Raise ConfigurationError where an interlock watches a twin that does not run or has no such sensor."""
+    for spec in rig.interlock:
+        if not isinstance(spec, ResidualSpec):
+            continue
+        if network is None or request.calibrators == ():
+            raise ConfigurationError(f"{request.rig}: an interlock watches a twin, and this run has none; name one")
+        if spec.sensor not in network.sensor_names:
+            known = ", ".join(network.sensor_names)
+            raise ConfigurationError(f"{request.rig}: residual: the twin has no sensor {spec.sensor!r}; it has {known}")
+        running = (STATIC, *(DEFAULT if request.calibrators is None else request.calibrators))
+        if spec.twin not in running:
+            raise ConfigurationError(
+                f"{request.rig}: residual: no twin {spec.twin!r} runs; there are {', '.join(running)}"
+            )
 
 
 def check_calibrators(names: tuple[str, ...] | None) -> None:

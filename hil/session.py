@@ -138,6 +138,7 @@ async def _run_in(
             publisher=_Publishers(tuple(p for p in (tracking, live) if p is not None)),
             observer=observer,
             told=announce,
+            residuals=dict if tracking is None else tracking.off_K,
             lockstep=request.mode == "lockstep",
         )
         async with serving(folder.control, engine, announce):
@@ -156,6 +157,7 @@ async def _run_in(
             "exit_status": outcome.status,
             "reason": outcome.reason,
             "safe": outcome.safe,
+            "trips": outcome.trips,
             "ticks": outcome.ticks,
             "overruns": outcome.overruns,
             "wall_s": round(wall_s, 2),
@@ -266,7 +268,8 @@ async def _start_tracking(request: RunRequest, ready: Prepared) -> Tracking | No
     if config is None or ready.network is None:
         return None
     advise = None if request.network_mode == "shadow" else adoption.Advice(ready.network).news
-    tracking = Tracking(config, wait=request.mode == "lockstep", advise=advise)
+    lockstep, watched = request.mode == "lockstep", any(spec.kind == "residual" for spec in ready.rig.interlock)
+    tracking = Tracking(config, wait=lockstep, in_step=lockstep and watched, advise=advise)
     await tracking.start()
     return tracking
 

@@ -60,12 +60,16 @@ class Proposed:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """What a block of n samples yielded: readings (n, m) degC by twin, and whatever was finished inside it."""
+    """What a block of n samples yielded: readings (n, m) degC by twin, and whatever was finished inside it.
+
+    `off_K`: (twin, sensor) -> mean of measured minus predicted, where anything was measured.
+    """
 
     outputs: dict[str, NDArray[np.float64]]
     calibrations: tuple[Finished, ...]
     proposals: tuple[Proposed, ...]
     bands: tuple[Band, ...]
+    off_K: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +151,19 @@ class Twins:
             proposals += [Proposed(name, p["time_s"], p) for p in update.proposals]
             calibrations += [Finished(name, c.start_s, c.end_s, calibration_document(c)) for c in update.calibrations]
         self._last |= {done.calibrator: done.document for done in calibrations if done.document["kind"] != "skipped"}
-        return Block(outputs, tuple(calibrations), tuple(proposals), self._bands.push(time_s, measured, outputs))
+        bands = self._bands.push(time_s, measured, outputs)
+        return Block(outputs, tuple(calibrations), tuple(proposals), bands, self._off(measured, outputs))
+
+    def _off(
+        self, measured: NDArray[np.float64], outputs: dict[str, NDArray[np.float64]]
+    ) -> dict[tuple[str, str], float]:
+        found = {}
+        for twin, values in outputs.items():
+            for sensor, miss in zip(self.network.sensor_names, (measured - values).T, strict=True):
+                good = miss[np.isfinite(miss)]
+                if len(good):
+                    found[twin, sensor] = float(good.mean())
+        return found
 
     def over(
         self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]], rows: int

@@ -70,8 +70,9 @@ def _serve(connection: Connection, config: TrackingConfig) -> None:
 class TrackingProcess:
     """A `hil.engine.Publisher` that calibrates twins in another process and journals what comes back.
 
-    `speaks`: the calibrator of which disturbances become events, so that each is told once. `advise`: a sentence on a
-    proposal, where there is something to say.
+    `wait`: whether it may keep the engine waiting, as in lockstep; `in_step`: for every block, so that what the engine
+    reads from `off_K` depends on the samples alone. `speaks`: the calibrator of which disturbances become events, so
+    that each is told once. `advise`: a sentence on a proposal, where there is something to say.
     """
 
     def __init__(
@@ -79,11 +80,14 @@ class TrackingProcess:
         config: TrackingConfig,
         *,
         wait: bool,
+        in_step: bool = False,
         speaks: str = "",
         advise: Callable[[Proposed], str | None] | None = None,
     ) -> None:
         self._config = config
         self._wait = wait
+        self._most = 0 if in_step else MOST_OUTSTANDING
+        self.off_K: dict[tuple[str, str], float] = {}
         self._speaks = speaks
         self._advise = advise
         self._journal: JournalWriter | None = None
@@ -152,7 +156,7 @@ class TrackingProcess:
         self._pump()
         try:
             async with asyncio.timeout(FINISH_TIMEOUT_S):
-                while self._wait and self._failure is None and len(self._queue) + self._outstanding > MOST_OUTSTANDING:
+                while self._wait and self._failure is None and len(self._queue) + self._outstanding > self._most:
                     self._room.clear()
                     await self._room.wait()
         except TimeoutError:
@@ -209,6 +213,7 @@ class TrackingProcess:
     def _write(self, reply: _Reply) -> None:
         assert self._journal is not None
         journal, block = self._journal, reply.block
+        self.off_K = block.off_K
         for twin, values in block.outputs.items():
             journal.twin_outputs(twin, reply.ticks, reply.time_s, values)
         for done in block.calibrations:
@@ -253,7 +258,12 @@ class Tracking:
     """All calibrators of a run as one `hil.engine.Publisher`: the fits in one process, the network in another."""
 
     def __init__(
-        self, config: TrackingConfig, *, wait: bool, advise: Callable[[Proposed], str | None] | None = None
+        self,
+        config: TrackingConfig,
+        *,
+        wait: bool,
+        in_step: bool = False,
+        advise: Callable[[Proposed], str | None] | None = None,
     ) -> None:
         from twin.calibrators import FITTING
 
@@ -264,6 +274,7 @@ class Tracking:
             TrackingProcess(
                 replace(config, calibrators=names, static=first),
                 wait=wait,
+                in_step=in_step,
                 speaks=names[0] if first else "",
                 advise=advise,
             )
@@ -284,6 +295,10 @@ class Tracking:
         """Those that run, in the order in which they were named."""
         running = {name for process in self._all for name in process.calibrators}
         return tuple(name for name in self._order if name in running)
+
+    def off_K(self) -> dict[tuple[str, str], float]:
+        """(twin, sensor) -> mean of measured minus predicted over the latest block, K."""
+        return {key: value for process in self._all for key, value in process.off_K.items()}
 
     @property
     def left_out(self) -> dict[str, str]:

@@ -86,6 +86,17 @@ def _rig(file: Path, _: Path, out: Console) -> None:
         plausible = f"{point.plausible[0]:g} to {point.plausible[1]:g}" if point.plausible else ""
         points.add_row(point.name, point.bus, where, kind, point.unit, limits, safe, plausible)
     out.print(points)
+    if rig.interlock:
+        table = Table(title=f"{len(rig.interlock)} interlocks", title_justify="left")
+        for heading in ("kind", "level", "of", "what"):
+            table.add_column(heading)
+        shown = {"kind", "level", "doc", "point", "heater", "flow", "setpoint", "sensor"}
+        for spec in rig.interlock:
+            of = ", ".join(spec.points.values()) or getattr(spec, "sensor", "")
+            bounds = spec.model_dump(exclude=shown, exclude_none=True)
+            what = ", ".join(f"{key} {value:g}" if key != "twin" else f"{key} {value}" for key, value in bounds.items())
+            table.add_row(spec.kind, spec.level, of, what)
+        out.print(table)
     for name, bus in rig.bus.items():
         mine = tuple(point for point in rig.point if point.bus == name)
         if isinstance(bus, CanBus):

@@ -97,3 +97,32 @@ def test_damaged_files_raise_nothing_but_our_own_error(tmp_path_factory, data):
         load_rig(path)
     except RigFileError as error:
         assert "rig.toml" in str(error)
+
+
+INTERLOCK = '\n[[interlock]]\nkind = "{kind}"\nlevel = "{level}"\n{rest}\n'
+
+
+@pytest.mark.parametrize(
+    ("kind", "level", "rest", "said"),
+    [
+        ("limit", "alarm", 'point = "T_tnk"\nhigh = 60.0', "no point 'T_tnk'"),
+        ("limit", "alarm", 'point = "T_tank"', "a limit needs low, high or both"),
+        ("limit", "warning", 'point = "T_tank"\nlow = 1.0\nhigh = 2.0\ndeadband = 1.0', "no room for the deadband"),
+        ("limit", "alarm", 'point = "heater_power_set"\nhigh = 60.0', "read on every tick"),
+        ("heater_power", "alarm", 'setpoint = "heater_power"\ntolerance = 60.0', "is not a set-point"),
+        ("no_flow", "alarm", 'heater = "heater_power"\nflow = "flow"', "low"),
+        ("residual", "alarm", 'sensor = "T_tank"\nhigh = 2.0', "use level = 'warning'"),
+        ("leak", "alarm", 'point = "T_tank"', "kind 'leak' is not known"),
+        ("limit", "fatal", 'point = "T_tank"\nhigh = 60.0', "'fatal' is not known; use 'warning' or 'alarm'"),
+    ],
+)
+def test_a_wrong_interlock_is_named_with_its_line(tmp_path, kind, level, rest, said):
+    shipped = Path(__file__).resolve().parents[2] / "profiles" / "rigs" / "virtual.toml"
+    text = shipped.read_text(encoding="utf-8")
+    path = tmp_path / "rig.toml"
+    path.write_text(text + INTERLOCK.format(kind=kind, level=level, rest=rest), encoding="utf-8")
+    with pytest.raises(RigFileError) as caught:
+        load_rig(path)
+    assert said in str(caught.value)
+    line = int(str(caught.value).split("line ")[1].split(":")[0])
+    assert line > len(text.splitlines())
