@@ -18,6 +18,7 @@ import pytest
 from hil.control import ControlError, ask, live_runs, serving
 from hil.journal import JournalReader
 from hil.operator import RefusedError, Verb
+from hil.review.rerun_io import read_words
 from hil.run_folder import RunFolder
 from hil.states import State
 
@@ -75,6 +76,8 @@ def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_term
     assert targets == [
         "validating", "connecting", "soaking", "running", "held", "paused", "running", "finishing", "aborted",
     ]  # fmt: skip
+    lane = [word for _, word in read_words(folder / "review.rrd", "/state")]
+    assert lane == ["running", "held", "paused", "running", "aborted"]
 
 
 class Answering:
