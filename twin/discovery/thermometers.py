@@ -118,5 +118,6 @@ def standing(span: Stuck) -> Effect:
     return Effect(
         kind="sensor", where=span.column, driver="constant", change="new", value=span.value, unit="degC",
         interval90=(span.value, span.value), onset_s=span.first_s, onset_interval90_s=(span.first_s, span.first_s),
-        shape="stuck", confidence=1.0, z=100.0, evidence="a noisy reading does not repeat itself for so long", says=says,
+        shape="stuck", confidence=1.0, z=100.0, says=says,
+        evidence="a noisy reading does not repeat itself for so long",
     )  # fmt: skip
