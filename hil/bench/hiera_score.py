@@ -180,7 +180,7 @@ def tally(s: Score, widths: Array, *, own: bool = False) -> tuple[float, float, 
 
 def coverage(scores: Iterable[Score], widths: Array, *, own: bool = False) -> tuple[float, float]:
     """Share inside and mean full width, K; the arguments are those of `tally`."""
-    inside, total, known = (sum(column) for column in zip(*(tally(s, widths, own=own) for s in scores), strict=True))
+    inside, total, known = np.sum([(0.0, 0.0, 0), *(tally(s, widths, own=own) for s in scores)], axis=0).tolist()
     return (inside / known, total / known) if known else (float("nan"), float("nan"))
 
 

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from hil.bench import hiera, hiera_cases, hiera_score
 from hil.bench.hiera_contestants import Answer, commissioned, fitted, roster, sheet, tracked
+from hil.bench.hiera_tables import goals
 from hil.commands.bench import command
 from hil.training.generate import features_of
 from twin.calibrators.hiera_unet.windows import TARGET
@@ -135,3 +136,11 @@ def test_an_untrained_network_predicts_what_its_evidence_does_and_a_fit_from_it_
     assert np.nanmedian(np.abs(alone.rmse - fit.rmse)) < 0.03
     assert then_fit.recovered <= fit.recovered
     assert alone.cpu_s > fit.cpu_s
+
+
+def test_on_strangers_alone_only_what_is_known_of_them_is_asked():
+    one = replace(scored(commissioned), rig="stranger")
+    own = replace(one, half=np.ones_like(one.error))
+    found = hiera.Everything({"network": [own, own], "fit of 2 h": [one, one]}, {}, {"network": [own] * 12}, 0.1)
+    (table,) = goals(found)
+    assert [row[1] for row in table.rows] == ["changes recovered by 2", "changes in which worse than fit of 2 h"]
