@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import multiprocessing
 import os
 import re
 import signal
@@ -17,11 +16,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drivers.points import ConfigurationError, Quality
+from hil.child import Child
 from hil.journal import JournalReader, JournalWriter, Samples
 
 if TYPE_CHECKING:
@@ -256,8 +256,7 @@ class LiveDiagnosis:
         self._config = config
         self._journal = journal
         self._say = say
-        self._process: Any = None
-        self._connection: Connection | None = None
+        self._child: Child | None = None
         self._free = False
         self._due_s = config.every_s
         self._tick, self._time_s = -1, 0.0
@@ -269,12 +268,8 @@ class LiveDiagnosis:
 
     def start(self) -> None:
         """Start the process; it says by itself when it is ready."""
-        context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, self._config), name="diagnosis", daemon=True)
-        self._process.start()
-        theirs.close()
-        asyncio.get_running_loop().add_reader(self._connection.fileno(), self._receive)
+        self._child = Child(_serve, self._config, "diagnosis")
+        self._child.listen(self._receive)
         if self._config.healthy is None:
             self._event("WARN", "diagnosis: no --healthy record, so small effects are not seen")
 
@@ -290,10 +285,10 @@ class LiveDiagnosis:
             self._ask("")
 
     def _ask(self, what: Path | str) -> None:
-        assert self._connection is not None
+        assert self._child is not None
         self._free = False
         try:
-            self._connection.send(what)
+            self._child.connection.send(what)
         except OSError as error:
             self._fail(str(error))
 
@@ -321,9 +316,9 @@ class LiveDiagnosis:
             await self._answer.wait()
 
     def _receive(self) -> None:
-        assert self._connection is not None
+        assert self._child is not None
         try:
-            message = self._connection.recv()
+            message = self._child.connection.recv()
         except (EOFError, OSError):
             self._fail("the process ended")
             return
@@ -354,19 +349,12 @@ class LiveDiagnosis:
             self._failure = why
             self._event("ERROR", f"the live diagnosis stopped, the run goes on without it: {why}")
         self._free = False
-        if self._connection is not None:
-            asyncio.get_running_loop().remove_reader(self._connection.fileno())
+        if self._child is not None:
+            self._child.ignore()
         self._answer.set()
 
     async def close(self) -> None:
         """End the process, whatever it is doing; harmless when repeated."""
-        if self._connection is not None:
-            asyncio.get_running_loop().remove_reader(self._connection.fileno())
-            self._connection.close()
-            self._connection = None
-        if self._process is not None:
-            if self._process.is_alive():
-                self._process.kill()
-            await asyncio.to_thread(self._process.join)
-            self._process.close()
-            self._process = None
+        child, self._child = self._child, None
+        if child is not None:
+            await child.end()

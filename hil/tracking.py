@@ -187,7 +187,7 @@ class Twins:
                 noise[sensor] = row["noise"]
         errors = ErrorTable(tuple(columns), {sensor: tuple(cells) for sensor, cells in rows.items()}, noise)
         parameters = {name: _final(document) for name, document in self._last.items()}
-        if self._static:
+        if self._static and parameters:
             ids = dict.fromkeys(name for values in parameters.values() for name in values)
             as_commissioned: dict[str, tuple[float, float | None, bool]] = {
                 name: (self.network.parameters[name].value, None, False) for name in ids

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import multiprocessing
 import signal
 from collections import deque
 from collections.abc import Callable
@@ -19,12 +18,14 @@ from typing import Any
 
 import numpy as np
 
+from hil.child import Child
 from hil.journal import JournalWriter
 from hil.tracking import Block, Comparison, Proposed, TrackingConfig, Twins, disturbance
 
 MOST_OUTSTANDING = 4
 START_TIMEOUT_S = 120.0
 FINISH_TIMEOUT_S = 120.0
+CLOSE_TIMEOUT_S = 5.0
 
 Ticks = tuple[list[int], list[float], list[list[float]]]
 
@@ -67,6 +68,15 @@ def _serve(connection: Connection, config: TrackingConfig) -> None:
             connection.send(error)
 
 
+def _first_answer(connection: Connection) -> Any:
+    try:
+        if connection.poll(START_TIMEOUT_S):
+            return connection.recv()
+    except EOFError:
+        return "the process ended at once"
+    return f"no answer within {START_TIMEOUT_S:g} s"
+
+
 class TrackingProcess:
     """A `hil.engine.Publisher` that calibrates twins in another process and journals what comes back.
 
@@ -96,8 +106,7 @@ class TrackingProcess:
         self._room = asyncio.Event()
         self._failure: str | None = None
         self._comparison: Comparison | None = None
-        self._process: Any = None
-        self._connection: Connection | None = None
+        self._child: Child | None = None
         self._ready = _Ready((), {})
 
     async def start(self) -> None:
@@ -106,28 +115,15 @@ class TrackingProcess:
         Raises:
             TrackingError: it does not come up. What a calibrator itself raises: see `Twins`.
         """
-        context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, self._config), name="calibrators", daemon=True)
-        self._process.start()
-        theirs.close()
-        ready = await asyncio.to_thread(self._first_answer)
+        self._child = Child(_serve, self._config, "calibrators")
+        ready = await asyncio.to_thread(_first_answer, self._child.connection)
         if not isinstance(ready, _Ready):
             await self.close()
             if isinstance(ready, Exception):
                 raise ready
             raise TrackingError(f"the calibrators did not start: {ready}")
         self._ready = ready
-        asyncio.get_running_loop().add_reader(self._connection.fileno(), self._receive)
-
-    def _first_answer(self) -> Any:
-        assert self._connection is not None
-        try:
-            if self._connection.poll(START_TIMEOUT_S):
-                return self._connection.recv()
-        except EOFError:
-            return "the process ended at once"
-        return f"no answer within {START_TIMEOUT_S:g} s"
+        self._child.listen(self._receive)
 
     @property
     def calibrators(self) -> tuple[str, ...]:
@@ -142,7 +138,7 @@ class TrackingProcess:
     @property
     def pid(self) -> int | None:
         """Id of the process while it lives."""
-        return None if self._process is None else self._process.pid
+        return None if self._child is None else self._child.pid
 
     def attach(self, journal: JournalWriter) -> None:
         """Where results go; before the first block."""
@@ -150,7 +146,7 @@ class TrackingProcess:
 
     async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
         """Hand over a block; in lockstep wait while the process is behind."""
-        if self._failure is not None or self._connection is None:
+        if self._failure is not None or self._child is None:
             return
         self._queue.append((ticks, time_s, rows))
         self._pump()
@@ -169,8 +165,8 @@ class TrackingProcess:
                 while self._failure is None and (self._queue or self._outstanding):
                     self._room.clear()
                     await self._room.wait()
-                if self._failure is None and self._connection is not None:
-                    self._connection.send(None)
+                if self._failure is None and self._child is not None:
+                    self._child.connection.send(None)
                     while self._failure is None and self._comparison is None:
                         self._room.clear()
                         await self._room.wait()
@@ -185,18 +181,18 @@ class TrackingProcess:
         return self._failure
 
     def _pump(self) -> None:
-        assert self._connection is not None
+        assert self._child is not None
         try:
             while self._queue and self._outstanding < MOST_OUTSTANDING:
-                self._connection.send(self._queue.popleft())
+                self._child.connection.send(self._queue.popleft())
                 self._outstanding += 1
         except OSError as error:
             self._fail(str(error))
 
     def _receive(self) -> None:
-        assert self._connection is not None
+        assert self._child is not None
         try:
-            message = self._connection.recv()
+            message = self._child.connection.recv()
         except (EOFError, OSError):
             self._fail("the process ended")
             return
@@ -235,23 +231,15 @@ class TrackingProcess:
             if self._journal is not None:
                 who = ", ".join(self.calibrators)
                 self._journal.event(-1, 0.0, "ERROR", f"{who}: stopped, the run goes on without: {why}")
-        if self._connection is not None:
-            asyncio.get_running_loop().remove_reader(self._connection.fileno())
+        if self._child is not None:
+            self._child.ignore()
         self._room.set()
 
     async def close(self) -> None:
         """End the process; harmless when repeated."""
-        if self._connection is not None:
-            asyncio.get_running_loop().remove_reader(self._connection.fileno())
-            self._connection.close()
-            self._connection = None
-        if self._process is not None:
-            await asyncio.to_thread(self._process.join, 5.0)
-            if self._process.is_alive():
-                self._process.kill()
-                await asyncio.to_thread(self._process.join)
-            self._process.close()
-            self._process = None
+        child, self._child = self._child, None
+        if child is not None:
+            await child.end(CLOSE_TIMEOUT_S)
 
 
 class Tracking:

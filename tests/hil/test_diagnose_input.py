@@ -8,22 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.record import Record, write_record
 from tests.discovery.conftest import Bench
 from tests.discovery.test_records import TWINS, cooler
+from tests.hil.made_record import written
 from tests.hil.test_bad_input import hil
 from tests.twin.conftest import LOOP
-from twin.discovery.basis import Columns
-from twin.network import Network
 from twin.twinfile import load
-
-
-def saved(network: Network, made: Columns, path: Path) -> Path:
-    columns = dict(zip(network.input_columns, made.inputs.T, strict=True))
-    for j, names in enumerate(network.sensor_columns.values()):
-        columns |= dict.fromkeys(names, made.measured[:, j])
-    write_record(Record(made.time_s, columns), path)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +22,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("input")
     bench = Bench(load(LOOP))
     (folder / "twin.toml").write_text(LOOP.read_text(encoding="utf-8"), encoding="utf-8")
-    saved(bench.network, bench.record(4.0, seed=7), folder / "good.parquet")
-    saved(bench.network, bench.record(0.2), folder / "short.csv")
+    written(bench.network, bench.record(4.0, seed=7), folder / "good.parquet")
+    written(bench.network, bench.record(0.2), folder / "short.csv")
     hot = bench.with_element("more", {"kind": "heat_source", "node": "tank", "power": 150.0})
-    saved(bench.network, bench.record(4.0, changed=hot), folder / "hot.parquet")
+    written(bench.network, bench.record(4.0, changed=hot), folder / "hot.parquet")
     (folder / "empty.csv").write_text("", encoding="utf-8")
     rows = [row.split(",") for row in (folder / "short.csv").read_text(encoding="utf-8").splitlines()]
     at = [name.strip('"') for name in rows[0]].index("T_tank_C")

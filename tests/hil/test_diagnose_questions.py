@@ -18,9 +18,9 @@ from hil.record import Record, write_record
 from hil.run_request import setpoint_limits
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
+from tests.hil.made_record import written
 from tests.twin.conftest import LOOP
 from twin.discovery.basis import Columns
-from twin.network import Network
 from twin.twinfile import load
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -30,15 +30,6 @@ RIG = PROJECT / "profiles/rigs/virtual.toml"
 def hil(*arguments: object) -> subprocess.CompletedProcess[str]:
     typed = [sys.executable, "-m", "hil", *map(str, arguments)]
     return subprocess.run(typed, capture_output=True, text=True, cwd=PROJECT, timeout=280)
-
-
-def written(network: Network, made: Columns, path: Path) -> Path:
-    """The record as a file, each sensor's mean in all of its columns."""
-    columns = dict(zip(network.input_columns, made.inputs.T, strict=True))
-    for j, names in enumerate(network.sensor_columns.values()):
-        columns |= dict.fromkeys(names, made.measured[:, j])
-    write_record(Record(made.time_s, columns), path)
-    return path
 
 
 @pytest.fixture(scope="module")

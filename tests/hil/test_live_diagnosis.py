@@ -8,6 +8,7 @@ import sqlite3
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -141,7 +142,8 @@ def events(live: LiveDiagnosis) -> list[str]:
 
 
 def test_no_block_waits_and_one_diagnosis_is_asked_for_at_a_time(live):
-    deaf = live._connection = Deaf()  # type: ignore[assignment]
+    deaf = Deaf()
+    live._child = SimpleNamespace(connection=deaf)  # type: ignore[assignment]
     publish(live, 4000.0)
     assert deaf.asked == []  # not ready yet
     live._free = True
@@ -169,7 +171,7 @@ def test_an_event_only_where_there_is_news(live):
 
 
 async def test_an_operator_may_skip_the_last_diagnosis(live):
-    live._connection = Deaf()  # type: ignore[assignment]
+    live._child = SimpleNamespace(connection=Deaf())  # type: ignore[assignment]
     asyncio.get_running_loop().call_soon(live.give_up)
     reply = await live.finish(Path("nowhere"))
     assert reply.problem == "skipped by the operator"

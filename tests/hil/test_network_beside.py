@@ -240,3 +240,13 @@ def test_a_band_is_foretold_and_counted_however_the_stream_is_cut() -> None:
     assert all(abs((half or 0.0) - 1.645 * 0.05) < 0.01 for half in halves[2:])
     half, inside = whole.table()["pso"]["T"]
     assert abs(inside - 0.9) < 0.03 and abs(half - 0.082) < 0.01
+
+
+def test_a_run_that_ends_before_its_first_window_has_no_parameters_to_show() -> None:
+    from hil.tracking import Twins
+
+    twins = Twins(TrackingConfig(LOOP, (), ("least_squares",)))
+    columns = {column: np.full(60, spec.nominal) for column, spec in twins.network.inputs.items()}
+    columns |= {column: np.full(60, 22.0) for names in twins.network.sensor_columns.values() for column in names}
+    twins.push(np.arange(60.0), columns)
+    assert twins.comparison().parameters == {}

@@ -65,21 +65,21 @@ def diagnose(
     if not _begins_late(whole, train, split):
         finding = search(train, say)
     most = max(split, int(bins * (1.0 - held_out * STILL_HELD)))
-    later, why, share = split, "", SECOND_SHARE
+    later, why, doubted = split, "", False
     if finding is None or (finding.fit is None and whole.best_z >= train.threshold):
         onset_s = whole.entries[0].shape.onset_s
         later = min((int(onset_s / grid.step_s) + bins) // 2, bins - 6)
         why = f"something changed at {onset_s / 3600.0:.1f} h, inside the part that was to be kept out of the fit"
         if later <= split:
             later, why = most, "what stands out does so in the part that was to be kept out of the fit"
-    elif contradicted(errors(finding, network, record, grid, split)):
-        later, share = most, 0.0
+    elif finding.fit is not None and contradicted(errors(finding, network, record, grid, split)):
+        later, doubted = most, True
         why = "on the part that was to be kept out of the fit the best answer was far off"
     if later > split:
         split, finding = later, None
         notes.append(f"{why}; the fit was given the record up to {split * grid.step_s / 3600.0:.1f} h")
         train = Part.of(known, grid.part(0, split))
-    finding = finding or search(train, say, share)
+    finding = finding or search(train, say, 0.0 if doubted else SECOND_SHARE)
     further: list[Part] = []
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
@@ -117,7 +117,7 @@ def diagnose(
         still=still,
         limits=limits,
         usual=usual,
-        doubted=share == 0.0,
+        doubted=doubted,
         later=tuple(part.grid for part in further),
     )
 

@@ -87,8 +87,9 @@ def conclude(
     groups = lint(network)
     found = courses(whole, sites_of(network, whole, laws))
     claimed = finding.fit is not None and good
-    spell = came_and_went(whole, laws, lasting, finding.entries if claimed else ())
-    if finding.fit is None and (usual or enough(finding.start / scale, 0.0, finding.contest)):
+    adequate = finding.fit is None and (usual or enough(finding.start / scale, 0.0, finding.contest))
+    spell = None if adequate else came_and_went(whole, laws, lasting, finding.entries if claimed else ())
+    if adequate:
         verdict = "adequate"
         notes = (*notes, *((_USUAL,) if usual and finding.ladder[0].best_z >= finding.threshold else ()))
     elif spell is not None and (claimed or explains(spell, found[0])):
