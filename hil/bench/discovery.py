@@ -110,7 +110,10 @@ class Trial:
             ablation = None
             if self.size.ablations and not (healthy and number >= 40):
                 try:
-                    ablation = self._ablation.ask(**given, effects=hidden["effects"], labels=hidden["labels"])
+                    shown = self._injector.ask(do="without", folder=str(folder), **asked)["records"]
+                    ablation = self._ablation.ask(
+                        **given, effects=hidden["effects"], labels=hidden["labels"], records=shown
+                    )
                 except WorkerError as error:
                     ablation = {"failed": str(error), "linear": [], "raw": []}
             told: dict[str, list[float | None]] = ablation or {}
@@ -121,7 +124,8 @@ class Trial:
             _write(done, kept)
             return done
         finally:
-            record.unlink(missing_ok=True)
+            for path in folder.glob("*.parquet"):
+                path.unlink()
 
     def _commissioned(self, unit: int) -> tuple[Path, Path]:
         """Healthy record and twin of a specimen, made once."""

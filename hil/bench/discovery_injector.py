@@ -3,7 +3,8 @@
     python -m hil.bench.discovery_injector SEALED
 
 Truths are written to the folder SEALED, and only their hashes are told. Requests: `direct` (a record without wires),
-`serve` (a virtual rig in lockstep, over Modbus and CAN) and `stop`.
+`serve` (a virtual rig in lockstep, over Modbus and CAN), `stop` and, once a truth is opened, `without`: what the rig
+would have shown but for each of its effects, weather and noise as they were; so it is judged what was to be seen.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import asyncio
 import hashlib
 import json
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +47,8 @@ class Injector:
         if request["do"] == "direct":
             self._direct(case, effects, Path(request["record"]))
             return {"sealed": digest}
+        if request["do"] == "without":
+            return {"records": self._without(case, hidden, effects, Path(request["folder"]))}
         self._stop()
         self._rig = self._loop.run_until_complete(self._start(case, effects))
         rig = self._rig
@@ -58,15 +62,26 @@ class Injector:
         path.write_text(effects_text(hidden.effects), encoding="utf-8")
         return path
 
-    def _direct(self, case: Setting, effects: Path | None, record: Path) -> None:
+    def _direct(self, case: Setting, effects: Path | None, record: Path, left_out: Collection[int] = ()) -> None:
         from drivers.rigfile import load_rig
         from drivers.virtual.effects import load_effects
         from hil.bench.discovery_direct import direct_record
         from hil.record import write_record
 
-        known = load_effects(effects) if effects else ()
-        made = direct_record(profile(case), load_rig(RIG), seed=case.seed, unit=case.unit, effects=known)
+        known = [e for i, e in enumerate(load_effects(effects) if effects else ()) if i not in left_out]
+        made = direct_record(profile(case), load_rig(RIG), seed=case.seed, unit=case.unit, effects=tuple(known))
         write_record(made, record)
+
+    def _without(self, case: Setting, hidden: Truth, effects: Path | None, folder: Path) -> list[str]:
+        """Records with everything, then without each of the labelled effects; nothing where there is none."""
+        if effects is None:
+            return []
+        count = len(hidden.effects)
+        parts = [(i,) for i in range(count)] if count == len(hidden.labels) else [tuple(range(count))]
+        paths = [folder / f"without_{k}.parquet" for k in range(len(parts) + 1)]
+        for path, part in zip(paths, ((), *parts), strict=True):
+            self._direct(case, effects, path, part)
+        return [str(path) for path in paths]
 
     async def _start(self, case: Setting, effects: Path | None) -> VirtualRig:
         from drivers.virtual.rig import start_virtual_rig

@@ -17,13 +17,13 @@ from drivers.rigfile import load_rig
 from drivers.virtual.effects import load_effects
 from drivers.virtual.thermocouple_module import ThermocoupleModule
 from hil.bench import discovery
-from hil.bench.discovery_ablation import Forecast, beside, course_of
 from hil.bench.discovery_cases import effects_text, profile, profile_text, setting, truth
 from hil.bench.discovery_direct import direct_record
 from hil.bench.discovery_injector import RIG, opened, seal
 from hil.bench.discovery_ledger import Ledger, LedgerError, sha256_of
 from hil.bench.discovery_score import Outcome, alike, judge, risk_at_coverage, volume, wilson
 from hil.bench.discovery_tables import failure, tables
+from hil.bench.discovery_visible import course_of, visible
 from hil.bench.discovery_worker import Worker, WorkerError
 from hil.cli import group
 from hil.profile import read_profile
@@ -116,11 +116,15 @@ def test_a_thermometer_that_stands_still_may_be_called_that_and_nothing_else() -
 
 
 def test_of_two_effects_the_lesser_counts_beside_the_other() -> None:
-    """Two that nearly do the same are each plain alone, and neither is beside the other."""
-    contest = SimpleNamespace(joint=lambda v: (np.array([[100.0, 99.0], [99.0, 100.0]]), np.zeros(2)))
-    alike_two = [Forecast(10.0, 1.0, np.ones((1, 2))), Forecast(10.0, 1.0, np.ones((1, 2)))]
-    assert beside(contest, alike_two) == pytest.approx([math.sqrt(100.0 - 99.0**2 / 100.0)] * 2)  # type: ignore[arg-type]
-    assert beside(contest, [alike_two[0], None]) == []  # type: ignore[arg-type]
+    """Two that nearly do the same are each plain alone, and neither is beside the other; what is not there has 0."""
+    contest = SimpleNamespace(across=lambda s: s.T @ s)
+    first, second = np.array([10.0, 0.0]), np.array([9.9, math.sqrt(100.0 - 9.9**2)])
+    alone, beside = visible(contest, [first, second])  # type: ignore[arg-type]
+    assert alone == pytest.approx([10.0, 10.0])
+    assert beside == pytest.approx([math.sqrt(100.0 - 9.9**2)] * 2)
+    assert visible(contest, [first, first])[1] == pytest.approx([0.0, 0.0], abs=1e-6)  # type: ignore[arg-type]
+    assert visible(contest, [first, np.zeros(2)])[1] == pytest.approx([10.0, 0.0])  # type: ignore[arg-type]
+    assert visible(contest, [first])[1] == pytest.approx([10.0])  # type: ignore[arg-type]
 
 
 def test_risk_counts_the_surest_first() -> None:

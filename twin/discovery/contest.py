@@ -211,6 +211,12 @@ class Contest:
         found: Array = self._columns @ vectors.reshape(len(vectors), -1).T
         return found
 
+    def across(self, signatures: Array) -> Array:
+        """Gram matrix (e, e) of whitened signatures (b * m, e), tunables and initial state projected out."""
+        pull = self.slopes.T @ signatures
+        gram: Array = signatures.T @ signatures - pull.T @ np.linalg.solve(self._normal, pull)
+        return gram
+
     def moved(self, vectors: Array, sizes: Array) -> Array:
         """Change of [tunables z, initial state] (q + k,) that goes with effects of these sizes."""
         shift = np.array(self._shift, dtype=np.float64)
