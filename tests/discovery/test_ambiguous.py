@@ -13,8 +13,8 @@ from twin.discovery.engine import diagnose
 from twin.discovery.experiment import Limits
 from twin.discovery.fitting import fit
 from twin.discovery.grid import on_grid
-from twin.discovery.ladder import Part
 from twin.discovery.model import Model
+from twin.discovery.part import Part
 from twin.kernel import Kernel
 from twin.network import Network
 

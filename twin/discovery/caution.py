@@ -13,8 +13,8 @@ from dataclasses import replace
 
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.fitting import Fit, fit
-from twin.discovery.ladder import Part
 from twin.discovery.model import Model
+from twin.discovery.part import Part
 from twin.discovery.ranking import Finding, rank
 from twin.discovery.search import Entry
 from twin.discovery.validation import validate

@@ -14,8 +14,9 @@ from twin.discovery.experiment import Limits
 from twin.discovery.forecast import Forecast, forecast, plan_of, too_little, unseen_kinds
 from twin.discovery.grid import Grid, on_grid
 from twin.discovery.held_out import binned, contradicted, errors
-from twin.discovery.ladder import SECOND_SHARE, Part, search, weighed
+from twin.discovery.ladder import SECOND_SHARE, search, weighed
 from twin.discovery.members import Members, members
+from twin.discovery.part import Part
 from twin.discovery.ranking import Finding
 from twin.discovery.readings import Stuck, stuck
 from twin.discovery.thermometers import explained_by_one

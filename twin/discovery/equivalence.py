@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from twin.discovery.ranking import Finding, Ranked
+    from twin.discovery.search import Entry
 
 LEAST_WEIGHT = 0.003
 OPEN = 0.15
@@ -20,6 +21,12 @@ def width(gain: float) -> float:
     return max(10.0, SHARE * gain)
 
 
+def instead(other: Ranked, first: Ranked) -> Entry:
+    """The effect of another explanation that stands where the first has something else, its last where none does."""
+    known = {e.label for e in first.entries}
+    return next((e for e in other.entries[::-1] if e.label not in known), other.entries[-1])
+
+
 def remaining(finding: Finding) -> tuple[Ranked, ...]:
     """The answer and what cannot be told from it, one for each kind, place and driver."""
     if not finding.ranked:
@@ -29,7 +36,7 @@ def remaining(finding: Finding) -> tuple[Ranked, ...]:
     taken = {e.label for e in first.entries[:-1]}
     found: dict[tuple[str, str, str], Ranked] = {}
     for r in finding.ranked:
-        label = r.entries[-1].label
+        label = instead(r, first).label
         if label in found or label in taken:
             continue
         if r is first or (r.cost - first.cost < limit and r.weight > LEAST_WEIGHT):
@@ -45,5 +52,5 @@ def open_questions(finding: Finding, ambiguous: bool) -> tuple[Ranked, ...]:
         return ()
     if not ambiguous:
         first = left[0].entries[-1].label
-        left = (left[0], *(r for r in left[1:] if r.weight > OPEN and r.entries[-1].label[:2] == first[:2]))
+        left = (left[0], *(r for r in left[1:] if r.weight > OPEN and instead(r, left[0]).label[:2] == first[:2]))
     return left if len(left) > 1 else ()

@@ -3,80 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
-from twin.discovery.basis import Basis, free_run
-from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Fold, Rung
 from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit, fit
-from twin.discovery.grid import Grid
-from twin.discovery.laws import Law
 from twin.discovery.model import Model
-from twin.discovery.null import FALSE_ALARMS, Null, null_scores
-from twin.discovery.probe import Run
+from twin.discovery.part import Part, finalists, fitted, varied
 from twin.discovery.ranking import Finding, Ranked, enough, piled_up, rank
-from twin.discovery.search import Entry, possible, refine, scan, together
+from twin.discovery.search import Entry, possible, scan, together
 from twin.discovery.validation import validate
 from twin.discovery.weighing import weigh
-from twin.network import Array
 
-FINALISTS = 8
-SECOND_SHARE = 0.06
-"""A further effect must win this share of the first one's gain: a large effect is never of quite the form assumed."""
+SECOND_SHARE, EXACT_SHARE = 0.06, 0.01
+"""A further effect must win this share of the first one's gain, since an effect is seldom of quite the form assumed, or
+that one where the first ones have no form to be wrong in: what is there at once and follows what is measured."""
+_FORMED = ("history", "rate_of_change", "time_of_day")
+"""Drivers of effects that bring a form of their own."""
 MOST_EFFECTS = 3
 MORE_LEFT, MORE_SHARE = 4.0, 0.1
 """Misfit that the answer may leave in a later record, over what noise alone leaves, or of what there was: its steps
 are harsher than those that the noise was learned from."""
+EXCHANGES, EXCHANGED = 2, 4
+"""Rounds in which effects may give way to others, and how many are tried in the place of each."""
 PAIRED = 8
 """Single effects that are tried as one of a pair."""
-
-
-@dataclass
-class Part:
-    """A part of a record, ready to be searched."""
-
-    basis: Basis
-    grid: Grid
-    state: Array
-    run: Run
-    contest: Contest
-    laws: list[Law]
-    entries: list[Entry]
-
-    @classmethod
-    def of(cls, known: Basis, grid: Grid) -> Part:
-        state, run, _, _ = free_run(known.probe, grid)
-        contest = Contest(known.probe, grid, state, run, known.noise, known.prior)
-        found = known.book.laws(grid, run)
-        entries = [refine(contest, e) for e in _varied(scan(contest, found, None, known.structure))]
-        entries.sort(key=lambda e: -e.gain)
-        return cls(known, grid, state, run, contest, found, entries)
-
-    @property
-    def best_z(self) -> float:
-        return self.entries[0].z if self.entries else 0.0
-
-    @cached_property
-    def null(self) -> Null:
-        return null_scores(self.contest, self.laws)
-
-    @property
-    def threshold(self) -> float:
-        return self.null.quantile(FALSE_ALARMS)
-
-    def reset(self) -> None:
-        self.contest.look_at(self.run)
 
 
 def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_SHARE) -> Finding:
     """Add effects one by one, each the best of the finalists after a joint fit, until nothing more is to be gained.
 
     Args:
-        second_share: of the first effect's gain, what a further one has to win.
+        second_share: of the first effect's gain, what a further one has to win at most.
     """
     network, contest, threshold = part.basis.probe.network, part.contest, part.threshold
     ids = part.basis.probe.scaling.ids
@@ -91,24 +51,25 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     ranked: tuple[Ranked, ...] = ()
     entries, first_gain = part.entries, 0.0
     while entries and entries[0].z >= threshold and len(chosen) < MOST_EFFECTS:
-        small = second_share * first_gain
+        exact = all(e.shape.name == "step" and e.candidate.driver not in _FORMED for e in chosen)
+        small = min(second_share, EXACT_SHARE if exact else second_share) * first_gain
         if best is not None and entries[0].gain < small and enough(best.chi, start_chi, contest):
             break
-        finalists = _finalists(entries, chosen)
-        if not finalists:
+        worth = finalists(entries, chosen)
+        if not worth:
             break
-        groups: list[tuple[Entry, ...]] = [(*chosen, e) for e in finalists]
+        groups: list[tuple[Entry, ...]] = [(*chosen, e) for e in worth]
         if len(chosen) == 1:
             groups += _pairs(part)
         say(f"fitting {len(groups)} hypotheses")
         start = ladder[0].chi * contest.count
-        trials = _fitted(part, groups)
+        trials = fitted(part, groups)
         if not chosen and start - min(f.total for f, _ in trials) < threshold**2:
             # A law at measured temperatures may promise what its element does not keep, and hide what would.
-            others = [e for e in part.entries if e.z >= threshold and all(e is not f for f in finalists)]
-            more = _finalists(others, ())
+            others = [e for e in part.entries if e.z >= threshold and all(e is not f for f in worth)]
+            more = finalists(others, ())
             say(f"fitting {len(more)} more")
-            trials += _fitted(part, [(e,) for e in more])
+            trials += fitted(part, [(e,) for e in more])
         if best is not None and enough(best.chi, start_chi, contest):
             # What is well explained is not explained twice: a second effect at the same place would bend the first.
             trials = [t for t in trials if not piled_up(t[0].entries)]
@@ -122,13 +83,16 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
             need = threshold**2 if not enough(best.chi, start_chi, contest) else max(threshold**2, small)
             if best.total - winner.total < need:
                 break
+            say("exchanging effects")
+            order = _exchanged(part, trials, order, start)
+            winner = order[0].fit
         best, ranked, chosen = winner, order, winner.entries
         if not first_gain:
             first_gain = max(ladder[0].chi * contest.count - winner.total, 1.0)
         part.reset()
         again = fit(contest, Model.of(network, chosen, ids), part.state, rounds=2)
         given = np.stack([e.placed(contest) for e in again.entries])
-        entries = _varied(scan(contest, part.laws, given, part.basis.structure))
+        entries = varied(scan(contest, part.laws, given, part.basis.structure))
         entries.sort(key=lambda e: -e.gain)
         ladder.append(
             Rung(
@@ -187,14 +151,37 @@ def weighed(finding: Finding, first: Part, later: list[Part]) -> tuple[Finding, 
     ), tuple(notes)
 
 
-def _fitted(part: Part, groups: list[tuple[Entry, ...]]) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """Each group of effects fitted, from the commissioned values."""
-    network, ids = part.basis.probe.network, part.basis.probe.scaling.ids
-    trials = []
-    for group in groups:
-        part.reset()
-        trials.append((fit(part.contest, Model.of(network, group, ids), part.state), group))
-    return trials
+def _exchanged(
+    part: Part, trials: list[tuple[Fit, tuple[Entry, ...]]], order: tuple[Ranked, ...], start: float
+) -> tuple[Ranked, ...]:
+    """The ranking once each effect of the best group was put to the vote again, the others being known.
+
+    The first effect was chosen while the second was missing, and may have stood for a part of it.
+    """
+    tried = {_key(group) for _, group in trials}
+    for _ in range(EXCHANGES):
+        best, groups = order[0].fit, []
+        for i in range(len(best.entries)):
+            rest = (*best.entries[:i], *best.entries[i + 1 :])
+            taken = {e.candidate.id for e in rest}
+            part.reset()
+            given = np.stack([e.placed(part.contest) for e in rest])
+            found = varied(scan(part.contest, part.laws, given, part.basis.structure))
+            found = sorted((e for e in found if e.candidate.id not in taken), key=lambda e: -e.gain)
+            near = [e for e in found if e.gain > found[0].gain - max(10.0 * width(found[0].gain), 40.0)]
+            groups += [(*rest[:i], e, *rest[i:]) for e in near[:EXCHANGED]]
+        groups = [g for g in {_key(g): g for g in groups}.values() if _key(g) not in tried and not piled_up(g)]
+        tried |= {_key(g) for g in groups}
+        trials = [*trials, *fitted(part, groups)]
+        order = rank(trials, part.contest, start)
+        if order[0].fit is best:
+            break
+    return order
+
+
+def _key(group: tuple[Entry, ...]) -> frozenset[tuple[str, str, int]]:
+    """What makes a start different from another: which effects, in what shapes, since which hour."""
+    return frozenset((e.candidate.id, e.shape.name, round(e.shape.onset_s / 3600.0)) for e in group)
 
 
 def _pairs(part: Part) -> list[tuple[Entry, ...]]:
@@ -213,39 +200,3 @@ def _pairs(part: Part) -> list[tuple[Entry, ...]]:
                 found.append((fitted.gain, pair))
     found.sort(key=lambda f: -f[0])
     return [pair for _, pair in found[:3]]
-
-
-def _varied(entries: list[Entry]) -> list[Entry]:
-    """The best entries of a scan, one of each candidate and shape."""
-    best: dict[tuple[str, str], Entry] = {}
-    for entry in entries:
-        best.setdefault((entry.candidate.id, entry.shape.name), entry)
-    return list(best.values())[: 5 * FINALISTS]
-
-
-def _finalists(entries: list[Entry], chosen: tuple[Entry, ...]) -> list[Entry]:
-    """The entries worth a fit: the best of each candidate and shape, near the top by gain."""
-    found: list[Entry] = []
-    taken = {e.candidate.id for e in chosen}
-    seen: set[tuple[str, str]] = set()
-    places: dict[tuple[str, str], int] = {}
-    for entry in entries:
-        key = (entry.candidate.id, entry.shape.name)
-        place = (entry.candidate.kind, entry.candidate.where)
-        if key in seen or entry.candidate.id in taken:
-            continue
-        if entry.gain < entries[0].gain - max(width(entries[0].gain) * 10.0, 40.0) and len(found) >= 3:
-            break
-        if places.get(place, 0) >= 4:
-            continue
-        seen.add(key)
-        places[place] = places.get(place, 0) + 1
-        found.append(entry)
-        if len(found) == FINALISTS:
-            break
-    # What grows is only believed where the same thing all at once does worse.
-    for grown in [e for e in found if e.shape.name != "step"]:
-        at_once = [e for e in entries if e.candidate.id == grown.candidate.id and e.shape.name == "step"]
-        if at_once and at_once[0] not in found:
-            found.append(at_once[0])
-    return found

@@ -36,10 +36,12 @@ class Model:
             TwinFileError: an element does not fit.
         """
         bigger = network
-        for entry in entries:
+        # In one order, so that a pair named the other way round is the same kernel.
+        ordered = sorted(entries, key=lambda e: e.candidate.id)
+        for entry in ordered:
             if not any(name in {e.name for e in bigger.elements} for name in entry.candidate.adds):
                 bigger = extended(bigger, entry.candidate)
-        ids = dict.fromkeys((*tunables, *(name for e in entries for name in e.candidate.changes)))
+        ids = dict.fromkeys((*tunables, *(name for e in ordered for name in e.candidate.changes)))
         return cls(network, bigger, entries, Kernel(bigger, tuple(ids)))
 
     @cached_property

@@ -37,13 +37,21 @@ def enough(chi: float, start: float, contest: Contest) -> bool:
 def piled_up(entries: tuple[Entry, ...]) -> bool:
     """Whether effects share a place: they then stand for one of a form that no candidate has.
 
-    What is slow there and what is late there (a mass, a thermometer's lag) do not stand for one another.
+    What is slow there and what is late there (a mass, a thermometer's lag) do not stand for one another, nor do a
+    stream and the heat at a place.
     """
     named = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
-    late = [e.candidate.driver in _LATE for e in entries]
-    places = list(zip((_MOVED_BY.get(name, name) for name in named), late, strict=True))
+    places = list(zip((_MOVED_BY.get(name, name) for name in named), map(_way, entries), strict=True))
     same = [tuple(e.candidate.changes) for e in entries]
     return len(set(places)) < len(places) or len(set(same)) < len(same)
+
+
+def _way(entry: Entry) -> str:
+    """What an effect is at its place: a thing of heat, of the stream or of being late."""
+    c = entry.candidate
+    if c.driver in _LATE:
+        return "late"
+    return "stream" if c.kind == "flow" or c.where == "pump_speed" else "heat"
 
 
 @dataclass(frozen=True)

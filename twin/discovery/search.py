@@ -20,8 +20,8 @@ BEYOND = 6.0
 """Score that the difference to a healthy record must have."""
 STRUCTURE = 0.25
 """Typical sizes that what a twin's structure leaves may amount to."""
-EARLY_S = 3600.0
-"""Onsets up to this are as good as the beginning."""
+EARLY_S, EARLY_SHARE = 3600.0, 0.1
+"""Onsets up to this, or to this share of what is searched, are as good as the beginning: little tells them from it."""
 WORTH_GROWING = 4.0
 """Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
 _TINY = 1e-12
@@ -106,7 +106,8 @@ def scan(
     known = Courses.of(contest)
     onsets, steps, grown, courses = known.onsets, known.steps, known.grown, known.growths
     beside = Given(contest, given) if given is not None and len(given) else None
-    soon = np.array([shape.onset_s <= EARLY_S and shape.growth_s <= 4.0 * EARLY_S for shape in grown])
+    early_s = max(EARLY_S, EARLY_SHARE * contest.grid.span_s)
+    soon = np.array([shape.onset_s <= early_s and shape.growth_s <= 4.0 * EARLY_S for shape in grown])
     found: list[Entry] = []
     for law in laws:
         squares = Squares.of(contest, law)
@@ -123,7 +124,7 @@ def scan(
         healthy = structure.get(law.candidate.id)
         gain[np.abs(size) < law.candidate.lumped] = 0.0
         if healthy is not None:
-            early = onsets <= EARLY_S
+            early = onsets <= early_s
             gain[early] = healthy.gated(gain[early], size[early], bottom[early])
         best = int(np.argmax(gain))
         if gain[best] > 0.0:

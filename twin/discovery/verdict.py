@@ -11,7 +11,7 @@ from twin.discovery.blind_spots import alike_here, always_alike, twins_of
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, SensorError, Verdict
 from twin.discovery.empirical import Empirical, offer
-from twin.discovery.equivalence import remaining
+from twin.discovery.equivalence import instead, remaining
 from twin.discovery.experiment import Limits, plan
 from twin.discovery.fitting import Fit
 from twin.discovery.grid import Grid, centred
@@ -111,7 +111,7 @@ def conclude(
         best = (finding.ranked[0].entries[-1].candidate.kind, finding.ranked[0].entries[-1].candidate.where)
         verdict = "effect found" if sure.get(best, 0.0) >= SURE or len(finding.entries) > 1 else "ambiguous"
         effects = tuple(
-            _effect(e, finding, sure if i == len(finding.entries) - 1 else {}, start)
+            _effect(e, finding, sure if i == len(finding.entries) - 1 else _with_and_without(e, finding), start)
             for i, e in enumerate(finding.fit.entries)
         )
         others, alternatives = _others(finding, verdict)
@@ -183,6 +183,16 @@ def _groups(ranked: tuple[Ranked, ...]) -> dict[tuple[str, str], float]:
     return {place: weight / total for place, weight in best.items()}
 
 
+def _with_and_without(entry: Entry, finding: Finding) -> dict[tuple[str, str], float]:
+    """Share of the weight of the likeliest explanation with such a kind at such a place, against one without."""
+    place = (entry.candidate.kind, entry.candidate.where)
+    best = {True: 0.0, False: 0.0}
+    for r in finding.ranked:
+        has = any((e.candidate.kind, e.candidate.where) == place for e in r.entries)
+        best[has] = max(best[has], r.weight)
+    return {place: best[True] / (best[True] + best[False])}
+
+
 def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], start: float) -> Effect:
     c = entry.candidate
     spread = SE90 * entry.sd * math.sqrt(max(finding.fit.chi, 1.0)) if finding.fit else 0.0
@@ -218,12 +228,13 @@ def _others(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...]
     """What cannot be told from the winner (of an ambiguous finding with the winner itself), and what was ruled out."""
     first = finding.ranked[0]
     left = remaining(finding)[0 if verdict == "ambiguous" else 1 :]
-    same = {r.entries[-1].label: Alternative(*r.entries[-1].label, confidence=r.weight) for r in left}
+    labels = [instead(r, first).label for r in left]
+    same = {label: Alternative(*label, confidence=r.weight) for label, r in zip(labels, left, strict=True)}
     out: dict[tuple[str, str, str], Alternative] = {}
     taken = {e.label for e in first.entries}
     best = max(finding.start - first.fit.total, 0.0) / max(finding.start, 1e-9)
     for r in finding.ranked[1:]:
-        label = r.entries[-1].label
+        label = instead(r, first).label
         if label not in taken and label not in same and label not in out:
             why = f"leaves {r.fit.chi:.2f} of misfit where the answer leaves {first.fit.chi:.2f}"
             if abs(r.fit.chi - first.fit.chi) < 0.02 * first.fit.chi:
