@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from drivers.points import Quality
 from hil.adoption import accepted, closed_gates
 from hil.atomic import replacing
-from hil.journal import JournalReader, Samples
+from hil.journal import JournalReader
+from hil.journal_rows import Samples
 from hil.run_folder import RunFolder
 from hil.tracking import Proposed, parameter_cell
 

@@ -2,7 +2,8 @@
 
 Operators come first, interlocks have the last word. A trip ends the run, unless the rig file lets it wait for an
 acknowledgement (`acknowledge_within_s`): then the run is paused, and nothing moves until the trip is acknowledged with
-its cause gone, the rig armed again, and the run resumed.
+its cause gone, the rig armed again, and the run resumed. A rig that is led back to where a run was cut is not waited
+for: the run can be resumed again.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ class Supervisor:
         self.machine = Machine(log)
         self.interlocks = Interlocks(rig, points)
         self.hurried = False
+        self.soaks = False  # whether a rig is led back to where a run was cut
         self._waits_s = rig.acknowledge_within_s
         self._note = note
         self._desk = Desk()
@@ -79,8 +81,9 @@ class Supervisor:
         if verb is Verb.ABORT:
             self.request_stop(reason)
             return "aborting: the outputs go to their safe values; the run's own terminal says when they are there"
-        if self.state not in LIVE:
-            raise RefusedError(f"a run that is {self.state} can only be aborted")
+        if self.state not in LIVE or self.soaks:
+            what = "leads its rig back to where it was cut" if self.soaks else f"is {self.state}"
+            raise RefusedError(f"a run that {what} can only be aborted")
         return await self._desk.ask(verb, reason)
 
     def step(
@@ -136,7 +139,7 @@ class Supervisor:
         trips = judgement.trips
         if trips:
             said = trips[0] + (f" (and {len(trips) - 1} more)" if len(trips) > 1 else "")
-            if self._waits_s <= 0:
+            if self._waits_s <= 0 or self.soaks:
                 return Event.FAIL, said
             if not self._trips:
                 self._tripped_s = now_s
@@ -148,5 +151,5 @@ class Supervisor:
         elif judgement.warnings and self.state in HEATED:
             self.machine.take(Event.WARN, "; ".join(judgement.warnings))
         elif not judgement.warnings and self.state is State.SUSPENDED:
-            self.machine.take(Event.CLEAR, "all warnings are gone")
+            self.machine.take(Event.SOAK if self.soaks else Event.CLEAR, "all warnings are gone")
         return None

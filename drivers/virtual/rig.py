@@ -158,11 +158,13 @@ async def start_virtual_rig(
     effects: Path | None = None,
     host: str = "127.0.0.1",
     unit: int | None = None,
+    start_s: float = 0.0,
 ) -> VirtualRig:
     """Start plant and PLC in one process, thermocouple module and CAN bus in another; return when both serve.
 
     Ports of 0 are chosen by the system. `unit` is the specimen: the same one has the same sensors' offsets, whatever
-    the seed; by default another one for every seed. Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and
+    the seed; by default another one for every seed. `start_s` is its clock at the start: room and effects are as then,
+    the rig itself is cold. Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and
     `ValueError` for arguments that make no rig.
     """
     if mode not in ("real", "scaled", "lockstep"):
@@ -187,6 +189,7 @@ async def start_virtual_rig(
         with near, far:
             plc = ["--mode", mode, "--speed", repr(speed), "--period", repr(period_s)]
             plc += ["--modbus-port", str(modbus_port), "--control-port", str(control_port)]
+            plc += ["--start", repr(start_s)]
             children.append(await _spawn("plc", [*common, *plc], near))
             module = ["--port", str(can_port), "--epoch", repr(time.time())]
             children.append(await _spawn("thermocouples", [*common, *module], far))

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from drivers.points import Quality
 from hil.bands import NORMAL90
-from hil.journal import CalibrationRow, JournalReader, Samples, TwinOutput
+from hil.journal import JournalReader
+from hil.journal_rows import CalibrationRow, Samples, TwinOutput
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.beside import Proposals, band_batches
 from hil.review.looks import QUALITY_NAMES, Plan, path

@@ -178,6 +178,7 @@ class MemoryJournal:
     states: list[tuple[Any, ...]] = field(default_factory=list)
     events: list[tuple[str, str]] = field(default_factory=list)
     samples: list[tuple[Any, ...]] = field(default_factory=list)
+    segments: list[Any] = field(default_factory=list)
 
     def sample(self, *row: Any) -> None:
         self.samples.append(row)
@@ -187,6 +188,10 @@ class MemoryJournal:
 
     def write(self, *row: Any) -> None:
         pass
+
+    def segment(self, row: Any) -> None:
+        self._refuse()
+        self.segments.append(row)
 
     def event(self, tick: int, time_s: float, level: str, text: str) -> None:
         self._refuse()
