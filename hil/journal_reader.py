@@ -138,6 +138,17 @@ class JournalReader:
         """Where the run went on after a gap, in order; none in a run that nothing cut."""
         return [SegmentRow(*row) for row in self._optional("segments", 0)]
 
+    def wall_s(self) -> float:
+        """Wall time that the ticks took, without the gaps between segments, s."""
+        ends = [*(row.tick for row in self.segments()), 2**62]
+        spans = [
+            self._database.execute(
+                "SELECT max(wall_s) - min(wall_s) FROM samples WHERE tick >= ? AND tick < ?", span
+            ).fetchone()[0]
+            for span in zip([-1, *ends], ends, strict=False)
+        ]
+        return float(sum(span or 0.0 for span in spans)) or float("nan")
+
     def last(self) -> tuple[int, float]:
         """Tick that was recorded last, and when, s since 1970; -1 and NaN where there is none."""
         row = self._database.execute("SELECT tick, wall_s FROM samples ORDER BY tick DESC LIMIT 1").fetchone()

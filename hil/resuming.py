@@ -11,10 +11,9 @@ import numpy as np
 from drivers.points import Quality
 from drivers.rigfile import file_sha256
 from hil.journal import JournalReader
-from hil.journal_rows import StateRow
 from hil.run_folder import RunFolder, RunFolderError
 from hil.run_request import RunRequest
-from hil.segments import Standing
+from hil.segments import Standing, profile_times
 from hil.soaking import has_memory
 from hil.states import State
 
@@ -32,7 +31,7 @@ def standing(folder: RunFolder) -> Standing:
         tick, wall_s = reader.last()
         if tick < 0 or not states:
             raise RunFolderError(f"{folder.path} was cut before its first sample; start a new run with `hil run`")
-        profile_s = _profile_s(states[-1], tick, reader.header.period_s)
+        profile_s = float(profile_times(states, np.array([tick]), reader.header.period_s)[0])
         aim_tick = tick
         if segments and not any(r.target == State.RUNNING and r.tick >= segments[-1].tick for r in states):
             # Cut while it was being led back: it still has to get to where it was before.
@@ -49,12 +48,6 @@ def standing(folder: RunFolder) -> Standing:
             aim[signal.name] = float(column.mean())
     number = (segments[-1].number if segments else 1) + 1
     return Standing(tick, tick * header.period_s, wall_s, profile_s, states[-1].target, number, aim_tick, aim)
-
-
-def _profile_s(last: StateRow, tick: int, period_s: float) -> float:
-    """The profile's clock at `tick`, from the last transition: it goes in `running` alone."""
-    passed = (tick - last.tick) * period_s if last.target == State.RUNNING else 0.0
-    return last.profile_s + max(passed, 0.0)
 
 
 def request_of(

@@ -29,6 +29,7 @@ from hil.run_request import Prepared, RunRequest, prepare, tracking_config
 from hil.segments import Resumption
 from hil.signals import interrupted, stopping
 from hil.soaking import SoakRule
+from hil.states import ENDED, State
 from hil.tracking import STATIC, Comparison, Proposed, Twins
 from hil.tracking_process import Tracking
 
@@ -150,6 +151,9 @@ async def _run_in(run: _Run) -> RunResult:
         header = _header(ready, () if tracking is None else tracking.calibrators)
         journal = JournalWriter(folder.journal, header, again=resumption is not None)
         stack.callback(journal.close)
+        if resumption is not None and State(resumption.standing.state) not in ENDED:
+            was = resumption.standing
+            journal.state(was.tick, was.time_s, was.profile_s, was.state, "cut", State.IDLE.value, resumption.reason)
         if tracking is not None and resumption is not None:
             tracking = await _restored(stack, run, tracking, journal)
         began = loop.time()

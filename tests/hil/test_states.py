@@ -19,7 +19,7 @@ from hypothesis.stateful import (
 from drivers.points import Quality
 from hil.operator import Verb
 from hil.states import ENDED, LIVE, TABLE, UNTOUCHED, Event, Machine, State, Transition, TransitionError
-from tests.hil.engine_bench import EngineBench
+from tests.hil.engine_bench import EngineBench, cut_at
 from tests.hil.simulated_rig import rig_with
 
 EXAMPLES = 40
@@ -55,9 +55,15 @@ class Run(RuleBasedStateMachine):
 
     bench: EngineBench
 
-    @initialize(wait_s=st.sampled_from([0.0, 30.0, 500.0, 500.0]), duration_s=st.sampled_from([20.0, 400.0]))
-    def start(self, wait_s, duration_s):
-        self.bench = EngineBench(rig_with(wait_s), duration_s)
+    @initialize(
+        wait_s=st.sampled_from([0.0, 30.0, 500.0, 500.0]),
+        duration_s=st.sampled_from([20.0, 400.0]),
+        aim_C=st.sampled_from([None, None, 30.0, 50.0]),
+    )
+    def start(self, wait_s, duration_s, aim_C):
+        """A new run, or one that was cut when the rig was at `aim_C`; until something happens it is at 30 degC."""
+        cut = None if aim_C is None else cut_at(10.0, dict.fromkeys(("T_heater", "T_pm1", "T_tank"), aim_C))
+        self.bench = EngineBench(rig_with(wait_s), duration_s, cut)
 
     @rule(count=st.integers(1, 15))
     def time_passes(self, count):
@@ -76,6 +82,11 @@ class Run(RuleBasedStateMachine):
     @rule(sensor=st.sampled_from(("T_heater", "T_pm1", "T_tank")), value=st.sampled_from([30.0, 45.0, 62.0, 80.0]))
     def a_temperature_moves(self, sensor, value):
         self.bench.rig.readings[sensor] = value
+
+    @rule(ticks=st.integers(50, 70))
+    def the_rig_is_warm_for_long(self, ticks):
+        self.bench.rig.readings |= dict.fromkeys(("T_heater", "T_pm1", "T_tank"), 50.0)
+        self.bench.ticks(ticks)
 
     @rule(ticks=st.integers(0, 12))
     def the_tank_is_warm_for_a_while(self, ticks):
