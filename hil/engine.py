@@ -52,7 +52,8 @@ class Status:
 @dataclass(slots=True)
 class Outcome:
     """How a run ended. `ticks` counts from the run's beginning, gaps included; `soaked_s` is how long the rig was led
-    back after one. `safe` is whether the safe values were read back from the rig."""
+    back after one, `restarts` how often its program was seen to begin anew. `safe` is whether the safe values were read
+    back from the rig."""
 
     status: Literal["done", "aborted", "faulted"]
     reason: str
@@ -62,10 +63,11 @@ class Outcome:
     problems: list[str] = field(default_factory=list)
     trips: tuple[str, ...] = ()
     soaked_s: float = 0.0
+    restarts: int = 0
 
 
 class Engine:
-    """One run of `profile` on an open-able `connection`.
+    """One run of `profile` on an open-able `connection`; `rearm` acknowledges a trip that the rig brings along.
 
     `observer` is shown a status a few times a second, `told` every transition as a sentence, `residuals` says how far
     twins are off. With `resumption` it goes on where an earlier one was cut, once the rig is back where it was.
@@ -84,6 +86,7 @@ class Engine:
         residuals: Callable[[], Residuals] = dict,
         lockstep: bool = False,
         resumption: Resumption | None = None,
+        rearm: bool = False,
     ) -> None:
         self._connection = connection
         self._rig = connection.rig
@@ -93,6 +96,7 @@ class Engine:
         self._residuals = residuals
         self._lockstep = lockstep
         self._resumption = resumption
+        self._rearm = rearm
         self._soak: Soak | None = None
         self._soaked_s = 0.0
         self._first = 0
@@ -165,7 +169,7 @@ class Engine:
             raise
         finally:
             outcome.ticks, outcome.overruns = self._at.tick, self._clock.overruns
-            outcome.soaked_s = self._soaked_s
+            outcome.soaked_s, outcome.restarts = self._soaked_s, self._interlocks.restarts
             outcome.reason = "" if event is Event.COMPLETE else reason
             untouched = self._machine.state in UNTOUCHED
             self._machine.take(event, reason)
@@ -187,7 +191,7 @@ class Engine:
         machine.take(Event.CONNECT, ", ".join(rig.bus))
         await self._connection.connect()
         self._snapshot = await self._first_snapshot()
-        refusals = self._interlocks.refusals(self._snapshot)
+        refusals = self._interlocks.refusals(self._snapshot, rearm=self._rearm)
         if refusals:
             return Event.FAIL, f"not started: {'; '.join(refusals)}"
         if self._supervisor.stop is not None:

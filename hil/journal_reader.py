@@ -72,6 +72,13 @@ class JournalReader:
             source_time_s=np.frombuffer(b"".join(row[5 + k] for row in rows), dtype="<f8").reshape(len(rows), k),
         )
 
+    def timing(self) -> NDArray[np.float64]:
+        """Of each tick (n, 3): its number, when its work began, s since 1970, and how long that took, s."""
+        rows = self._database.execute(
+            "SELECT tick, wall_s - latency_s, latency_s FROM samples ORDER BY tick"
+        ).fetchall()
+        return np.array(rows, dtype=np.float64).reshape(len(rows), 3)
+
     def latencies(self) -> NDArray[np.float64]:
         """Time from the start of each tick to the end of its work, s, shape (n,)."""
         rows = self._database.execute("SELECT latency_s FROM samples ORDER BY tick").fetchall()

@@ -62,6 +62,7 @@ def ended(
         "safe": outcome.safe,
         "trips": outcome.trips,
         "ticks": outcome.ticks,
+        "rig_restarts": outcome.restarts + manifest.get("rig_restarts", 0),
         "overruns": outcome.overruns + manifest.get("overruns", 0),
         "wall_s": round(wall_s + manifest.get("wall_s", 0.0), 2),
         "segments": _segments(folder, manifest, outcome, resumption),

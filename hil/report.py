@@ -257,6 +257,7 @@ def _timing(manifest: dict[str, Any], reader: JournalReader) -> str:
         ["ticks", f"{len(latency)}"],
         ["work in a tick, median / 99 % / longest", f"{p50:.2f} / {p99:.2f} / {latency.max():.2f} ms"],
         ["ticks that began late", f"{manifest.get('overruns', 0)}"],
+        ["restarts of the rig's program", f"{manifest.get('rig_restarts', 0)}"],
         ["times real time", f"{factor:.1f}"],
     ]
     return f"<h2>Timing</h2>{_table(['', ''], rows)}"

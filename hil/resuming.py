@@ -56,9 +56,10 @@ def request_of(
     moved: Mapping[str, Path | None],
     *,
     control: tuple[str, int] | None = None,
+    rearm: bool = False,
     viewer: bool | None = None,
 ) -> RunRequest:
-    """What the run in `folder` was asked to be. `moved` says where files lie now; `control` and `viewer` may differ.
+    """What the run in `folder` was asked to be. `moved` says where files lie now; the other options are today's.
 
     Raises:
         RunFolderError: the run is over, or one of its files is not what it was.
@@ -83,6 +84,7 @@ def request_of(
         network_mode=settings["network_mode"],
         viewer=viewer,
         control=control or (None if known is None else (known[0], known[1])),
+        rearm=rearm,
         diagnose_s=settings.get("diagnose_s"),
         healthy=files.get("healthy"),
         adopt=settings.get("adopt", False),

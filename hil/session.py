@@ -183,6 +183,7 @@ async def _run_in(run: _Run) -> RunResult:
             residuals=dict if tracking is None else tracking.off_K,
             lockstep=request.mode == "lockstep",
             resumption=resumption,
+            rearm=request.rearm,
         )
         async with serving(folder.control, engine, announce):
             with stopping(engine):

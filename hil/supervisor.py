@@ -41,6 +41,8 @@ class Supervisor:
         self.hurried = False
         self.soaks = False  # whether a rig is led back to where a run was cut
         self._waits_s = rig.acknowledge_within_s
+        self._suspends_s = rig.suspend_at_most_s
+        self._suspended_s: float | None = None
         self._note = note
         self._desk = Desk()
         self._obeyed: list[Request] = []
@@ -93,7 +95,7 @@ class Supervisor:
         judgement = self.interlocks.judge(snapshot, now_s, commanded, residuals)
         self._acknowledge()
         self._obey(judgement)
-        return self._protect(self.interlocks.standing(), now_s) or self.stop
+        return self._protect(self.interlocks.standing(), now_s) or self._overdue(now_s) or self.stop
 
     def answer(self, said: str) -> None:
         """Tell operators what came of what they asked, now that it is written."""
@@ -134,6 +136,17 @@ class Supervisor:
             request.done(f"acknowledged; the run is {self.state}, `hil ctl resume` lets it go on")
         elif left == 0:
             request.refuse(f"still there: {'; '.join(stay)}")
+
+    def _overdue(self, now_s: float) -> End | None:
+        """The end of a run that a warning has suspended for too long."""
+        if self.state is not State.SUSPENDED:
+            self._suspended_s = None
+            return None
+        self._suspended_s = now_s if self._suspended_s is None else self._suspended_s
+        if self._suspends_s <= 0 or now_s - self._suspended_s <= self._suspends_s:
+            return None
+        why = "; ".join(self.interlocks.standing().warnings) or self.machine.reason
+        return Event.FAIL, f"{why}; suspended for longer than {self._suspends_s:g} s"
 
     def _protect(self, judgement: Judgement, now_s: float) -> End | None:
         trips = judgement.trips

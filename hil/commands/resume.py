@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 @click.option("--with", "effects", type=INPUT_FILE, help="Where the effects of the virtual rig lie now.")
 @click.option("--healthy", type=INPUT_FILE, help="Where the healthy record lies now.")
 @click.option("--control", help="host:port of a `hil rig --mode lockstep` that runs already, if it is another now.")
+@click.option("--rearm", is_flag=True, help="Acknowledge a trip of the rig's own; find its cause before.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
@@ -41,6 +42,7 @@ def command(
     effects: Path | None,
     healthy: Path | None,
     control: str | None,
+    rearm: bool,
     viewer: bool | None,
     as_json: bool,
 ) -> None:
@@ -67,7 +69,7 @@ def command(
     where = None if control is None else address(control)
 
     def request(manifest: dict[str, Any]) -> RunRequest:
-        return request_of(folder, manifest, moved, control=where, viewer=viewer)
+        return request_of(folder, manifest, moved, control=where, rearm=rearm, viewer=viewer)
 
     with LiveRun(quiet=as_json) as live:
         rule = SoakRule(band_K, timeout_s)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 @click.option("--lockstep", is_flag=True, help="As fast as the machine can, the same every time (virtual rig).")
 @click.option("--speed", type=float, help="This many times real time, up to 100 (virtual rig).")
 @click.option("--control", help="host:port that grants steps, of a `hil rig --mode lockstep` that runs already.")
+@click.option("--rearm", is_flag=True, help="Acknowledge a trip that the rig brings along; find its cause before.")
 @click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not know of (virtual rig).")
 @CALIBRATORS
 @NETWORK_MODE
@@ -47,6 +48,7 @@ def command(
     lockstep: bool,
     speed: float | None,
     control: str | None,
+    rearm: bool,
     effects: Path | None,
     calibrators: tuple[str, ...],
     network_mode: NetworkMode,
@@ -96,6 +98,7 @@ def command(
         network_mode=network_mode,
         viewer=viewer,
         control=None if control is None else address(control),
+        rearm=rearm,
         diagnose_s=None if diagnose is None else interval_of(diagnose),
         healthy=healthy,
         adopt=adopt,

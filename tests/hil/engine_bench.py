@@ -39,7 +39,9 @@ def cut_at(profile_s: float, aim: dict[str, float], *, timeout_s: float = 600.0,
 class EngineBench:
     """One run, as a context manager; `violations` of the safety property, a sentence each."""
 
-    def __init__(self, rig: Rig, duration_s: float = 600.0, resumption: Resumption | None = None) -> None:
+    def __init__(
+        self, rig: Rig, duration_s: float = 600.0, resumption: Resumption | None = None, rearm: bool = False
+    ) -> None:
         self._soaks = resumption is not None
         self.loop = asyncio.new_event_loop()
         self.rig = SimulatedRig(rig)
@@ -57,7 +59,13 @@ class EngineBench:
         connection: Any = self.rig
         journal: Any = self.journal
         self.engine = Engine(
-            connection, self.clock, profile(duration_s), journal, residuals=self._off, resumption=resumption
+            connection,
+            self.clock,
+            profile(duration_s),
+            journal,
+            residuals=self._off,
+            resumption=resumption,
+            rearm=rearm,
         )
         self.rig.watch = self._look
         self.task = self.loop.create_task(self.engine.run())
