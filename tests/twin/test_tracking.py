@@ -242,3 +242,21 @@ def test_a_network_that_remembers_is_tracked_and_goes_on(loop_text: str, name: s
     rest = second.push(*(x[1300:] for x in s))
     assert np.abs(whole.tracked[1300:] - rest.tracked).max() < 1e-6
     assert np.abs(whole.static[1300:] - rest.static).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", ["pso", "kalman"])
+def test_beginning_again_keeps_what_was_learned_and_finds_the_state_anew(loop: Network, name: str) -> None:
+    t, u, y = stream(loop, 2600)
+    tracker = TwinTracker(loop, name, seed=2)
+    run(tracker, (t[:1300], u[:1300], y[:1300]))
+    learned = tracker.values
+    tracker.begin_again()
+    assert tracker.values == learned
+    # An hour that nobody saw, in which the rig has cooled: the twin is at once where the readings are.
+    cold = y[1300:] - 6.0
+    update = run(tracker, (t[1300:] + 3600.0, u[1300:], cold))[0]
+    assert np.abs((update.tracked - cold)[31:60].mean(axis=0)).max() < 1.5  # 6 without
+    if update.filtered is not None:
+        assert np.abs((update.filtered - cold)[31:60].mean(axis=0)).max() < 1.2
+    # Counted on from the two before; the one that was under way is not fitted.
+    assert [c.window for c in update.calibrations] == [2, 3]
