@@ -279,7 +279,7 @@ class Engine:
         self._soaked_s = soak.elapsed_s
         if soak.reached and self._machine.state is State.SOAKING:
             self._soak, self._supervisor.soaks = None, False
-            self._machine.take(Event.START, f"the rig is back where it was, after {self._soaked_s:g} s of soaking")
+            self._machine.take(Event.START, f"the rig is back where it was, after {self._soaked_s:.0f} s of soaking")
         return None if soak.failure is None else (Event.FAIL, soak.failure)
 
     def _commanded(self) -> dict[str, float]:
