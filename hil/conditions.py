@@ -14,7 +14,7 @@ from typing import Protocol
 
 from drivers.interlock_specs import NoFlowSpec, RateOfRiseSpec, ResidualSpec
 from drivers.points import Quality
-from drivers.rigfile import Heartbeat, Point
+from drivers.rigfile import Point, Rig
 
 Residuals = Mapping[tuple[str, str], float]
 """(twin, sensor of the twin file) -> measured minus predicted, K, of the latest block of ticks."""
@@ -209,11 +209,44 @@ class Frozen:
         return None
 
 
-def of_heartbeat(heartbeat: Heartbeat, polled: frozenset[str]) -> list[Condition]:
+@dataclass(slots=True)
+class Restarted:
+    """A rig whose clock or counter has gone back: its program began anew, and knows nothing of what it was told.
+
+    One that passes the end of its range begins at 0 too: it comes from the last hundredth and arrives in the first.
+    """
+
+    point: Point
+    count: int = 0
+    _value: float = math.nan
+
+    def judge(self, tick: Tick, engaged: bool) -> str | None:
+        """Violated on the tick on which it is seen."""
+        before, value = self._value, tick.good(self.point.name)
+        if math.isnan(value):
+            return None
+        self._value = value
+        if not value < before:
+            return None
+        end = math.inf if self.point.type.startswith("float") else 2.0 ** (16 * self.point.width) * self.point.scale
+        if before > 0.99 * end and value < 0.01 * end:
+            return None
+        self.count += 1
+        return f"the rig has restarted: {self.point.name} went back from {before:g} to {value:g}"
+
+
+def of_heartbeat(rig: Rig, polled: frozenset[str]) -> list[Condition]:
     """What the rig's half of the heartbeat says, as far as its points are read."""
     found: list[Condition] = []
+    heartbeat = rig.heartbeat
+    if heartbeat is None:
+        return found
     if heartbeat.status in polled and heartbeat.status is not None:
         found.append(RigTrip(heartbeat.status, heartbeat.trip_mask))
     if heartbeat.counter in polled and heartbeat.counter is not None:
         found.append(Frozen(heartbeat.counter, heartbeat.timeout_s))
+    uptime = rig.bus[rig.get(heartbeat.point).bus].uptime
+    clock = next((name for name in (uptime, heartbeat.counter) if name in polled), None)
+    if clock is not None:
+        found.append(Restarted(rig.get(clock)))
     return found

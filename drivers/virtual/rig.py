@@ -158,11 +158,13 @@ async def start_virtual_rig(
     effects: Path | None = None,
     host: str = "127.0.0.1",
     unit: int | None = None,
+    start_s: float = 0.0,
 ) -> VirtualRig:
     """Start plant and PLC in one process, thermocouple module and CAN bus in another; return when both serve.
 
     Ports of 0 are chosen by the system. `unit` is the specimen: the same one has the same sensors' offsets, whatever
-    the seed; by default another one for every seed. Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and
+    the seed; by default another one for every seed. `start_s` is its clock at the start: room and effects are as then,
+    the rig itself is cold. Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and
     `ValueError` for arguments that make no rig.
     """
     if mode not in ("real", "scaled", "lockstep"):
@@ -171,6 +173,8 @@ async def start_virtual_rig(
         raise ValueError(f"period_s is {period_s}; give 0.02 to 10 s.")
     if not (math.isfinite(speed) and speed > 0.0):
         raise ValueError(f"speed is {speed}; give a factor above 0.")
+    if not (math.isfinite(start_s) and start_s >= 0.0):
+        raise ValueError(f"start_s is {start_s}; give 0 s or more.")
     for name, port in (("modbus_port", modbus_port), ("can_port", can_port), ("control_port", control_port)):
         if not 0 <= port <= 65535:
             raise ValueError(f"{name} is {port}; give 0 (any free port) to 65535.")
@@ -187,6 +191,7 @@ async def start_virtual_rig(
         with near, far:
             plc = ["--mode", mode, "--speed", repr(speed), "--period", repr(period_s)]
             plc += ["--modbus-port", str(modbus_port), "--control-port", str(control_port)]
+            plc += ["--start", repr(start_s)]
             children.append(await _spawn("plc", [*common, *plc], near))
             module = ["--port", str(can_port), "--epoch", repr(time.time())]
             children.append(await _spawn("thermocouples", [*common, *module], far))
