@@ -110,7 +110,8 @@ class Trial:
             ablation = None
             if self.size.ablations and not (healthy and number >= 40):
                 try:
-                    shown = self._injector.ask(do="without", folder=str(folder), **asked)["records"]
+                    made = str(record) if self.size.direct else ""
+                    shown = self._injector.ask(do="without", record=made, folder=str(folder), **asked)["records"]
                     ablation = self._ablation.ask(
                         **given, effects=hidden["effects"], labels=hidden["labels"], records=shown
                     )

@@ -48,7 +48,8 @@ class Injector:
             self._direct(case, effects, Path(request["record"]))
             return {"sealed": digest}
         if request["do"] == "without":
-            return {"records": self._without(case, hidden, effects, Path(request["folder"]))}
+            made = Path(request["record"]) if request["record"] else None
+            return {"records": self._without(case, hidden, effects, Path(request["folder"]), made)}
         self._stop()
         self._rig = self._loop.run_until_complete(self._start(case, effects))
         rig = self._rig
@@ -72,16 +73,21 @@ class Injector:
         made = direct_record(profile(case), load_rig(RIG), seed=case.seed, unit=case.unit, effects=tuple(known))
         write_record(made, record)
 
-    def _without(self, case: Setting, hidden: Truth, effects: Path | None, folder: Path) -> list[str]:
-        """Records with everything, then without each of the labelled effects; nothing where there is none."""
+    def _without(
+        self, case: Setting, hidden: Truth, effects: Path | None, folder: Path, made: Path | None
+    ) -> list[str]:
+        """Records with everything, `made` where it is, then without each of the labelled effects; none for nothing."""
         if effects is None:
             return []
         count = len(hidden.effects)
         parts = [(i,) for i in range(count)] if count == len(hidden.labels) else [tuple(range(count))]
-        paths = [folder / f"without_{k}.parquet" for k in range(len(parts) + 1)]
-        for path, part in zip(paths, ((), *parts), strict=True):
+        whole = made or folder / "with.parquet"
+        if made is None:
+            self._direct(case, effects, whole)
+        paths = [folder / f"without_{k}.parquet" for k in range(len(parts))]
+        for path, part in zip(paths, parts, strict=True):
             self._direct(case, effects, path, part)
-        return [str(path) for path in paths]
+        return [str(path) for path in (whole, *paths)]
 
     async def _start(self, case: Setting, effects: Path | None) -> VirtualRig:
         from drivers.virtual.rig import start_virtual_rig
