@@ -172,20 +172,26 @@ class Residual:
 
 @dataclass(frozen=True, slots=True)
 class RigTrip:
-    """What the rig says of its own watchdog and thermostat."""
+    """What the rig says of its own watchdog and thermostat, and of its outputs: one that has restarted is not armed."""
 
     status: str
     mask: int
+    armed_mask: int = 0
 
     def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated while one of the rig's trip bits is set."""
+        """Violated while one of the rig's trip bits is set, or one of those that say that it is armed is not."""
         value = tick.good(self.status)
-        bits = 0 if math.isnan(value) else int(value) & self.mask
-        if not bits:
+        if math.isnan(value):
             return None
-        return (
-            f"the rig tripped by itself ({self.status} has bits {bits:#06b} set); look for the cause, then arm it again"
-        )
+        bits, missing = int(value) & self.mask, ~int(value) & self.armed_mask
+        if bits:
+            return (
+                f"the rig tripped by itself ({self.status} has bits {bits:#06b} set); "
+                "look for the cause, then arm it again"
+            )
+        if missing:
+            return f"the rig's outputs are not armed ({self.status} lacks bits {missing:#06b}); has it restarted?"
+        return None
 
 
 @dataclass(slots=True)
@@ -213,7 +219,7 @@ def of_heartbeat(heartbeat: Heartbeat, polled: frozenset[str]) -> list[Condition
     """What the rig's half of the heartbeat says, as far as its points are read."""
     found: list[Condition] = []
     if heartbeat.status in polled and heartbeat.status is not None:
-        found.append(RigTrip(heartbeat.status, heartbeat.trip_mask))
+        found.append(RigTrip(heartbeat.status, heartbeat.trip_mask, heartbeat.armed_mask))
     if heartbeat.counter in polled and heartbeat.counter is not None:
         found.append(Frozen(heartbeat.counter, heartbeat.timeout_s))
     return found

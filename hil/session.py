@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from drivers.rig import RigConnection
-from drivers.rigfile import Rig
+from drivers.rigfile import ModbusTcpBus, Rig
 from hil import adoption
 from hil.adoption import Adoption
 from hil.clock import Clock, LockstepClock, MonotonicClock
@@ -86,7 +86,11 @@ async def run_session(
         try:
             return await _run_in(folder, manifest, request, ready, tracking, observer, announce)
         except BaseException as error:
-            folder.write_manifest(manifest | {"exit_status": "faulted", "reason": f"{type(error).__name__}: {error}"})
+            # A disk that is full must not hide why the run ended.
+            with contextlib.suppress(OSError):
+                folder.write_manifest(
+                    manifest | {"exit_status": "faulted", "reason": f"{type(error).__name__}: {error}"}
+                )
             raise
 
 
@@ -227,7 +231,7 @@ async def _rig_and_clock(
     )
     try:
         ports = {
-            name: virtual.modbus_port if bus.transport == "modbus_tcp" else virtual.can_port
+            name: virtual.modbus_port if isinstance(bus, ModbusTcpBus) else virtual.can_port
             for name, bus in rig.bus.items()
         }
         if request.mode == "lockstep":
