@@ -7,6 +7,7 @@ sentence with its remedy.
 from __future__ import annotations
 
 import asyncio
+import datetime
 import os
 import ssl
 import stat
@@ -47,6 +48,7 @@ def client_context(config: ModbusTlsBus) -> ssl.SSLContext:
             f"{config.certificate} and {config.key} are no certificate and its key in PEM form ({_of(error)}); "
             "a key must not have a password"
         ) from error
+    check_valid(config.certificate)
     return context
 
 
@@ -57,6 +59,52 @@ def check_key(path: Path) -> None:
         raise ConfigurationError(
             f"{path}: others than its owner may read or change this key (mode {mode:04o}); chmod 600 {path}"
         )
+
+
+def check_valid(path: Path) -> None:
+    """Raise ConfigurationError where the first certificate of a PEM file is not valid now, by this machine's clock."""
+    begins, ends = validity(path)
+    now = datetime.datetime.now(datetime.UTC)
+    if now > ends:
+        raise ConfigurationError(f"{path}: has expired on {ends:%Y-%m-%d %H:%M} UTC; have it renewed")
+    if now < begins:
+        raise ConfigurationError(
+            f"{path}: is valid from {begins:%Y-%m-%d %H:%M} UTC only; is this machine's clock right?"
+        )
+
+
+def validity(path: Path) -> tuple[datetime.datetime, datetime.datetime]:
+    """From when to when the first certificate of a PEM file is valid (RFC 5280, 4.1.2.5); raises ValueError."""
+    text = path.read_text(encoding="ascii")
+    end = text.index(_END) + len(_END)
+    der = ssl.PEM_cert_to_DER_cert(text[text.index("-----BEGIN CERTIFICATE-----") : end])
+    fields = _parts(_parts(_parts(der)[0][1])[0][1])
+    after_version = fields[1:] if fields[0][0] == 0xA0 else fields
+    begins, ends = (_time(tag, value) for tag, value in _parts(after_version[3][1]))
+    return begins, ends
+
+
+_END = "-----END CERTIFICATE-----"
+
+
+def _parts(der: bytes) -> list[tuple[int, bytes]]:
+    """Tags and contents of what stands beside one another in DER (X.690, 8.1)."""
+    found = []
+    while der:
+        tag, size, at = der[0], der[1], 2
+        if size & 0x80:
+            at += size & 0x7F
+            size = int.from_bytes(der[2:at], "big")
+        found.append((tag, der[at : at + size]))
+        der = der[at + size :]
+    return found
+
+
+def _time(tag: int, value: bytes) -> datetime.datetime:
+    text = value.decode("ascii")
+    if tag == 0x17:  # UTCTime has two digits for the year, and 50 is 1950
+        text = ("19" if int(text[:2]) >= 50 else "20") + text
+    return datetime.datetime.strptime(text, "%Y%m%d%H%M%SZ").replace(tzinfo=datetime.UTC)
 
 
 async def why_refused(config: ModbusTlsBus, context: ssl.SSLContext) -> str | None:
@@ -75,11 +123,16 @@ async def why_refused(config: ModbusTlsBus, context: ssl.SSLContext) -> str | No
             await reader.read(1)
     except ssl.SSLError as error:
         return _theirs(config, error)
-    except (OSError, TimeoutError):
-        return None
+    except TimeoutError:
+        return None  # it waits for a request, as it should
+    except OSError:
+        pass
     finally:
         writer.transport.abort()
-    return None
+    return (
+        f"the rig hangs up as soon as it has seen {config.certificate}: another authority than its own has signed it, "
+        "or its clock says that it is not valid"
+    )
 
 
 def _theirs(config: ModbusTlsBus, error: ssl.SSLError) -> str:
