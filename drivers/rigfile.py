@@ -162,8 +162,8 @@ class Heartbeat(_Section):
     """How rig and harness watch each other: the harness changes `point` each tick, the rig's `counter` must advance.
 
     `arm` is the point that lets outputs go live when 1 is written. The rig says on `status` that it has tripped by
-    itself: any bit of `trip_mask`; and that its outputs are live: every bit of `armed_mask`, so that one that has
-    restarted is noticed.
+    itself: any bit of `trip_mask`. Those of `watchdog_mask` say no more than that the heartbeat stayed away, as it does
+    after every run; any other must be acknowledged before the next one starts.
     """
 
     point: str
@@ -171,14 +171,15 @@ class Heartbeat(_Section):
     arm: str | None = None
     status: str | None = None
     trip_mask: Annotated[int, Field(ge=0, le=65535)] = 0
-    armed_mask: Annotated[int, Field(ge=0, le=65535)] = 0
+    watchdog_mask: Annotated[int, Field(ge=0, le=65535)] = 0
     timeout_s: Annotated[float, Field(gt=0)] = 10.0
 
 
 class Rig(_Section):
     """A whole rig file. `twin` is the twin file that runs beside this rig unless another is named.
 
-    A run that an alarm has tripped waits `acknowledge_within_s` at safe values for an operator; 0 ends it at once.
+    A run that an alarm has tripped waits `acknowledge_within_s` at safe values for an operator; 0 ends it at once. One
+    that a warning suspends waits `suspend_at_most_s` for it to go away; 0 is for as long as it takes.
     """
 
     name: str
@@ -186,6 +187,7 @@ class Rig(_Section):
     period_s: Annotated[float, Field(gt=0, le=3600)] = 1.0
     abort_after_s: Annotated[float, Field(gt=0)] = 5.0
     acknowledge_within_s: Annotated[float, Field(ge=0)] = 0.0
+    suspend_at_most_s: Annotated[float, Field(ge=0)] = 0.0
     twin: Path | None = None
     heartbeat: Heartbeat | None = None
     bus: dict[str, Annotated[ModbusTcpBus | ModbusTlsBus | CanBus, Field(discriminator="transport")]]

@@ -22,6 +22,7 @@ VERBS = {
     "ctl": "Hold, pause, resume, abort or ask a live run",
     "diagnose": "Trace what a twin gets wrong to the effect that it lacks",
     "profile": "Build and picture load profiles",
+    "resume": "Go on with a run that a crash or a fault cut",
     "review": "Look at a run in Rerun: measured against twin",
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",

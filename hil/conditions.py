@@ -14,7 +14,7 @@ from typing import Protocol
 
 from drivers.interlock_specs import NoFlowSpec, RateOfRiseSpec, ResidualSpec
 from drivers.points import Quality
-from drivers.rigfile import Heartbeat, Point
+from drivers.rigfile import Point, Rig
 
 Residuals = Mapping[tuple[str, str], float]
 """(twin, sensor of the twin file) -> measured minus predicted, K, of the latest block of ticks."""
@@ -172,26 +172,20 @@ class Residual:
 
 @dataclass(frozen=True, slots=True)
 class RigTrip:
-    """What the rig says of its own watchdog and thermostat, and of its outputs: one that has restarted is not armed."""
+    """What the rig says of its own watchdog and thermostat."""
 
     status: str
     mask: int
-    armed_mask: int = 0
 
     def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated while one of the rig's trip bits is set, or one of those that say that it is armed is not."""
+        """Violated while one of the rig's trip bits is set."""
         value = tick.good(self.status)
-        if math.isnan(value):
+        bits = 0 if math.isnan(value) else int(value) & self.mask
+        if not bits:
             return None
-        bits, missing = int(value) & self.mask, ~int(value) & self.armed_mask
-        if bits:
-            return (
-                f"the rig tripped by itself ({self.status} has bits {bits:#06b} set); "
-                "look for the cause, then arm it again"
-            )
-        if missing:
-            return f"the rig's outputs are not armed ({self.status} lacks bits {missing:#06b}); has it restarted?"
-        return None
+        return (
+            f"the rig tripped by itself ({self.status} has bits {bits:#06b} set); look for the cause, then arm it again"
+        )
 
 
 @dataclass(slots=True)
@@ -215,11 +209,44 @@ class Frozen:
         return None
 
 
-def of_heartbeat(heartbeat: Heartbeat, polled: frozenset[str]) -> list[Condition]:
+@dataclass(slots=True)
+class Restarted:
+    """A rig whose clock or counter has gone back: its program began anew, and knows nothing of what it was told.
+
+    One that passes the end of its range begins at 0 too: it comes from the last hundredth and arrives in the first.
+    """
+
+    point: Point
+    count: int = 0
+    _value: float = math.nan
+
+    def judge(self, tick: Tick, engaged: bool) -> str | None:
+        """Violated on the tick on which it is seen."""
+        before, value = self._value, tick.good(self.point.name)
+        if math.isnan(value):
+            return None
+        self._value = value
+        if not value < before:
+            return None
+        end = math.inf if self.point.type.startswith("float") else 2.0 ** (16 * self.point.width) * self.point.scale
+        if before > 0.99 * end and value < 0.01 * end:
+            return None
+        self.count += 1
+        return f"the rig has restarted: {self.point.name} went back from {before:g} to {value:g}"
+
+
+def of_heartbeat(rig: Rig, polled: frozenset[str]) -> list[Condition]:
     """What the rig's half of the heartbeat says, as far as its points are read."""
     found: list[Condition] = []
+    heartbeat = rig.heartbeat
+    if heartbeat is None:
+        return found
     if heartbeat.status in polled and heartbeat.status is not None:
-        found.append(RigTrip(heartbeat.status, heartbeat.trip_mask, heartbeat.armed_mask))
+        found.append(RigTrip(heartbeat.status, heartbeat.trip_mask))
     if heartbeat.counter in polled and heartbeat.counter is not None:
         found.append(Frozen(heartbeat.counter, heartbeat.timeout_s))
+    uptime = rig.bus[rig.get(heartbeat.point).bus].uptime
+    clock = next((name for name in (uptime, heartbeat.counter) if name in polled), None)
+    if clock is not None:
+        found.append(Restarted(rig.get(clock)))
     return found

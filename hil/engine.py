@@ -7,14 +7,13 @@ place that makes the rig safe, and no way around it.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal
 
-from drivers.points import DeviceExceptionError, DriverError, Quality, Snapshot
+from drivers.points import DeviceExceptionError, DriverError, Snapshot
 from drivers.rig import RigConnection
 from drivers.rigfile import Point
 from hil.clock import Clock
@@ -23,14 +22,15 @@ from hil.journal import JournalError, JournalWriter
 from hil.operator import Verb
 from hil.outputs import Outputs
 from hil.profile import Profile
+from hil.recording import Position, Publisher, Recorder
 from hil.safing import make_safe
+from hil.segments import Resumption
 from hil.setpoints import bind
-from hil.states import HEATED, UNTOUCHED, WAITING, Event, State, Transition, level_of
+from hil.soaking import Soak
+from hil.states import HEATED, UNTOUCHED, WAITING, Event, State
 from hil.supervisor import End, Supervisor
 
 FIRST_SAMPLE_TIMEOUT_S = 10.0
-PUBLISH_TICKS = 60
-PUBLISH_WALL_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,9 @@ class Status:
 
 @dataclass(slots=True)
 class Outcome:
-    """How a run ended. `safe` is whether the safe values were read back from the rig."""
+    """How a run ended. `ticks` counts from the run's beginning, gaps included; `soaked_s` is how long the rig was led
+    back after one, `restarts` how often its program was seen to begin anew. `safe` is whether the safe values were read
+    back from the rig."""
 
     status: Literal["done", "aborted", "faulted"]
     reason: str
@@ -60,20 +62,15 @@ class Outcome:
     safe: bool = False
     problems: list[str] = field(default_factory=list)
     trips: tuple[str, ...] = ()
-
-
-class Publisher(Protocol):
-    """Where blocks of ticks go for calibration; must not delay a tick in real time."""
-
-    async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
-        """Take a block: `rows (n, k)` in the order of the journal's signals, NaN where a value is not good."""
+    soaked_s: float = 0.0
+    restarts: int = 0
 
 
 class Engine:
-    """One run of `profile` on an open-able `connection`.
+    """One run of `profile` on an open-able `connection`; `rearm` acknowledges a trip that the rig brings along.
 
     `observer` is shown a status a few times a second, `told` every transition as a sentence, `residuals` says how far
-    twins are off.
+    twins are off. With `resumption` it goes on where an earlier one was cut, once the rig is back where it was.
     """
 
     def __init__(
@@ -88,29 +85,33 @@ class Engine:
         told: Callable[[str], None] | None = None,
         residuals: Callable[[], Residuals] = dict,
         lockstep: bool = False,
+        resumption: Resumption | None = None,
+        rearm: bool = False,
     ) -> None:
         self._connection = connection
         self._rig = connection.rig
         self._clock = clock
         self._profile = profile
-        self._journal = journal
-        self._publisher = publisher
         self._observer = observer
-        self._told = told
         self._residuals = residuals
         self._lockstep = lockstep
-        self._supervisor = Supervisor(self._rig, connection.points, log=self._log, note=self._event)
+        self._resumption = resumption
+        self._rearm = rearm
+        self._soak: Soak | None = None
+        self._soaked_s = 0.0
+        self._first = 0
+        self._at = Position(clock.period_s)
+        if resumption is not None:
+            self._first = resumption.first_tick(clock.period_s)
+            self._at = Position(clock.period_s, self._first, resumption.standing.profile_s)
+        self._told = Recorder(journal, self._at, publisher=publisher, told=told, lockstep=lockstep)
+        self._supervisor = Supervisor(self._rig, connection.points, log=self._told.transition, note=self._told.event)
         self._machine = self._supervisor.machine
         self._interlocks = self._supervisor.interlocks
         self._targets: list[Point] = bind(self._rig, profile.columns)
         self._outputs = Outputs(connection)
-        self._tick = 0
-        self._profile_ticks = 0
         self._snapshot: Snapshot | None = None
-        self._pending: tuple[list[int], list[float], list[list[float]]] = ([], [], [])
-        self._published = time.monotonic()
         self._shown = 0.0
-        self._problems: list[str] = []
 
     # What others ask of it ---------------------------------------------------------------------
 
@@ -125,7 +126,7 @@ class Engine:
     @property
     def tick(self) -> int:
         """Index of the tick under way."""
-        return self._tick
+        return self._at.tick
 
     @property
     def state(self) -> State:
@@ -139,12 +140,13 @@ class Engine:
             rows = zip(self._connection.points, self._snapshot.values, self._snapshot.quality, strict=True)
             values = {point.name: value if quality == 0 else math.nan for point, value, quality in rows}
         standing, machine = self._interlocks.standing(), self._machine
+        soaks = machine.state is State.SOAKING and self._soak is not None
         return Status(
             machine.state,
-            machine.reason,
-            self._tick,
-            self._time_s,
-            self._profile_s,
+            self._soak.said if soaks and self._soak is not None else machine.reason,
+            self._at.tick,
+            self._at.time_s,
+            self._at.profile_s,
             self._profile.duration_s,
             values,
             dict(self._outputs.values),
@@ -166,7 +168,8 @@ class Engine:
             reason = f"{type(error).__name__}: {error}"
             raise
         finally:
-            outcome.ticks, outcome.overruns = self._tick, self._clock.overruns
+            outcome.ticks, outcome.overruns = self._at.tick, self._clock.overruns
+            outcome.soaked_s, outcome.restarts = self._soaked_s, self._interlocks.restarts
             outcome.reason = "" if event is Event.COMPLETE else reason
             untouched = self._machine.state in UNTOUCHED
             self._machine.take(event, reason)
@@ -176,8 +179,8 @@ class Engine:
             outcome.status = self._machine.state.value  # type: ignore[assignment]
             outcome.trips = self._interlocks.standing().trips
             self._supervisor.close()
-            outcome.problems += self._problems
-            await self._flush()
+            outcome.problems += self._told.problems
+            await self._told.flush()
             await self._connection.close()
             await self._clock.close()
         return outcome
@@ -188,19 +191,34 @@ class Engine:
         machine.take(Event.CONNECT, ", ".join(rig.bus))
         await self._connection.connect()
         self._snapshot = await self._first_snapshot()
-        refusals = self._interlocks.refusals(self._snapshot)
+        refusals = self._interlocks.refusals(self._snapshot, rearm=self._rearm)
         if refusals:
             return Event.FAIL, f"not started: {'; '.join(refusals)}"
         if self._supervisor.stop is not None:
             return self._supervisor.stop
         machine.take(Event.SOAK, "safe set-points, heartbeat, arming")
         await self._outputs.arm(self._clock.advance, self._interlocks.rig_trip)
-        machine.take(Event.START, f"running {self._profile.name} on {rig.name}")
+        if self._resumption is None:
+            machine.take(Event.START, f"running {self._profile.name} on {rig.name}")
         await self._clock.start()
-        ended = None
+        ended = None if self._resumption is None else self._go_on(self._resumption)
         while ended is None:
             ended = await self._one_tick()
         return ended
+
+    def _go_on(self, resumption: Resumption) -> End | None:
+        """Begin a new segment of a run that was cut: lead the rig back, unless there is nothing left to run."""
+        was = resumption.standing
+        self._first = self._at.tick = resumption.first_tick(self._clock.period_s)
+        gap_s = self._at.time_s - was.time_s
+        self._told.segment(was.number, gap_s, was.aim_tick, resumption.reason)
+        if self._at.profile_s >= self._profile.duration_s:
+            self._machine.take(Event.START, "nothing is left of the profile")
+            return Event.COMPLETE, "the profile was over"
+        points = self._connection.points
+        self._soak = Soak(self._rig, points, self._profile, self._at.profile_s, was.aim, resumption.rule)
+        self._supervisor.soaks = True
+        return None
 
     async def _first_snapshot(self) -> Snapshot:
         """Wait until every point has been heard of, letting a lockstep rig step so that its frames come."""
@@ -219,39 +237,48 @@ class Engine:
         clock, machine = self._clock, self._machine
         if machine.state in WAITING:
             await clock.wait()
-        last, was_running = self._tick, machine.state is State.RUNNING
-        self._tick = await clock.next_tick()
-        passed = self._tick - last
+        last, was_running = self._at.tick, machine.state is State.RUNNING
+        self._at.tick = self._first + await clock.next_tick()
+        passed = self._at.tick - last
         if self._lockstep:
             await self._connection.wait_for_device_time(clock.now(), FIRST_SAMPLE_TIMEOUT_S)
         began = time.perf_counter()
         snapshot = self._snapshot = await self._connection.read()
         now = clock.now()
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
+        if ended is None and self._soak is not None:
+            ended = self._lead_back(self._soak, snapshot, now)
         if was_running and machine.state is State.RUNNING:
-            self._profile_ticks += passed
-        over = machine.state is State.RUNNING and self._profile_s >= self._profile.duration_s
+            self._at.profile_ticks += passed
+        over = machine.state is State.RUNNING and self._at.profile_s >= self._profile.duration_s
         if ended is None:
             await self._put_out((passed or 1) * clock.period_s)
             self._supervisor.answer(self._obeyed())
             ended = (Event.COMPLETE, "the profile is over") if over else None
             if ended is None:
                 clock.release()
-        self._record(snapshot, now, began)
-        await self._publish_if_due()
+        self._told.sample(snapshot, self._commanded(), now, began)
+        if self._observer is not None and time.monotonic() - self._shown > 0.2:
+            self._shown = time.monotonic()
+            self._observer(self.status())
+        await self._told.publish_if_due()
         return ended
 
-    @property
-    def _time_s(self) -> float:
-        return self._tick * self._clock.period_s
+    def _lead_back(self, soak: Soak, snapshot: Snapshot, now_s: float) -> End | None:
+        """One tick of soaking: go on with the profile once the rig is back, end the run where it takes too long."""
+        soak.look(snapshot, now_s)
+        self._soaked_s = soak.elapsed_s
+        if soak.reached and self._machine.state is State.SOAKING:
+            self._soak, self._supervisor.soaks = None, False
+            self._machine.take(Event.START, f"the rig is back where it was, after {self._soaked_s:g} s of soaking")
+        return None if soak.failure is None else (Event.FAIL, soak.failure)
 
-    @property
-    def _profile_s(self) -> float:
-        return self._profile_ticks * self._clock.period_s
+    def _commanded(self) -> dict[str, float]:
+        return {point.name: self._outputs.values[point.name] for point in self._rig.setpoints}
 
     def _obeyed(self) -> str:
         """What an operator is answered."""
-        said = f"{self.state} at {self._profile_s:g} s of the profile"
+        said = f"{self.state} at {self._at.profile_s:g} s of the profile"
         if self.state in HEATED:
             return said
         return said + (
@@ -266,67 +293,20 @@ class Engine:
             if state not in HEATED:
                 await self._outputs.put_safe(arm=self._supervisor.arming)
             else:
-                names = (point.name for point in self._targets)
-                targets = zip(names, self._profile.at(self._profile_s), strict=True) if state is State.RUNNING else ()
-                await self._outputs.move(dict(targets), elapsed_s)
+                await self._outputs.move(self._wanted(), elapsed_s)
         except DriverError as error:
             if state in HEATED and isinstance(error, DeviceExceptionError):
                 raise
-            self._event("WARN", str(error))
-        reason = "profile" if state is State.RUNNING else f"safe: {state}"
-        for name, value in self._outputs.values.items():
-            if value != before[name]:
-                self._journal.write(self._tick, self._time_s, name, value, reason)
+            self._told.event("WARN", str(error))
+        reason = {State.RUNNING: "profile", State.SOAKING: "soak"}.get(state, f"safe: {state}")
+        self._told.written(before, self._outputs.values, reason)
 
-    # What is told of it ------------------------------------------------------------------------
-
-    def _record(self, snapshot: Snapshot, now_s: float, began: float) -> None:
-        time_s = self._time_s
-        commanded = [self._outputs.values[point.name] for point in self._rig.setpoints]
-        values = snapshot.values + commanded
-        quality = snapshot.quality + [int(Quality.GOOD)] * len(commanded)
-        source = snapshot.source_time_s + [now_s] * len(commanded)
-        latency = time.perf_counter() - began
-        self._journal.sample(self._tick, time_s, time.time(), latency, values, quality, source)
-        self._journal.commit_if_due()
-        ticks, times, rows = self._pending
-        ticks.append(self._tick)
-        times.append(time_s)
-        rows.append([v if q == 0 else math.nan for v, q in zip(values, quality, strict=True)])
-        if self._observer is not None and time.monotonic() - self._shown > 0.2:
-            self._shown = time.monotonic()
-            self._observer(self.status())
-
-    async def _publish_if_due(self) -> None:
-        full = len(self._pending[0]) >= PUBLISH_TICKS
-        late = not self._lockstep and time.monotonic() - self._published > PUBLISH_WALL_S
-        if full or late:
-            await self._flush()
-
-    async def _flush(self) -> None:
-        block, self._pending = self._pending, ([], [], [])
-        self._published = time.monotonic()
-        if self._publisher is not None and block[0]:
-            await self._publisher.publish(*block)
-
-    def _log(self, step: Transition) -> None:
-        """Every transition: a row of the journal, an event, a line in the terminal."""
-        time_s = self._time_s
-        self._journal.state(
-            self._tick, time_s, self._profile_s, step.source.value, step.event.value, step.target.value, step.reason
-        )
-        self._event(level_of(step), f"{step.source} → {step.target}: {step.reason}")
-        if self._told is not None:
-            # A terminal that went away must not come between a fault and safe outputs.
-            with contextlib.suppress(Exception):
-                self._told(f"{time_s:8.0f} s  {step.target}: {step.reason}")
-
-    def _event(self, level: str, text: str) -> None:
-        """Record an event; a journal that fails must not keep the rig from being made safe."""
-        try:
-            self._journal.event(self._tick, self._time_s, level, text)
-        except JournalError as error:
-            self._problems.append(str(error))
+    def _wanted(self) -> dict[str, float]:
+        """Where the set-points are to go; nothing where they stay."""
+        if self._machine.state is State.RUNNING:
+            names = (point.name for point in self._targets)
+            return dict(zip(names, self._profile.at(self._at.profile_s), strict=True))
+        return self._soak.targets() if self._machine.state is State.SOAKING and self._soak is not None else {}
 
     async def _make_safe(self, outcome: Outcome) -> bool:
         safe = self._outputs.safe_values
@@ -344,11 +324,11 @@ class Engine:
                 f"the rig could not be made safe from here ({result.problem}); "
                 "its own watchdog cuts the heater, look at it before you go on"
             )
-            self._event("ERROR", text)
+            self._told.event("ERROR", text)
             outcome.problems.append(text)
         elif not result.followed:
-            self._event("WARN", f"safe values are held by the rig ({listed}), but {result.problem}")
+            self._told.event("WARN", f"safe values are held by the rig ({listed}), but {result.problem}")
             outcome.problems.append(result.problem)
         else:
-            self._event("INFO", f"safe: {listed}; read back, and the measured values have followed")
+            self._told.event("INFO", f"safe: {listed}; read back, and the measured values have followed")
         return result.written

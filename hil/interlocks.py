@@ -31,14 +31,15 @@ from hil.conditions import (
     RateOfRise,
     Residual,
     Residuals,
+    Restarted,
     RigTrip,
     Tick,
     Untrusted,
     of_heartbeat,
 )
 
-_NOT_AT_START = (RigTrip, Frozen, Disagreement, RateOfRise)
-"""Arming resets the first, the others need a history."""
+_NOT_AT_START = (RigTrip, Frozen, Restarted, Disagreement, RateOfRise)
+"""The first is asked by itself, the others need a history."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +89,9 @@ class Interlocks:
     def __init__(self, rig: Rig, points: tuple[Point, ...]) -> None:
         self._names = tuple(point.name for point in points)
         alarmed = [point for point in points if point.alarm is not None]
-        heartbeat = [] if rig.heartbeat is None else of_heartbeat(rig.heartbeat, frozenset(self._names))
+        heartbeat = of_heartbeat(rig, frozenset(self._names))
+        self._watchdog = 0 if rig.heartbeat is None else rig.heartbeat.watchdog_mask
+        self._restarts = [condition for condition in heartbeat if isinstance(condition, Restarted)]
         self._rig_trips = [condition for condition in heartbeat if isinstance(condition, RigTrip)]
         all_alarms: list[tuple[Condition, float]] = [
             *((Limit(point, *point.alarm), 0.0) for point in alarmed if point.alarm is not None),
@@ -99,12 +102,29 @@ class Interlocks:
         for spec in rig.interlock:
             self._all += _made(spec, rig)
 
-    def refusals(self, snapshot: Snapshot) -> list[str]:
-        """Alarms that stand against a start, one sentence each; nothing is latched by asking."""
+    @property
+    def restarts(self) -> int:
+        """How often the rig's program was seen to begin anew."""
+        return sum(condition.count for condition in self._restarts)
+
+    def refusals(self, snapshot: Snapshot, *, rearm: bool = False) -> list[str]:
+        """Alarms that stand against a start, one sentence each; nothing is latched by asking.
+
+        A trip of the rig's own, but for its watchdog's, is one of them unless the operator says `rearm`: arming would
+        wipe it out, and nobody would have looked.
+        """
         tick = self._tick(snapshot, 0.0, {}, {})
         alarms = (item for item in self._all if item.level == "alarm")
         said = (item.condition.judge(tick, False) for item in alarms if not isinstance(item.condition, _NOT_AT_START))
-        return list(dict.fromkeys(sentence for sentence in said if sentence is not None))
+        found = list(dict.fromkeys(sentence for sentence in said if sentence is not None))
+        for trip in () if rearm else self._rig_trips:
+            alone = RigTrip(trip.status, trip.mask & ~self._watchdog)
+            if alone.judge(tick, False) is not None:
+                found.append(
+                    f"the rig tripped by itself before ({alone.status} is {tick.good(alone.status):g}) and nobody has "
+                    "acknowledged it; look for the cause, then start with --rearm"
+                )
+        return found
 
     def judge(
         self,

@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 from drivers.points import Signal
 
 
+class JournalError(Exception):
+    """The journal cannot be written or read; the message names the file and the remedy."""
+
+
 @dataclass(frozen=True, slots=True)
 class Header:
     """What a reader must know before the first sample: the signals, and per twin sensor the columns it predicts."""
@@ -113,4 +117,22 @@ class StateRow:
     source: str
     event: str
     target: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentRow:
+    """Where a run went on after it had been cut: from `tick` on, after `gap_s` without a row.
+
+    `number` counts from 2, the run's beginning being the first. `profile_s` is where the profile's clock stood,
+    `aim_tick` the tick whose temperatures the soak led back to (a cut soak has that of the one before).
+    """
+
+    number: int
+    tick: int
+    time_s: float
+    wall_s: float
+    gap_s: float
+    profile_s: float
+    aim_tick: int
     reason: str

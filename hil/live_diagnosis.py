@@ -22,7 +22,8 @@ import numpy as np
 
 from drivers.points import ConfigurationError, Quality
 from hil.child import Child
-from hil.journal import JournalReader, JournalWriter, Samples
+from hil.journal import JournalReader, JournalWriter
+from hil.journal_rows import Samples
 
 if TYPE_CHECKING:
     from twin.discovery.basis import Columns

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from drivers.points import Quality
 from hil.atomic import replacing
 from hil.journal import JournalReader
+from hil.segments import profile_times
 
 PAGE = 16_384
 """Ticks read from the journal at a time: the rows of SQLite are Python objects, many times the size of the arrays."""
@@ -37,9 +38,11 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
 
     Columns: `time_s`, then measured signals, set-points and status signals in the rig's order, float64. A value whose
     quality is not GOOD becomes missing (the journal keeps what was received) and the signal gets a column
-    `<column>_quality`, uint8, at the end. The unit, kind, role and bus of each column go into its field's metadata;
-    `metadata` (run uid, hashes, ...), as JSON, into the schema's under `hil`, with the journal's own header. Without
-    `metadata` the `run.json` beside the journal is taken, where there is one.
+    `<column>_quality`, uint8, at the end. Where the profile's clock did not go with the record's (a run that waited, or
+    was cut and resumed) `profile_s` says where it stood, and `segment`, from 1, which rows belong together. The unit,
+    kind, role and bus of each column go into its field's metadata; `metadata` (run uid, hashes, ...), as JSON, into the
+    schema's under `hil`, with the journal's own header. Without `metadata` the `run.json` beside the journal is taken,
+    where there is one.
 
     Raises JournalError for an unreadable journal, OSError for an unwritable target.
     """
@@ -49,7 +52,10 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
     reader = JournalReader(journal)
     try:
         header = reader.header
-        time_s, values, quality = _all_samples(reader)
+        tick, time_s, values, quality = _all_samples(reader)
+        states = reader.states()
+        profile_s = profile_times(states, tick, header.period_s) if states else time_s
+        begins = [row.tick for row in reader.segments()]
     finally:
         reader.close()
     if metadata is None:
@@ -72,6 +78,11 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
         codes = ", ".join(f"{member.value} {member.name}" for member in Quality)
         fields.append(pa.field(header.signals[index].column + "_quality", pa.uint8(), metadata={"codes": codes}))
         arrays.append(pa.array(quality[:, index]))
+    if not np.allclose(profile_s, time_s):
+        fields.append(pa.field("profile_s", pa.float64(), metadata={"unit": "s"}))
+        arrays.append(pa.array(profile_s))
+        fields.append(pa.field("segment", pa.float64(), metadata={"unit": "1"}))
+        arrays.append(pa.array(1.0 + np.searchsorted(begins, tick, side="right")))
     schema = pa.schema(fields, metadata={"hil": json.dumps(about, default=str)})
     with replacing(parquet) as unfinished:
         pq.write_table(pa.Table.from_arrays(arrays, schema=schema), unfinished, compression="zstd")
@@ -86,15 +97,15 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
 
 def _all_samples(
     reader: JournalReader,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
-    """`time_s (n,)`, `values (n, k)` and `quality (n, k)` of the whole journal."""
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
+    """`tick (n,)`, `time_s (n,)`, `values (n, k)` and `quality (n, k)` of the whole journal."""
     pages = []
     after = -1
     while True:
         page = reader.samples(after_tick=after, limit=PAGE)
-        pages.append((page.time_s, page.values, page.quality))
+        pages.append((page.tick, page.time_s, page.values, page.quality))
         if len(page.tick) < PAGE:
             break
         after = int(page.tick[-1])
-    time_s, values, quality = (np.concatenate(parts) for parts in zip(*pages, strict=True))
-    return time_s, values, quality
+    tick, time_s, values, quality = (np.concatenate(parts) for parts in zip(*pages, strict=True))
+    return tick, time_s, values, quality

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from drivers.points import Quality
 from hil.adoption import accepted, closed_gates
 from hil.atomic import replacing
-from hil.journal import JournalReader, Samples
+from hil.journal import JournalReader
+from hil.journal_rows import Samples
 from hil.run_folder import RunFolder
 from hil.tracking import Proposed, parameter_cell
 
@@ -52,6 +53,7 @@ def write_report(folder: RunFolder) -> None:
         twins = {name: values for name, values in twins.items() if len(values) == len(samples.tick)}
         body = [
             _summary(manifest),
+            _segments(manifest),
             _error_table(manifest),
             _band_table(manifest),
             _parameter_table(manifest),
@@ -81,6 +83,30 @@ def _summary(manifest: dict[str, Any]) -> str:
     safe = "The heater was left at its safe value, read back." if manifest.get("safe") else "NOT confirmed safe."
     problems = "".join(f"<p class=WARN>{html.escape(problem)}</p>" for problem in manifest.get("problems", []))
     return f"<p><b>{manifest['exit_status']}</b>{reason}. {safe}</p>{problems}"
+
+
+def _segments(manifest: dict[str, Any]) -> str:
+    segments = manifest.get("segments")
+    if not segments:
+        return ""
+    rows = [
+        [
+            str(item["number"]),
+            f"{item['from_s'] / 3600:.3f}",
+            f"{item['gap_s'] / 60:.1f}",
+            f"{item.get('soaked_s', float('nan')) / 60:.1f}",
+            f"{item['profile_s'] / 3600:.3f}",
+            item["why"],
+            " ".join(filter(None, (item["exit_status"], item.get("reason", "")))),
+        ]
+        for item in segments
+    ]
+    head = ["segment", "from / h", "gap before / min", "soaked / min", "profile / h", "why", "ended"]
+    note = (
+        "The run was cut and resumed. Nothing is known of the gaps: curves and errors leave them out. The profile's "
+        "clock stood while the rig was led back to where it was; the samples of that time are in the record."
+    )
+    return f"<h2>Segments</h2>{_table(head, rows)}<p class=note>{note}</p>"
 
 
 def _error_table(manifest: dict[str, Any]) -> str:
@@ -140,7 +166,9 @@ def _pictures(reader: JournalReader, samples: Samples, twins: dict[str, NDArray[
         return ""
     from matplotlib.figure import Figure
 
-    measured = measured_sensors(reader, samples)
+    cuts = np.searchsorted(samples.tick, [row.tick for row in reader.segments()])
+    measured = {sensor: _broken(values, cuts) for sensor, values in measured_sensors(reader, samples).items()}
+    twins = {name: _broken(values, cuts) for name, values in twins.items()}
     hours = samples.time_s / 3600
     step = max(1, len(hours) // 4000)
     figure = Figure(figsize=(11, 2.6 * len(measured) + 2.2), layout="constrained")
@@ -162,6 +190,15 @@ def _pictures(reader: JournalReader, samples: Samples, twins: dict[str, NDArray[
     rows[-1].grid(alpha=0.25)
     residual = _residuals(hours, measured, twins)
     return f"<h2>Measured against twin</h2>{_embedded(figure)}<h2>Residual, means of five minutes</h2>{residual}"
+
+
+def _broken(values: NDArray[np.float64], cuts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """`values` with the curve broken before each of `cuts`, for longer than what a picture skips."""
+    broken = values.copy()
+    step = max(1, len(values) // 4000)
+    for cut in cuts.tolist():
+        broken[cut : cut + step] = np.nan
+    return broken
 
 
 def _residuals(
@@ -215,11 +252,12 @@ def _timing(manifest: dict[str, Any], reader: JournalReader) -> str:
         return ""
     p50, p99 = np.percentile(latency, [50, 99])
     header = reader.header
-    factor = len(latency) * header.period_s / manifest["wall_s"] if manifest.get("wall_s") else float("nan")
+    factor = len(latency) * header.period_s / reader.wall_s()
     rows = [
         ["ticks", f"{len(latency)}"],
         ["work in a tick, median / 99 % / longest", f"{p50:.2f} / {p99:.2f} / {latency.max():.2f} ms"],
         ["ticks that began late", f"{manifest.get('overruns', 0)}"],
+        ["restarts of the rig's program", f"{manifest.get('rig_restarts', 0)}"],
         ["times real time", f"{factor:.1f}"],
     ]
     return f"<h2>Timing</h2>{_table(['', ''], rows)}"

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
+import fcntl
 import json
+import os
 import platform
 import shutil
 import sys
 import uuid
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -84,6 +88,26 @@ class RunFolder:
             ) from error
         return document
 
+    @contextlib.contextmanager
+    def owned(self) -> Iterator[None]:
+        """Hold the folder as the one run that goes on in it; raises RunFolderError where another process does.
+
+        The kernel lets go of it with the process, whatever ends that. A file system without locks is trusted.
+        """
+        handle = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise RunFolderError(
+                    f"{self.path} is a run that still goes on; ask it with `hil ctl status {self.path}`"
+                ) from None
+            except OSError:
+                pass
+            yield
+        finally:
+            os.close(handle)
+
     def write_manifest(self, document: dict[str, Any]) -> None:
         """Write `run.json` in one step."""
         with replacing(self.manifest) as temporary:
@@ -102,13 +126,22 @@ def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
         except OSError as error:
             raise RunFolderError(f"{path} cannot be made ({error}); choose another folder with --runs") from error
         break
+    try:
+        require_room(path, ticks)
+    except RunFolderError:
+        path.rmdir()
+        raise
+    return RunFolder(path)
+
+
+def require_room(path: Path, ticks: int) -> None:
+    """Raise RunFolderError where the disk of `path` has no room for so many ticks."""
     free, needed = shutil.disk_usage(path).free, ticks * BYTES_PER_TICK
     if free < needed:
-        path.rmdir()
         raise RunFolderError(
-            f"{parent} has {free / 1e6:.0f} MB free, this run may need {needed / 1e6:.0f} MB; free some or use --runs"
+            f"{path.parent} has {free / 1e6:.0f} MB free, this run may need {needed / 1e6:.0f} MB; "
+            "free some or use --runs"
         )
-    return RunFolder(path)
 
 
 def new_manifest(files: dict[str, Path | None], **settings: Any) -> dict[str, Any]:
@@ -126,7 +159,10 @@ def new_manifest(files: dict[str, Path | None], **settings: Any) -> dict[str, An
             **{name: metadata.version(name) for name in LIBRARIES},
         },
         "files": {
-            name: {"path": str(path), "sha256": file_sha256(path)} for name, path in files.items() if path is not None
+            name: {"path": str(path.absolute()), "sha256": file_sha256(path)}
+            for name, path in files.items()
+            if path is not None
         },
         "settings": settings,
+        "segments": [],
     }

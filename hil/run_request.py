@@ -28,7 +28,8 @@ class RunRequest:
 
     `twin` None takes the twin that the rig file names, if any; `use_twin` False runs without one. `calibrators` None
     takes the usual ones, without those that there are not for this twin. `network_mode`: see `hil.adoption`. `control`
-    is the control port of a virtual rig in lockstep that runs already, at the rig file's addresses. `diagnose_s`:
+    is the control port of a virtual rig in lockstep that runs already, at the rig file's addresses. `rearm`: whether a
+    trip that the rig brings along is acknowledged. `diagnose_s`:
     seconds of profile time between diagnoses of the record so far, against the record `healthy`; `adopt` saves what
     they find.
     """
@@ -47,6 +48,7 @@ class RunRequest:
     viewer: bool | None = None
     use_twin: bool = True
     control: tuple[str, int] | None = None
+    rearm: bool = False
     diagnose_s: float | None = None
     healthy: Path | None = None
     adopt: bool = False

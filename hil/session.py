@@ -4,30 +4,34 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import datetime
 import shutil
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from drivers.points import Signal
 from drivers.rig import RigConnection
-from drivers.rigfile import ModbusTcpBus, Rig
+from drivers.rigfile import Rig
 from hil import adoption
 from hil.adoption import Adoption
-from hil.clock import Clock, LockstepClock, MonotonicClock
 from hil.control import serving
-from hil.engine import Engine, Outcome, Publisher, Status
+from hil.engine import Engine, Outcome, Status
 from hil.journal import Header, JournalReader, JournalWriter
 from hil.live_diagnosis import LiveConfig, LiveDiagnosis, Reply
+from hil.manifest import ended, files_of, how_it_stopped, settings_of
 from hil.record import export_record, read_record
-from hil.run_folder import RunFolder, create_run_folder, new_manifest
+from hil.recording import Publisher
+from hil.restoring import restore
+from hil.resuming import standing
+from hil.rig_time import rig_and_clock
+from hil.run_folder import RunFolder, create_run_folder, new_manifest, require_room
 from hil.run_request import Prepared, RunRequest, prepare, tracking_config
+from hil.segments import Resumption
 from hil.signals import interrupted, stopping
+from hil.soaking import SoakRule
+from hil.states import ENDED, State
 from hil.tracking import STATIC, Comparison, Proposed, Twins
 from hil.tracking_process import Tracking
-
-HICCUP_S = 0.25
-"""Wall time that a busy machine may lose now and then: in scaled time it must not look like a lost sensor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,37 +65,47 @@ async def run_session(
             stack.push_async_callback(tracking.close)
             for name, why in tracking.left_out.items():
                 announce(f"{name} is left out: {why}")
-        folder = create_run_folder(
-            request.runs, request.profile.stem, int(ready.profile.duration_s / ready.rig.period_s) + 1
-        )
-        manifest = new_manifest(
-            {
-                "rig": request.rig,
-                "profile": request.profile,
-                "twin": ready.twin,
-                "effects": request.effects,
-                "healthy": request.healthy,
-            },
-            mode=request.mode,
-            speed=request.speed,
-            virtual=request.virtual,
-            seed=request.seed,
-            calibrators=[] if tracking is None else list(tracking.calibrators),
-            left_out={} if tracking is None else tracking.left_out,
-            network_mode=request.network_mode,
-        )
+        folder = create_run_folder(request.runs, request.profile.stem, _ticks(ready))
+        stack.enter_context(folder.owned())
+        manifest = new_manifest(files_of(request, ready), **settings_of(request, tracking))
         folder.write_manifest(manifest)
         if ready.twin is not None:
             shutil.copyfile(ready.twin, folder.twin)
-        try:
-            return await _run_in(folder, manifest, request, ready, tracking, observer, announce)
-        except BaseException as error:
-            # A disk that is full must not hide why the run ended.
-            with contextlib.suppress(OSError):
-                folder.write_manifest(
-                    manifest | {"exit_status": "faulted", "reason": f"{type(error).__name__}: {error}"}
-                )
-            raise
+        return await _guarded(_Run(folder, manifest, request, ready, tracking, observer, announce))
+
+
+async def resume_session(
+    folder: RunFolder,
+    request_of: Callable[[dict[str, Any]], RunRequest],
+    rule: SoakRule,
+    observer: Callable[[Status], None] | None = None,
+    announce: Callable[[str], None] = lambda text: None,
+) -> RunResult:
+    """Go on with the run in `folder` that was cut, as `request_of` its manifest, and derive everything anew.
+
+    Raises what `run_session` raises, and RunFolderError where the run still goes on or cannot go on.
+    """
+    async with contextlib.AsyncExitStack() as stack:
+        stack.enter_context(folder.owned())
+        manifest = folder.read_manifest()
+        request = request_of(manifest)
+        ready = prepare(request)
+        was = standing(folder)
+        require_room(folder.path, _ticks(ready))
+        folder.control.unlink(missing_ok=True)
+        tracking = await _start_tracking(request, ready)
+        if tracking is not None:
+            stack.push_async_callback(tracking.close)
+        reason = how_it_stopped(manifest, was)
+        announce(f"{reason} at {was.profile_s / 3600:.3f} h of {ready.profile.duration_s / 3600:.2f} h of the profile")
+        resumption = Resumption(was, rule, reason, request.speed if request.mode == "scaled" else 1.0)
+        manifest |= {"exit_status": "running", "reason": "", "ended": None}
+        folder.write_manifest(manifest)
+        return await _guarded(_Run(folder, manifest, request, ready, tracking, observer, announce, resumption))
+
+
+def _ticks(ready: Prepared) -> int:
+    return int(ready.profile.duration_s / ready.rig.period_s) + 1
 
 
 def check_session(request: RunRequest) -> Prepared:
@@ -104,31 +118,57 @@ def check_session(request: RunRequest) -> Prepared:
     return replace(ready, notes=(*ready.notes, *(f"{name} is left out: {why}" for name, why in left_out.items())))
 
 
-async def _run_in(
-    folder: RunFolder,
-    manifest: dict[str, Any],
-    request: RunRequest,
-    ready: Prepared,
-    tracking: Tracking | None,
-    observer: Callable[[Status], None] | None,
-    announce: Callable[[str], None],
-) -> RunResult:
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Everything about a run that is ready to begin, or with `resumption` to go on."""
+
+    folder: RunFolder
+    manifest: dict[str, Any]
+    request: RunRequest
+    ready: Prepared
+    tracking: Tracking | None
+    observer: Callable[[Status], None] | None
+    announce: Callable[[str], None]
+    resumption: Resumption | None = None
+
+
+async def _guarded(run: _Run) -> RunResult:
+    """The run, and a manifest that says so where it cannot even end in order."""
+    try:
+        return await _run_in(run)
+    except BaseException as error:
+        failed = {"exit_status": "faulted", "reason": f"{type(error).__name__}: {error}"}
+        # A disk that is full must not hide why the run ended.
+        with contextlib.suppress(OSError):
+            run.folder.write_manifest(run.manifest | failed)
+        raise
+
+
+async def _run_in(run: _Run) -> RunResult:
     """The run itself, in its folder."""
+    folder, manifest, request, ready = run.folder, run.manifest, run.request, run.ready
+    tracking, announce, resumption = run.tracking, run.announce, run.resumption
     loop = asyncio.get_running_loop()
-    began = loop.time()
     async with contextlib.AsyncExitStack() as stack:
-        rig, clock = await stack.enter_async_context(_rig_and_clock(request, ready.rig, announce))
-        connection = RigConnection(rig, clock.now)
-        header = _header(connection, ready, () if tracking is None else tracking.calibrators)
-        journal = JournalWriter(folder.journal, header)
+        header = _header(ready, () if tracking is None else tracking.calibrators)
+        journal = JournalWriter(folder.journal, header, again=resumption is not None)
         stack.callback(journal.close)
-        if ready.network is not None:
+        if resumption is not None and State(resumption.standing.state) not in ENDED:
+            was = resumption.standing
+            journal.state(was.tick, was.time_s, was.profile_s, was.state, "cut", State.IDLE.value, resumption.reason)
+        if tracking is not None and resumption is not None:
+            tracking = await _restored(stack, run, tracking, journal)
+        began = loop.time()
+        starts_s = 0.0 if resumption is None else resumption.first_tick(ready.rig.period_s) * ready.rig.period_s
+        rig, clock = await stack.enter_async_context(rig_and_clock(request, ready.rig, starts_s, announce))
+        connection = RigConnection(rig, clock.now)
+        if ready.network is not None and resumption is None:
             parameters = ready.network.parameters
             journal.put_meta("commissioned", {name: p.value for name, p in parameters.items()})
             journal.put_meta("parameter_units", {name: p.unit for name, p in parameters.items()})
         if tracking is not None:
             tracking.attach(journal)
-            for name, why in tracking.left_out.items():
+            for name, why in tracking.left_out.items() if resumption is None else ():
                 journal.event(0, 0.0, "INFO", f"{name} is left out: {why}")
         live = _start_diagnosis(request, folder, journal, announce)
         if live is not None:
@@ -140,10 +180,12 @@ async def _run_in(
             ready.profile,
             journal,
             publisher=_Publishers(tuple(p for p in (tracking, live) if p is not None)),
-            observer=observer,
+            observer=run.observer,
             told=announce,
             residuals=dict if tracking is None else tracking.off_K,
             lockstep=request.mode == "lockstep",
+            resumption=resumption,
+            rearm=request.rearm,
         )
         async with serving(folder.control, engine, announce):
             with stopping(engine):
@@ -156,16 +198,7 @@ async def _run_in(
             announce("diagnosing the whole run (Ctrl-C skips it)")
             with interrupted(live.give_up):
                 told = await live.finish(folder.diagnosis)
-        manifest |= {
-            "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            "exit_status": outcome.status,
-            "reason": outcome.reason,
-            "safe": outcome.safe,
-            "trips": outcome.trips,
-            "ticks": outcome.ticks,
-            "overruns": outcome.overruns,
-            "wall_s": round(wall_s, 2),
-            "problems": outcome.problems,
+        manifest |= ended(folder, manifest, outcome, resumption, wall_s) | {
             "errors_K": None if comparison is None else asdict(comparison.errors),
             "bands": None if comparison is None else comparison.bands,
             "parameters": None if comparison is None else comparison.parameters,
@@ -193,6 +226,25 @@ async def _run_in(
     return RunResult(folder, outcome, comparison, duration_s, wall_s, follower, told, adopted)
 
 
+async def _restored(
+    stack: contextlib.AsyncExitStack, run: _Run, tracking: Tracking, journal: JournalWriter
+) -> Tracking:
+    """The calibrators with all that they knew; where that fails they start anew, and that is said."""
+    assert run.resumption is not None
+    was = run.resumption.standing
+    run.announce("restoring the calibrators from the journal")
+    await restore(tracking, journal, run.folder.journal, run.announce)
+    if not tracking.failures:
+        return tracking
+    said = f"the calibrators could not be restored and start anew: {'; '.join(tracking.failures)}"
+    run.announce(said)
+    journal.event(was.tick, was.time_s, "WARN", said)
+    anew = await _start_tracking(run.request, run.ready)
+    assert anew is not None
+    stack.push_async_callback(anew.close)
+    return anew
+
+
 def _adopted(request: RunRequest, folder: RunFolder) -> Adoption | None:
     """In controlled mode, what was accepted as the next revision of the run's twin."""
     if request.network_mode != "controlled" or not folder.twin.is_file():
@@ -206,57 +258,10 @@ def _adopted(request: RunRequest, folder: RunFolder) -> Adoption | None:
     return adoption.adopt(folder.twin, read_record(folder.record), proposals, made_by)
 
 
-@contextlib.asynccontextmanager
-async def _rig_and_clock(
-    request: RunRequest, rig: Rig, announce: Callable[[str], None]
-) -> AsyncIterator[tuple[Rig, Clock]]:
-    if request.control is not None:
-        lockstep = LockstepClock(*request.control)
-        await lockstep.connect()
-        yield rig, lockstep
-        return
-    if not request.virtual:
-        yield rig, MonotonicClock(rig.period_s)
-        return
-    from drivers.virtual.rig import start_virtual_rig
-
-    hidden = f" with effects that no twin knows of ({request.effects})" if request.effects is not None else ""
-    announce(f"starting the virtual rig{hidden}")
-    virtual = await start_virtual_rig(
-        seed=request.seed,
-        mode=request.mode,
-        speed=request.speed,
-        period_s=rig.period_s,
-        effects=request.effects,
-    )
-    try:
-        ports = {
-            name: virtual.modbus_port if isinstance(bus, ModbusTcpBus) else virtual.can_port
-            for name, bus in rig.bus.items()
-        }
-        if request.mode == "lockstep":
-            lockstep = LockstepClock("127.0.0.1", virtual.control_port)
-            await lockstep.connect()
-            yield rig.with_ports(ports), lockstep
-        else:
-            patient = _patient(rig, request.speed) if request.mode == "scaled" else rig
-            yield patient.with_ports(ports), MonotonicClock(rig.period_s, request.speed)
-    finally:
-        await virtual.stop()
-
-
-def _patient(rig: Rig, speed: float) -> Rig:
-    """`rig` with its staleness limits, which are in rig time, widened by a hiccup of the machine."""
-    hiccup_s = HICCUP_S * speed
-    points = tuple(p.model_copy(update={"stale_after_s": p.stale_after_s + hiccup_s}) for p in rig.point)
-    return rig.model_copy(update={"point": points, "abort_after_s": rig.abort_after_s + hiccup_s})
-
-
-def _header(connection: RigConnection, ready: Prepared, calibrators: tuple[str, ...]) -> Header:
+def _header(ready: Prepared, calibrators: tuple[str, ...]) -> Header:
     network = ready.network
-    setpoints = tuple(point.as_signal() for point in ready.rig.setpoints)
     return Header(
-        signals=connection.signals + setpoints,
+        signals=_signals(ready.rig),
         twin_sensors={} if network is None else dict(network.sensor_columns),
         twin_names=() if network is None else (STATIC, *calibrators),
         profile=ready.profile.name,
@@ -266,9 +271,13 @@ def _header(connection: RigConnection, ready: Prepared, calibrators: tuple[str, 
     )
 
 
+def _signals(rig: Rig) -> tuple[Signal, ...]:
+    """What is polled, then what is commanded."""
+    return RigConnection(rig, lambda: 0.0).signals + tuple(point.as_signal() for point in rig.setpoints)
+
+
 async def _start_tracking(request: RunRequest, ready: Prepared) -> Tracking | None:
-    signals = RigConnection(ready.rig, lambda: 0.0).signals + tuple(p.as_signal() for p in ready.rig.setpoints)
-    config = tracking_config(request, ready, tuple(signal.column for signal in signals))
+    config = tracking_config(request, ready, tuple(signal.column for signal in _signals(ready.rig)))
     if config is None or ready.network is None:
         return None
     advise = None if request.network_mode == "shadow" else adoption.Advice(ready.network).news

@@ -5,9 +5,10 @@ keeps the outputs; `suspended` is the process's, and ends by itself. `paused` is
 safe outputs. Terms of the rig's outputs:
 
     running                      moved towards the profile, no faster than the slew rates
+    soaking                      at their safe values until armed; of a run that was cut, moved so as to lead the rig
+                                 back to where it was, no faster than the slew rates
     held                         kept as they are
     paused, suspended, finishing at their safe values
-    soaking                      at their safe values, armed, waiting for the rig
     idle, validating, connecting untouched
     done, aborted, faulted       left at their safe values
 
@@ -73,6 +74,9 @@ TABLE: dict[tuple[State, Event], State] = {
     # What an operator stopped does not go on by itself when a warning has gone.
     (_S.HELD, _E.WARN): _S.PAUSED,
     (_S.SUSPENDED, _E.CLEAR): _S.RUNNING,
+    # A rig that is led back does not go on with the profile because a warning has gone.
+    (_S.SOAKING, _E.WARN): _S.SUSPENDED,
+    (_S.SUSPENDED, _E.SOAK): _S.SOAKING,
     **{(state, _E.TRIP): _S.PAUSED for state in (_S.RUNNING, _S.HELD, _S.SUSPENDED, _S.PAUSED)},
     (_S.RUNNING, _E.COMPLETE): _S.FINISHING,
     **{
@@ -93,7 +97,7 @@ UNTOUCHED = frozenset({State.IDLE, State.VALIDATING, State.CONNECTING})
 ENDED = frozenset({State.DONE, State.ABORTED, State.FAULTED})
 LIVE = frozenset({State.RUNNING, State.HELD, State.PAUSED, State.SUSPENDED})
 """States in which the loop ticks."""
-HEATED = frozenset({State.RUNNING, State.HELD})
+HEATED = frozenset({State.SOAKING, State.RUNNING, State.HELD})
 """The only states in which an output may be away from its safe value."""
 WAITING = frozenset({State.HELD, State.PAUSED})
 """States that a person ends."""

@@ -2,7 +2,8 @@
 
 Operators come first, interlocks have the last word. A trip ends the run, unless the rig file lets it wait for an
 acknowledgement (`acknowledge_within_s`): then the run is paused, and nothing moves until the trip is acknowledged with
-its cause gone, the rig armed again, and the run resumed.
+its cause gone, the rig armed again, and the run resumed. A rig that is led back to where a run was cut is not waited
+for: the run can be resumed again.
 """
 
 from __future__ import annotations
@@ -38,7 +39,10 @@ class Supervisor:
         self.machine = Machine(log)
         self.interlocks = Interlocks(rig, points)
         self.hurried = False
+        self.soaks = False  # whether a rig is led back to where a run was cut
         self._waits_s = rig.acknowledge_within_s
+        self._suspends_s = rig.suspend_at_most_s
+        self._suspended_s: float | None = None
         self._note = note
         self._desk = Desk()
         self._obeyed: list[Request] = []
@@ -79,8 +83,9 @@ class Supervisor:
         if verb is Verb.ABORT:
             self.request_stop(reason)
             return "aborting: the outputs go to their safe values; the run's own terminal says when they are there"
-        if self.state not in LIVE:
-            raise RefusedError(f"a run that is {self.state} can only be aborted")
+        if self.state not in LIVE or self.soaks:
+            what = "leads its rig back to where it was cut" if self.soaks else f"is {self.state}"
+            raise RefusedError(f"a run that {what} can only be aborted")
         return await self._desk.ask(verb, reason)
 
     def step(
@@ -90,7 +95,7 @@ class Supervisor:
         judgement = self.interlocks.judge(snapshot, now_s, commanded, residuals)
         self._acknowledge()
         self._obey(judgement)
-        return self._protect(self.interlocks.standing(), now_s) or self.stop
+        return self._protect(self.interlocks.standing(), now_s) or self._overdue(now_s) or self.stop
 
     def answer(self, said: str) -> None:
         """Tell operators what came of what they asked, now that it is written."""
@@ -132,11 +137,22 @@ class Supervisor:
         elif left == 0:
             request.refuse(f"still there: {'; '.join(stay)}")
 
+    def _overdue(self, now_s: float) -> End | None:
+        """The end of a run that a warning has suspended for too long."""
+        if self.state is not State.SUSPENDED:
+            self._suspended_s = None
+            return None
+        self._suspended_s = now_s if self._suspended_s is None else self._suspended_s
+        if self._suspends_s <= 0 or now_s - self._suspended_s <= self._suspends_s:
+            return None
+        why = "; ".join(self.interlocks.standing().warnings) or self.machine.reason
+        return Event.FAIL, f"{why}; suspended for longer than {self._suspends_s:g} s"
+
     def _protect(self, judgement: Judgement, now_s: float) -> End | None:
         trips = judgement.trips
         if trips:
             said = trips[0] + (f" (and {len(trips) - 1} more)" if len(trips) > 1 else "")
-            if self._waits_s <= 0:
+            if self._waits_s <= 0 or self.soaks:
                 return Event.FAIL, said
             if not self._trips:
                 self._tripped_s = now_s
@@ -148,5 +164,5 @@ class Supervisor:
         elif judgement.warnings and self.state in HEATED:
             self.machine.take(Event.WARN, "; ".join(judgement.warnings))
         elif not judgement.warnings and self.state is State.SUSPENDED:
-            self.machine.take(Event.CLEAR, "all warnings are gone")
+            self.machine.take(Event.SOAK if self.soaks else Event.CLEAR, "all warnings are gone")
         return None

@@ -178,7 +178,7 @@ class LiveRun:
     def update(self, status: Status) -> None:
         """Called by the engine a few times a second."""
         if self._steps is None:
-            self._steps = Steps("replaying", status.duration_s, quiet=self._quiet)
+            self._steps = Steps("replaying", status.duration_s, quiet=self._quiet, begun=status.profile_s)
             self._steps.__enter__()
         temperatures = "  ".join(
             f"{name.removeprefix('T_')} {value:.1f}"
@@ -188,6 +188,9 @@ class LiveRun:
         power = status.values.get("heater_power")
         heater = f"{power:.0f} W  " if power is not None else ""
         state = "" if status.state == "running" else f"{status.state.upper()}  "
+        if status.state == "soaking":
+            self._steps.update(status.profile_s, f"SOAKING  {status.reason}")
+            return
         self._steps.update(status.profile_s, f"{state}{hours(status.profile_s)}  {heater}{temperatures} °C")
 
     def show_result(self, result: RunResult) -> None:

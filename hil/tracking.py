@@ -165,6 +165,11 @@ class Twins:
                     found[twin, sensor] = float(good.mean())
         return found
 
+    def begin_again(self) -> None:
+        """After a time in which nobody saw the rig; see `TwinTracker.begin_again`."""
+        for tracker in self._trackers.values():
+            tracker.begin_again()
+
     def over(
         self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]], rows: int
     ) -> Iterator[tuple[int, Block]]:

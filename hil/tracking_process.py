@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from hil.child import Child
-from hil.journal import JournalWriter
+from hil.results import Results
 from hil.tracking import Block, Comparison, Proposed, TrackingConfig, Twins, disturbance
 
 MOST_OUTSTANDING = 4
@@ -28,6 +28,8 @@ FINISH_TIMEOUT_S = 120.0
 CLOSE_TIMEOUT_S = 5.0
 
 Ticks = tuple[list[int], list[float], list[list[float]]]
+GAP: Ticks = ([], [], [])
+"""In place of a block: nobody saw the rig since the one before."""
 
 
 class TrackingError(Exception):
@@ -56,6 +58,9 @@ def _serve(connection: Connection, config: TrackingConfig) -> None:
         twins = Twins(config)
         connection.send(_Ready(twins.calibrators, twins.left_out))
         while (ticks := connection.recv()) is not None:
+            if ticks == GAP:
+                twins.begin_again()
+                continue
             numbers, time_s, rows = ticks
             table = np.asarray(rows, dtype=np.float64)
             columns = {name: table[:, index] for index, name in enumerate(config.columns)}
@@ -100,7 +105,7 @@ class TrackingProcess:
         self.off_K: dict[tuple[str, str], float] = {}
         self._speaks = speaks
         self._advise = advise
-        self._journal: JournalWriter | None = None
+        self._journal: Results | None = None
         self._queue: deque[Ticks] = deque()
         self._outstanding = 0
         self._room = asyncio.Event()
@@ -140,7 +145,7 @@ class TrackingProcess:
         """Id of the process while it lives."""
         return None if self._child is None else self._child.pid
 
-    def attach(self, journal: JournalWriter) -> None:
+    def attach(self, journal: Results) -> None:
         """Where results go; before the first block."""
         self._journal = journal
 
@@ -158,13 +163,31 @@ class TrackingProcess:
         except TimeoutError:
             self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
 
+    def begin_again(self) -> None:
+        """After a time in which nobody saw the rig: what comes next says anew where it stands."""
+        self.off_K = {}
+        if self._failure is None and self._child is not None:
+            self._queue.append(GAP)
+            self._pump()
+
+    async def settled(self) -> None:
+        """Wait for the results of all that was handed over; a process that takes too long counts as failed."""
+        try:
+            async with asyncio.timeout(FINISH_TIMEOUT_S):
+                await self._caught_up()
+        except TimeoutError:
+            self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
+
+    async def _caught_up(self) -> None:
+        while self._failure is None and (self._queue or self._outstanding):
+            self._room.clear()
+            await self._room.wait()
+
     async def finish(self) -> Comparison | None:
         """Wait for all results and end the process; how the twins compare, or None where the calibrators failed."""
         try:
             async with asyncio.timeout(FINISH_TIMEOUT_S):
-                while self._failure is None and (self._queue or self._outstanding):
-                    self._room.clear()
-                    await self._room.wait()
+                await self._caught_up()
                 if self._failure is None and self._child is not None:
                     self._child.connection.send(None)
                     while self._failure is None and self._comparison is None:
@@ -184,8 +207,9 @@ class TrackingProcess:
         assert self._child is not None
         try:
             while self._queue and self._outstanding < MOST_OUTSTANDING:
-                self._child.connection.send(self._queue.popleft())
-                self._outstanding += 1
+                ticks = self._queue.popleft()
+                self._child.connection.send(ticks)
+                self._outstanding += ticks != GAP
         except OSError as error:
             self._fail(str(error))
 
@@ -293,7 +317,7 @@ class Tracking:
         """Those that do not, and why."""
         return {name: why for process in self._all for name, why in process.left_out.items()}
 
-    def attach(self, journal: JournalWriter) -> None:
+    def attach(self, journal: Results) -> None:
         """Where results go; before the first block."""
         for process in self._all:
             process.attach(journal)
@@ -302,6 +326,16 @@ class Tracking:
         """Hand a block to every process."""
         for process in self._running():
             await process.publish(ticks, time_s, rows)
+
+    def begin_again(self) -> None:
+        """Tell every process that nobody saw the rig since the last block."""
+        for process in self._running():
+            process.begin_again()
+
+    async def settled(self) -> None:
+        """Wait until every process has answered all that it was handed."""
+        for process in self._running():
+            await process.settled()
 
     async def finish(self) -> Comparison | None:
         """Wait for all results; how the twins compare, without those that failed."""

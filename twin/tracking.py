@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.calibrators import Calibration, Calibrator, make
-from twin.calibrators.base import Follower, Proposer, Window, from_plain, plain
+from twin.calibrators.base import Follower, Proposer, Restarter, Window, from_plain, plain
 from twin.calibrators.locate import Localiser
 from twin.calibrators.outcome import skip
 from twin.calibrators.windows import assemble, last_of_window, window_index
@@ -165,6 +165,17 @@ class TwinTracker:
         for name, sigma in zip(rows, self.network.sigma.tolist(), strict=True):
             rows[name]["noise"] = sigma
         return rows
+
+    def begin_again(self) -> None:
+        """After a time in which nobody saw the rig: the next samples say anew where it stands, as the first ones did.
+
+        Parameters and all that the calibrator has learned stay; the window under way is not calibrated.
+        """
+        self._origin, self._pace, self._window, self._cycles = None, 0.0, 0, 0
+        self._seen[:] = 0.0
+        self._buffer = _Buffer()
+        if isinstance(self.calibrator, Restarter):
+            self.calibrator.begin_again()
 
     def _advancing(self, t: Array) -> np.ndarray:
         """Positions of the samples whose stamp is finite and later than all before it."""

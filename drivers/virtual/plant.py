@@ -23,11 +23,12 @@ class Plant:
         period_s: float = 1.0,
         effects: tuple[Effect, ...] = (),
         start_C: float | None = None,
+        start_s: float = 0.0,
         cells: Cells | None = None,
     ) -> None:
-        """`cells`: another rig than the built one, of the same sections."""
+        """`cells`: another rig than the built one, of the same sections. `start_s`: rig time at the beginning."""
         self.period_s = period_s
-        self.steps = 0
+        self.steps = round(start_s / period_s)
         self._cells = build_cells() if cells is None else cells
         self._room = Room(seed, period_s)
         self._physics = EffectPhysics(effects, self._cells)
@@ -37,7 +38,8 @@ class Plant:
         self._film = np.ones(self._cells.film_exponent.size)
         self.inputs: Array = np.zeros(k.INPUTS)
         neutral_inputs(self.inputs)
-        self.ambient_C = self._room.step(0.0)
+        for step in range(self.steps + 1):
+            self.ambient_C = self._room.step(step * period_s)
         start = self.ambient_C if start_C is None else start_C
         self.enthalpy: Array = np.full(CELLS, enthalpy_of(start))
         self.solid: Array = np.full(CELLS, start)

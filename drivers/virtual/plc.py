@@ -1,6 +1,6 @@
 """Process 1 of the virtual rig: the plant, its PLC's Modbus/TCP server, and the control port.
 
-python -m drivers.virtual.plc [--mode real|scaled|lockstep] [--speed N] [--period S] [--seed N]
+python -m drivers.virtual.plc [--mode real|scaled|lockstep] [--speed N] [--period S] [--seed N] [--start S]
     [--with EFFECTS.toml] [--host H] [--modbus-port P] [--control-port P] [--link-fd FD] [--truth FILE]
     [--tls-certificate PEM --tls-key PEM --tls-ca PEM]
 """
@@ -35,12 +35,19 @@ class Plc:
     """One period: interlocks, plant, read-backs, registers, temperatures to the module. Owns rig time."""
 
     def __init__(
-        self, mode: str, period_s: float, speed: float, seed: int, effects: tuple[Effect, ...], unit: int | None = None
+        self,
+        mode: str,
+        period_s: float,
+        speed: float,
+        seed: int,
+        effects: tuple[Effect, ...],
+        unit: int | None = None,
+        start_s: float = 0.0,
     ) -> None:
         self.mode, self.period_s = mode, period_s
         self._wall_period_s = period_s / speed if mode == "scaled" else period_s
         self.registers = Registers()
-        self.plant = Plant(seed=seed, period_s=period_s, effects=effects)
+        self.plant = Plant(seed=seed, period_s=period_s, effects=effects, start_s=start_s)
         self._instruments = Instruments(seed, period_s, effects, unit)
         self.stop = asyncio.Event()
         self.controller: ControlConnection | None = None
@@ -197,7 +204,9 @@ def tls_context(certificate: Path, key: Path, ca: Path) -> ssl.SSLContext:
 async def run(arguments: argparse.Namespace) -> int:
     """Serve until told to stop."""
     effects = load_effects(arguments.effects) if arguments.effects else ()
-    plc = Plc(arguments.mode, arguments.period, arguments.speed, arguments.seed, effects, arguments.unit)
+    plc = Plc(
+        arguments.mode, arguments.period, arguments.speed, arguments.seed, effects, arguments.unit, arguments.start
+    )
     if arguments.truth is not None:
         plc.keep_truth(arguments.truth)
     tls = None
@@ -236,6 +245,7 @@ def main() -> int:
     parser.add_argument("--speed", type=float, default=1.0, help="how many times faster, in scaled mode")
     parser.add_argument("--period", type=float, default=1.0, help="plant period in s of rig time")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--start", type=float, default=0.0, help="rig time in s at which it is switched on, cold")
     parser.add_argument("--unit", type=int, help="specimen whose sensors' offsets these are; default: the seed's")
     parser.add_argument("--with", dest="effects", type=Path, help="file of effects")
     parser.add_argument("--truth", type=Path, help="keep what is true in this file")

@@ -161,14 +161,16 @@ async def start_virtual_rig(
     unit: int | None = None,
     truth: Path | None = None,
     tls: tuple[Path, Path, Path] | None = None,
+    start_s: float = 0.0,
 ) -> VirtualRig:
     """Start plant and PLC in one process, thermocouple module and CAN bus in another; return when both serve.
 
     Ports of 0 are chosen by the system. `unit` is the specimen: the same one has the same sensors' offsets, whatever
-    the seed; by default another one for every seed. What is true is kept in the file `truth` (see
-    `drivers.virtual.truth`). With `tls`, files of certificate, key and certificate authority, Modbus is served over TLS
-    to clients that have a certificate of that authority. Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`,
-    and `ValueError` for arguments that make no rig.
+    the seed; by default another one for every seed. `start_s` is its clock at the start: room and effects are as then,
+    the rig itself is cold. What is true is kept in the file `truth` (see `drivers.virtual.truth`). With `tls`, files of
+    certificate, key and certificate authority, Modbus is served over TLS to clients that have a certificate of that
+    authority. Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and `ValueError` for arguments that make
+    no rig.
     """
     if mode not in ("real", "scaled", "lockstep"):
         raise ValueError(f"mode is {mode!r}; use real, scaled or lockstep.")
@@ -196,6 +198,7 @@ async def start_virtual_rig(
                 plc += ["--truth", str(truth)]
             if tls is not None:
                 plc += [word for name, path in zip(_TLS, tls, strict=True) for word in (name, str(path))]
+            plc += ["--start", repr(start_s)]
             children.append(await _spawn("plc", [*common, *plc], near))
             module = ["--port", str(can_port), "--epoch", repr(time.time())]
             children.append(await _spawn("thermocouples", [*common, *module], far))

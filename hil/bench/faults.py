@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from hil.atomic import replacing
-from hil.bench.faults_case import REACT_S, Result, as_document, run_case
+from hil.bench.faults_case import REACT_S, STALL_S, Result, as_document, run_case
 from hil.bench.faults_kinds import KINDS
 from hil.bench.faults_rig import PERIOD_S, STALE_LIMIT_S, WATCHDOG_S
 from hil.bench.faults_tls import NoOpenSSLError
@@ -171,7 +171,10 @@ def _musts(results: list[Result]) -> Table:
         ("resumable runs resumed", f"{sum(resumed)} of {len(resumed)}" if resumed else "not tried"),
     ]
     again = sum(result.attempts > 1 for result in results)
-    note = f"{again} cases were repeated: the machine had stood still for 0.4 s or more and a limit was missed."
+    note = (
+        f"{again} cases were repeated: a limit was missed while rig or harness waited {STALL_S:g} s or longer for a "
+        "processor, or the fault came before the run."
+    )
     return Table("musts", "Musts", ("must", "found"), tuple(rows), (note,))
 
 

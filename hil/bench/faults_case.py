@@ -30,9 +30,13 @@ from hil.bench.faults_tls import Certificates, make_certificates
 ROOT = Path(__file__).resolve().parents[2]
 START_S = 40.0
 END_S = 30.0
+RESUME_S = 150.0
+"""A run that goes on first stands still within its band for a minute."""
 LOOK_EVERY_S = 0.2
 FANS_PCT = 70.0
 """Fans that are this fast when the command is started are at full speed when it has a rig."""
+EARLY_S = (1.0, 8.0)
+"""A fault that may come at any instant strikes this long after the command was started, s."""
 EARLIEST_S, LATEST_S = 0.5, 2.5
 """A fault strikes this long after the heater went on, s."""
 AFTER_S = 1.5
@@ -67,6 +71,8 @@ class Result:
     stall_s: float = 0.0
     attempts: int = 1
     resumed: bool | None = None
+    struck: bool = True
+    """Whether the fault came while something heated, where it had to."""
 
 
 class Harness:
@@ -128,6 +134,9 @@ class Stage:
     truth: Path
     disk: OwnDisk | None = None
     asked_s: float = math.inf
+    waited_s: float = math.inf
+    starved_s: float = 0.0
+    """How long the harness had waited for a processor when the fault came, and has since."""
     told_s: float | None = None
     """When the harness said on its terminal that it ends."""
     seen: judge.Seen = field(default_factory=judge.Seen)
@@ -185,6 +194,7 @@ class Stage:
             if time.monotonic() > deadline:
                 return False
             self.look()
+            self.starved_s = max(self.starved_s, _waited_s(self.pid) - self.waited_s)
             if self.told_s is None and " finishing: " in self.harness.said():
                 self.told_s = time.time()
             await asyncio.sleep(LOOK_EVERY_S / 2)
@@ -192,7 +202,8 @@ class Stage:
 
 
 async def run_case(kind_name: str, number: int, seed: int, *, thorough: bool = False, retries: int = 2) -> Result:
-    """One case; repeated where the machine stood still meanwhile and something failed. `thorough` waits for reports."""
+    """One case. It is repeated where the fault came before the run, and where the machine stood still and a must was
+    broken. `thorough` waits for record and report."""
     for attempt in range(1, retries + 2):
         generator = random.Random(f"{seed} {kind_name} {number}")
         with tempfile.TemporaryDirectory(prefix="hil-fault-") as folder:
@@ -201,20 +212,21 @@ async def run_case(kind_name: str, number: int, seed: int, *, thorough: bool = F
             except Exception as error:  # a case that cannot be carried out is no reason to leave out the others
                 result = Result(kind_name, number, failures=[f"not carried out: {type(error).__name__}: {error}"])
         result.attempts = attempt
-        if not result.failures or result.stall_s < STALL_S:
+        if result.struck and (not result.failures or result.stall_s < STALL_S):
             break
     return result
 
 
 STALL_S = 0.4
-"""A machine on which the rig itself stood still for this long cannot keep a limit of a second."""
+"""A machine on which rig or harness waited this long for a processor while it mattered cannot keep a limit of a second.
+Of the rig its own log tells, of the harness the kernel (/proc/PID/schedstat)."""
 
 
 async def _attempt(
     name: str, number: int, generator: random.Random, place: Path, thorough: bool, attempt: int
 ) -> Result:
     kind, result = KINDS[name], Result(name, number)
-    onset_s = generator.uniform(6.0, 9.0) + 8.0 * (attempt - 1)
+    onset_s = generator.uniform(9.0, 12.0) + 8.0 * (attempt - 1)
     async with _stage(kind, generator, place, onset_s) as stage:
         occurred_s = await _strike(stage, kind, onset_s, result)
         if occurred_s is None:
@@ -223,6 +235,8 @@ async def _attempt(
         truth = stage.moments()
         journal = judge.read_journal(stage.look())
         _judge(result, kind, stage, journal, truth, occurred_s)
+        if name == "SIGKILL" and result.heated and not result.failures:
+            result.resumed = await _resumed(stage, result)
         if result.failures:
             result.reason = (result.reason + " | " + _last_words(place))[:600]
     return result
@@ -273,28 +287,34 @@ async def _start(kind: Kind, place: Path, disk: OwnDisk | None) -> Harness:
     if disk is not None:
         command, where = disk.command(command), disk.path
     command += ["--runs", str((disk.inside if disk is not None else place) / "runs")]
+    return Harness(where, place, await _spawn(command, place))
+
+
+async def _spawn(command: list[str], place: Path) -> asyncio.subprocess.Process:
+    """A command of ours with a terminal that is two files."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         environment.pop(name, None)
-    with (place / "out.txt").open("wb") as out, (place / "err.txt").open("wb") as err:
-        process = await asyncio.create_subprocess_exec(
+    with (place / "out.txt").open("ab") as out, (place / "err.txt").open("ab") as err:
+        return await asyncio.create_subprocess_exec(
             *command, stdin=asyncio.subprocess.DEVNULL, stdout=out, stderr=err, cwd=place, env=environment,
             start_new_session=True,
         )  # fmt: skip
-    return Harness(where, place, process)
 
 
 async def _strike(stage: Stage, kind: Kind, onset_s: float, result: Result) -> float | None:
     """Let the fault occur; its wall time, or None where there was no run to strike."""
     if kind.early:
-        await stage.until(lambda: not stage.harness.running, stage.generator.uniform(0.5, 6.0))
+        await stage.until(lambda: not stage.harness.running, stage.generator.uniform(*EARLY_S))
     elif not await stage.until(lambda: stage.heater_W > 100.0 or not stage.harness.running, START_S):
         result.failures.append("the run did not start within its time")
         return None
-    if not stage.harness.running:
+    if not stage.harness.running and not kind.early:
+        result.struck = False
         result.failures.append(f"the run ended before the fault: {_last_words(stage.truth.parent)}")
         return None
+    stage.waited_s = _waited_s(stage.pid)
     if kind.act is None:
         if not await stage.until(lambda: _after(stage, onset_s) is not None, START_S):
             result.failures.append("the rig stood still")
@@ -357,6 +377,36 @@ async def _ended(stage: Stage, result: Result) -> None:
         result.failures.append(f"the heater was off {after} after SIGTERM")
 
 
+async def _resumed(stage: Stage, result: Result) -> bool:
+    """`hil resume` on what the kill has left: whether the run went on, with everything that was acknowledged before."""
+    folder = stage.harness.folder()
+    assert folder is not None
+    before, asked_s = dict(stage.seen.rows), time.time()
+    command = [sys.executable, "-m", "hil", "resume", str(folder), "--no-viewer", "--timeout", str(RESUME_S)]
+    stage.harness.process = await _spawn(command, stage.truth.parent)
+
+    def running() -> bool:
+        states = judge.read_states(stage.harness.journal)
+        return any(wall_s > asked_s and target == "running" for wall_s, target in states)
+
+    went_on = await stage.until(lambda: running() or not stage.harness.running, RESUME_S)
+    went_on = went_on and stage.harness.running
+    if not went_on:
+        result.failures.append(f"not resumed within {RESUME_S:g} s")
+    else:
+        stage.asked_s = time.time()
+        os.kill(stage.pid, signal.SIGTERM)
+        await _ended(stage, result)
+    await stage.harness.finish()
+    journal = judge.read_journal(stage.look())
+    gone = judge.lost(stage.seen, journal)
+    if gone or not set(before) <= set(journal.ticks) or not journal.sound:
+        result.failures.append(f"{gone} acknowledged samples lost by resuming")
+    result.lost += gone
+    result.wrong += judge.wrong_values(journal, stage.moments())
+    return went_on
+
+
 async def _leave(stage: Stage, thorough: bool, result: Result) -> None:
     """Let the run write its record and report where that is looked at, else spare the machine that."""
     harness = stage.harness
@@ -372,7 +422,7 @@ def _judge(
     harness = stage.harness
     before = [moment for moment in truth if moment.wall_s <= occurred_s]
     result.heated = bool(before) and before[-1].heater_W > 0.0
-    result.stall_s = judge.longest_stall_s(truth, harness.started_s)
+    result.stall_s = max(judge.longest_stall_s(truth, harness.started_s), stage.starved_s)
     result.acknowledged, result.lost = len(stage.seen.rows), judge.lost(stage.seen, journal)
     result.wrong = judge.wrong_values(journal, truth)
     noticed, left = judge.noticed_at(journal, occurred_s, stage.asked_s), judge.ended_at(journal, occurred_s)
@@ -414,6 +464,7 @@ def _broken(result: Result, kind: Kind, journal: judge.Journal, rode: bool) -> l
         elif result.safe is not None and result.safe - result.detected > REACT_S:
             broken.append(f"safe {result.safe - result.detected:.2f} s after detection")
     if not result.heated and not kind.early:
+        result.struck = False
         broken.append("nothing heated when the fault came")
     if not result.heated and result.safe is None and not rode:
         broken.append("something heats after the fault")
@@ -444,6 +495,14 @@ def _children(pid: int) -> list[int]:
             with contextlib.suppress(OSError):  # a thread that has just ended
                 found += map(int, (task / "children").read_text().split())
     return found
+
+
+def _waited_s(pid: int) -> float:
+    """How long the main thread of a process was ready to run and did not, s; 0 where the kernel does not tell."""
+    try:
+        return int(Path(f"/proc/{pid}/schedstat").read_text().split()[1]) * 1e-9
+    except (OSError, IndexError, ValueError):
+        return 0.0
 
 
 def _command(pid: int) -> bytes:

@@ -102,6 +102,20 @@ def read_journal(path: Path) -> Journal:
     )
 
 
+def read_states(path: Path) -> list[tuple[float, str]]:
+    """Wall time and target of every transition so far, of a live journal too."""
+    try:
+        database = sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=1.0)
+    except sqlite3.Error:
+        return []
+    try:
+        return [(row[0], row[1]) for row in database.execute("SELECT wall_s, target FROM states ORDER BY id")]
+    except sqlite3.Error:
+        return []
+    finally:
+        database.close()
+
+
 def lost(seen: Seen, journal: Journal) -> int:
     """Samples that were acknowledged and are not in the journal any more, or not the same."""
     kept = dict(zip(journal.ticks, zip(journal.wall_s, journal.raw_quality, strict=True), strict=True))

@@ -357,3 +357,28 @@ def faults_command(
     _finish("faults", seed, tables, skipped, out, as_json)
     if not kept:
         sys.exit(1)
+
+
+@command.command("loop")
+@click.option(
+    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/loop"),
+    show_default=True, help="Its runs are kept here.",
+)  # fmt: skip
+@QUICK
+@SEED
+@OUT
+@JSON
+def loop_command(work: Path, quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
+    """The loop in real time at 10 Hz; its memory over 40 hours in lockstep; the same run killed and resumed.
+
+    \b
+    Example:
+      hil bench loop --quick
+      hil bench loop --out docs/results
+    """
+    from hil.bench import loop
+    from hil.terminal import Steps
+
+    with Steps("running", 1.0, quiet=as_json) as steps:
+        tables, skipped = loop.measure(loop.QUICK if quick else loop.FULL, seed, work, steps.update)
+    _finish("loop", seed, tables, skipped, out, as_json)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 @click.option("--lockstep", is_flag=True, help="As fast as the machine can, the same every time (virtual rig).")
 @click.option("--speed", type=float, help="This many times real time, up to 100 (virtual rig).")
 @click.option("--control", help="host:port that grants steps, of a `hil rig --mode lockstep` that runs already.")
+@click.option("--rearm", is_flag=True, help="Acknowledge a trip that the rig brings along; find its cause before.")
 @click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not know of (virtual rig).")
 @CALIBRATORS
 @NETWORK_MODE
@@ -47,6 +48,7 @@ def command(
     lockstep: bool,
     speed: float | None,
     control: str | None,
+    rearm: bool,
     effects: Path | None,
     calibrators: tuple[str, ...],
     network_mode: NetworkMode,
@@ -95,7 +97,8 @@ def command(
         calibrators=calibrators or None,
         network_mode=network_mode,
         viewer=viewer,
-        control=None if control is None else _address(control),
+        control=None if control is None else address(control),
+        rearm=rearm,
         diagnose_s=None if diagnose is None else interval_of(diagnose),
         healthy=healthy,
         adopt=adopt,
@@ -111,21 +114,23 @@ def command(
     with LiveRun(quiet=as_json) as live:
         result = asyncio.run(run_session(request, live.update, live.announce))
     if as_json:
-        click.echo(json.dumps(_as_json(result), indent=1))
+        click.echo(json.dumps(as_json_document(result), indent=1))
     else:
         live.show_result(result)
     if result.outcome.status != "done" or not result.outcome.safe:
         sys.exit(1)
 
 
-def _address(text: str) -> tuple[str, int]:
+def address(text: str) -> tuple[str, int]:
+    """Host and port of `host:port`; raises UsageError."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdigit():
         raise click.UsageError(f"--control {text!r} is no host:port; give what `hil rig --mode lockstep` printed")
     return host, int(port)
 
 
-def _as_json(result: RunResult) -> dict[str, object]:
+def as_json_document(result: RunResult) -> dict[str, object]:
+    """A finished run for scripts."""
     document: dict[str, object] = result.folder.read_manifest()
     document["folder"] = str(result.folder.path)
     return document

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from drivers.points import Quality
 from hil.bands import NORMAL90
-from hil.journal import CalibrationRow, JournalReader, Samples, TwinOutput
+from hil.journal import JournalReader
+from hil.journal_rows import CalibrationRow, Samples, TwinOutput
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.beside import Proposals, band_batches
 from hil.review.looks import QUALITY_NAMES, Plan, path
@@ -17,7 +18,7 @@ from hil.review.plan import make_plan, worst_state
 
 PAGE_TICKS = 36_000
 _NOISE_POINTS = 500
-_ROUTINE_WRITES = ("profile", "slew")
+_ROUTINE_WRITES = ("profile", "slew", "soak")
 
 
 class _Ticks:
@@ -68,6 +69,7 @@ class Collector:
         self._proposals = Proposals()
         self._ids = {"calibrations": 0, "proposals": 0, "bands": 0, "writes": 0, "events": 0, "states": 0}
         self._noise_mark = -1
+        self._cuts = np.zeros(0)
         self.end_s = 0.0
 
     def finished(self) -> bool:
@@ -76,6 +78,7 @@ class Collector:
 
     def poll(self) -> Iterator[Batch]:
         """Everything committed since the last call, at most `PAGE_TICKS` ticks of a table at a time."""
+        self._cuts = np.array([row.time_s for row in self._reader.segments()])
         read = PAGE_TICKS
         while read == PAGE_TICKS:
             samples = self._reader.samples(self._ticks.last, PAGE_TICKS)
@@ -128,7 +131,7 @@ class Collector:
     def _samples(self, samples: Samples) -> Iterator[Batch]:
         good = np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
         for entity, columns in self.plan.columns_of.items():
-            yield Rows(entity, samples.time_s, good[:, [self._columns[column] for column in columns]])
+            yield self._rows(entity, samples.time_s, good[:, [self._columns[column] for column in columns]])
         means = np.empty((len(samples.tick), len(self._reader.header.twin_sensors)))
         for k, (sensor, columns) in enumerate(self._reader.header.twin_sensors.items()):
             parts = good[:, [self._columns[column] for column in columns]]
@@ -138,7 +141,7 @@ class Collector:
             means[:, k] = (
                 parts[:, 0] if len(columns) == 1 else np.where(present > 0, total / np.maximum(present, 1), np.nan)
             )
-            yield Rows(path("sensors", sensor, "measured"), samples.time_s, means[:, k : k + 1])
+            yield self._rows(path("sensors", sensor, "measured"), samples.time_s, means[:, k : k + 1])
         yield from self._noise(samples.time_s)
         self._ticks.append(samples.tick, means)
         self.end_s = float(samples.time_s.max())
@@ -153,6 +156,13 @@ class Collector:
             return worst_state([names[self._watched[i]] for i in bad], row[bad].tolist())
 
         yield from self._lane("/quality", samples.time_s, watched, worst)
+
+    def _rows(self, entity: str, time_s: NDArray[np.float64], values: NDArray[np.float64]) -> Rows:
+        """A curve, broken where the run was cut: nothing is known of the time in between."""
+        cuts = self._cuts[(self._cuts >= time_s[0]) & (self._cuts <= time_s[-1])]
+        at = np.searchsorted(time_s, cuts)
+        just_before = cuts - 0.5 * self._reader.header.period_s
+        return Rows(entity, np.insert(time_s, at, just_before), np.insert(values, at, np.nan, axis=0))
 
     def _lane(
         self,
@@ -179,8 +189,8 @@ class Collector:
         time_s, values = output.time_s[:count], output.values[:count]
         residual = self._ticks.at(output.tick[:count]) - values
         for k, sensor in enumerate(self._reader.header.twin_sensors):
-            yield Rows(path("sensors", sensor, "twin", output.twin), time_s, values[:, k : k + 1])
-            yield Rows(path("sensors", sensor, "residual", output.twin), time_s, residual[:, k : k + 1])
+            yield self._rows(path("sensors", sensor, "twin", output.twin), time_s, values[:, k : k + 1])
+            yield self._rows(path("sensors", sensor, "residual", output.twin), time_s, residual[:, k : k + 1])
         self._twin_tick[output.twin] = int(output.tick[count - 1])
 
     def _calibrations(self, windows: list[CalibrationRow]) -> Iterator[Batch]:

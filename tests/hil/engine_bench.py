@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from drivers.rigfile import Rig
 from hil.engine import Engine, Outcome
 from hil.operator import RefusedError, Verb
 from hil.profile import Profile
-from hil.states import HEATED, UNTOUCHED
+from hil.segments import Resumption, Standing
+from hil.soaking import SoakRule
+from hil.states import HEATED, UNTOUCHED, State
 from tests.hil.simulated_rig import MemoryJournal, RigTime, SimulatedClock, SimulatedRig
 
 WITHIN_S = 1.0
@@ -26,10 +29,20 @@ def profile(duration_s: float = 600.0, power_W: float = 700.0) -> Profile:
     return Profile("bench", np.array([0.0, duration_s]), columns, values)
 
 
+def cut_at(profile_s: float, aim: dict[str, float], *, timeout_s: float = 600.0, gap_s: float = 100.0) -> Resumption:
+    """How a run goes on that was cut at `profile_s`, with the rig at `aim`, `gap_s` ago."""
+    tick = int(profile_s)
+    standing = Standing(tick, profile_s, time.time() - gap_s, profile_s, "running", 2, tick, aim)
+    return Resumption(standing, SoakRule(1.0, timeout_s), "the run was cut while running")
+
+
 class EngineBench:
     """One run, as a context manager; `violations` of the safety property, a sentence each."""
 
-    def __init__(self, rig: Rig, duration_s: float = 600.0) -> None:
+    def __init__(
+        self, rig: Rig, duration_s: float = 600.0, resumption: Resumption | None = None, rearm: bool = False
+    ) -> None:
+        self._soaks = resumption is not None
         self.loop = asyncio.new_event_loop()
         self.rig = SimulatedRig(rig)
         self.clock = SimulatedClock(self.rig)
@@ -45,7 +58,15 @@ class EngineBench:
         self._retry, hil.safing.RETRY_EVERY_S = hil.safing.RETRY_EVERY_S, 0.0
         connection: Any = self.rig
         journal: Any = self.journal
-        self.engine = Engine(connection, self.clock, profile(duration_s), journal, residuals=self._off)
+        self.engine = Engine(
+            connection,
+            self.clock,
+            profile(duration_s),
+            journal,
+            residuals=self._off,
+            resumption=resumption,
+            rearm=rearm,
+        )
         self.rig.watch = self._look
         self.task = self.loop.create_task(self.engine.run())
         self._settle()
@@ -103,7 +124,8 @@ class EngineBench:
     def _look(self, passed_s: float) -> None:
         """The safety property, judged whenever rig time goes on, on what reaches the heater."""
         state = self.engine.state
-        if state in HEATED | UNTOUCHED or self.rig.heater_W == 0.0:
+        led_back = state is State.SOAKING and self._soaks
+        if state in {State.RUNNING, State.HELD} | UNTOUCHED or led_back or self.rig.heater_W == 0.0:
             self._unsafe_s = self._unreachable_s = 0.0
             return
         if not self.rig.link or self.rig.loses_writes:

@@ -33,13 +33,18 @@ INTERLOCKS = (
 )
 
 
-def rig_with(acknowledge_within_s: float = 0.0, interlocks: tuple[Any, ...] = INTERLOCKS) -> Rig:
+def rig_with(
+    acknowledge_within_s: float = 0.0, interlocks: tuple[Any, ...] = INTERLOCKS, suspend_at_most_s: float = 0.0
+) -> Rig:
     """The shipped rig with interlocks of every kind."""
-    return SHIPPED.model_copy(update={"acknowledge_within_s": acknowledge_within_s, "interlock": interlocks})
+    waits = {"acknowledge_within_s": acknowledge_within_s, "suspend_at_most_s": suspend_at_most_s}
+    return SHIPPED.model_copy(update={**waits, "interlock": interlocks})
 
 
 START_QUALITY: dict[str, Quality] = {}
 """Of what is not good from the beginning."""
+START_TRIPS = 0
+"""Bits of its own trips that the rig brings along."""
 
 
 class SimulatedRig:
@@ -49,7 +54,8 @@ class SimulatedRig:
         self.rig = rig
         self.points = tuple(point for point in rig.point if point.access == "r")
         self.registers = Registers()
-        self.now = 0.0
+        self.registers.status = START_TRIPS
+        self.now = self._booted = 0.0
         self.link = True
         self.counts = True
         self.loses_writes = False
@@ -78,7 +84,8 @@ class SimulatedRig:
     def reboot(self) -> None:
         """The PLC starts anew: nothing is armed, nothing is set."""
         self.registers = Registers()
-        self.registers.now = self.now
+        self.registers.now = self._booted = self.now
+        self._cycle = 0
 
     async def connect(self) -> None:
         self._reach()
@@ -94,6 +101,7 @@ class SimulatedRig:
 
     async def read(self) -> Snapshot:
         known = {"heater_power": self._power, "flow": 3.8, "pump_speed": 100.0, "fan_speed": 100.0, "T_ambient": 20.0}
+        known["plc_uptime"] = self.now - self._booted
         known |= {"plc_status": float(self.registers.status), "cycle_counter": float(self._cycle)} | self.readings
         quality = {name: int(value) for name, value in self.quality.items()}
         if not self.link:
@@ -178,6 +186,7 @@ class MemoryJournal:
     states: list[tuple[Any, ...]] = field(default_factory=list)
     events: list[tuple[str, str]] = field(default_factory=list)
     samples: list[tuple[Any, ...]] = field(default_factory=list)
+    segments: list[Any] = field(default_factory=list)
 
     def sample(self, *row: Any) -> None:
         self.samples.append(row)
@@ -187,6 +196,10 @@ class MemoryJournal:
 
     def write(self, *row: Any) -> None:
         pass
+
+    def segment(self, row: Any) -> None:
+        self._refuse()
+        self.segments.append(row)
 
     def event(self, tick: int, time_s: float, level: str, text: str) -> None:
         self._refuse()

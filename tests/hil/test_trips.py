@@ -6,6 +6,7 @@ import pytest
 
 from drivers.interlock_specs import LimitSpec
 from drivers.points import Quality
+from hil.conditions import Restarted, Tick
 from hil.operator import Verb
 from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import rig_with
@@ -51,6 +52,10 @@ def thermostat(bench: EngineBench) -> None:
     bench.rig.water_C = 80.0
 
 
+def reboot(bench: EngineBench) -> None:
+    bench.rig.reboot()
+
+
 def link_lost(bench: EngineBench) -> None:
     bench.rig.link = False
 
@@ -64,6 +69,7 @@ ALARMS = {
     heater_does_not_follow: (4, "heater_power_set asks for 700 W, heater_power is 350 W"),
     rig_stands_still: (11, "the rig has stopped: cycle_counter has not advanced for 10 s"),
     thermostat: (1, "the rig tripped by itself"),
+    reboot: (1, "the rig has restarted: plc_uptime went back from"),
     link_lost: (6, "has been without a good value for 5 s: link fault (plc: no answer)"),
 }
 
@@ -259,6 +265,62 @@ def test_what_has_tripped_already_refuses_the_start_by_name(sensor, quality, mon
         assert bench.state == "faulted"
         assert bench.outcome.reason.startswith(f"not started: {sensor} ")
         assert not bench.rig.armed
+
+
+@pytest.mark.parametrize(("bits", "refused"), [(2, False), (4, True), (6, True)])
+def test_a_trip_of_the_rigs_own_must_be_acknowledged_before_the_start_but_for_its_watchdogs(bits, refused, monkeypatch):
+    monkeypatch.setattr("tests.hil.simulated_rig.START_TRIPS", bits)
+    with EngineBench(rig_with()) as bench:
+        bench.ticks(5)
+        assert (bench.state, bench.rig.armed) == (("faulted", False) if refused else ("running", True))
+        if refused:
+            assert f"not started: the rig tripped by itself before (plc_status is {bits})" in bench.outcome.reason
+            assert "--rearm" in bench.outcome.reason
+    with EngineBench(rig_with(), rearm=True) as bench:
+        bench.ticks(5)
+        assert (bench.state, bench.rig.armed) == ("running", True)
+
+
+def test_a_rig_that_restarted_while_its_link_was_lost_is_not_taken_for_the_same():
+    with EngineBench(rig_with(WAITS_S)) as bench:
+        warm(bench)
+        bench.rig.link = False
+        bench.ticks(2)
+        bench.rig.reboot()
+        bench.rig.link = True
+        bench.ticks(1)
+        assert (bench.state, bench.rig.heater_W) == ("paused", 0.0)
+        assert "the rig has restarted" in bench.engine.status().trips[0]
+        bench.ask(Verb.ACK)
+        bench.ticks(3)
+        bench.ask(Verb.RESUME)
+        bench.ticks(8)
+        assert bench.rig.heater_W == pytest.approx(700.0)
+        bench.rig.reboot()
+        bench.ticks(1)
+        assert bench.state == "paused"
+        bench.ask(Verb.ABORT)
+        bench.ticks(2)
+        assert bench.outcome.restarts == 2
+
+
+def test_a_clock_that_passes_the_end_of_its_range_is_no_restart():
+    seen = Restarted(rig_with().get("cycle_counter"))
+    values = [65000.0, 65535.0, 3.0, 40000.0, 39000.0]
+    said = [seen.judge(Tick(0.0, {"cycle_counter": v}, {"cycle_counter": 0}, {}), False) for v in values]
+    assert [text is not None for text in said] == [False, False, False, False, True]
+
+
+def test_a_warning_that_does_not_go_away_ends_the_run_after_a_time():
+    with EngineBench(rig_with(suspend_at_most_s=30.0)) as bench:
+        warm(bench)
+        bench.rig.readings["T_tank"] = 62.0
+        bench.ticks(31)
+        assert bench.state == "suspended"
+        bench.ticks(1)
+        assert (bench.state, bench.outcome.safe) == ("faulted", True)
+        assert bench.outcome.reason.endswith("suspended for longer than 30 s")
+        assert "T_tank is 62.00 degC" in bench.outcome.reason
 
 
 def test_an_abort_a_bug_and_a_full_disk_end_safe():

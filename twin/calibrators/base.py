@@ -131,6 +131,15 @@ class Follower(Protocol):
 
 
 @runtime_checkable
+class Restarter(Protocol):
+    """A calibrator that holds a state of the rig of its own from sample to sample."""
+
+    def begin_again(self) -> None:
+        """Nobody knows what the rig did since the last sample: the next one says anew where it stands."""
+        ...
+
+
+@runtime_checkable
 class Proposer(Protocol):
     """A calibrator that proposes within a window too, every `cycle_s` from its beginning."""
 

@@ -144,6 +144,10 @@ class KalmanFilter:
             at = rows.stop
         return Estimate(filtered, spread)
 
+    def begin_again(self) -> None:
+        """Let go of the temperatures; parameters go on from the end of the last window."""
+        self._piece = None
+
     def _filter(self, piece: _Piece, time: Array, inputs: Array, measured: Array, *out: Array) -> None:
         """Samples of one piece."""
         q = len(self.ids)

@@ -1,0 +1,82 @@
+"""`hil resume`: go on with a run that was cut."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.commands.paths import INPUT_FILE
+from hil.commands.run import address, as_json_document
+
+if TYPE_CHECKING:
+    from hil.run_request import RunRequest
+
+
+@click.command()
+@click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--band", "band_K", type=click.FloatRange(0.0, min_open=True), default=1.0, show_default=True,
+              help="So near, K, every temperature must come to where it was.")  # fmt: skip
+@click.option("--timeout", "timeout_s", type=click.FloatRange(0.0), default=7200.0, show_default=True,
+              help="Within so many seconds of rig time.")  # fmt: skip
+@click.option("--rig", type=INPUT_FILE, help="Where the rig file lies now, if it was moved.")
+@click.option("--profile", type=INPUT_FILE, help="Where the profile lies now.")
+@click.option("--twin", type=INPUT_FILE, help="Where the twin lies now.")
+@click.option("--with", "effects", type=INPUT_FILE, help="Where the effects of the virtual rig lie now.")
+@click.option("--healthy", type=INPUT_FILE, help="Where the healthy record lies now.")
+@click.option("--control", help="host:port of a `hil rig --mode lockstep` that runs already, if it is another now.")
+@click.option("--rearm", is_flag=True, help="Acknowledge a trip of the rig's own; find its cause before.")
+@click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def command(
+    run: Path,
+    band_K: float,
+    timeout_s: float,
+    rig: Path | None,
+    profile: Path | None,
+    twin: Path | None,
+    effects: Path | None,
+    healthy: Path | None,
+    control: str | None,
+    rearm: bool,
+    viewer: bool | None,
+    as_json: bool,
+) -> None:
+    """Go on with RUN, a folder of runs/, that a crash, a power cut, a fault or an abort stopped.
+
+    Rig file, profile and twin must be what they were. The calibrators are brought back from the journal. The rig is
+    made safe, then heated and cooled until every temperature has stood within --band of where it was for a minute.
+    Only then does the profile go on, in the same folder. Where that takes longer than --timeout the rig is left safe,
+    and the run can be resumed again.
+
+    \b
+    Example:
+      hil resume runs/20260520T120000Z-battle_40h
+      hil resume runs/20260520T120000Z-battle_40h --band 2 --timeout 14400
+    """
+    from hil.resuming import request_of
+    from hil.run_folder import RunFolder
+    from hil.session import resume_session
+    from hil.soaking import SoakRule
+    from hil.terminal import LiveRun
+
+    folder = RunFolder(run)
+    moved = {"rig": rig, "profile": profile, "twin": twin, "effects": effects, "healthy": healthy}
+    where = None if control is None else address(control)
+
+    def request(manifest: dict[str, Any]) -> RunRequest:
+        return request_of(folder, manifest, moved, control=where, rearm=rearm, viewer=viewer)
+
+    with LiveRun(quiet=as_json) as live:
+        rule = SoakRule(band_K, timeout_s)
+        result = asyncio.run(resume_session(folder, request, rule, live.update, live.announce))
+    if as_json:
+        click.echo(json.dumps(as_json_document(result), indent=1))
+    else:
+        live.show_result(result)
+    if result.outcome.status != "done" or not result.outcome.safe:
+        sys.exit(1)

@@ -1,0 +1,282 @@
+"""`hil resume` as a user types it: a run in processes of its own is killed at any instant and goes on in its folder."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.journal import JournalReader
+from hil.record import Record, read_record
+from hil.review.rerun_io import read_words
+from hil.run_folder import RunFolder, RunFolderError
+
+PROJECT = Path(__file__).resolve().parents[2]
+HIL = [sys.executable, "-m", "hil"]
+LOAD = """time_s,heater_power_W,pump_speed_pct,fan_speed_pct
+0,700,100,70
+2400,880,100,70
+4200,600,85,70
+8400,600,85,70
+"""
+TEMPERATURES = ("T_heater_C", "T_pm1_C", "T_radiator_C", "T_tank_C")
+
+
+def hil(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*HIL, *map(str, arguments)], capture_output=True, text=True, cwd=PROJECT, timeout=240)
+
+
+def killed(place: Path, after: int, *arguments: object) -> Path:
+    """The folder of a run that SIGKILL ended at or after tick `after`."""
+    command = [*HIL, "run", str(place / "load.csv"), "--no-viewer", "--runs", str(place / "runs"), *map(str, arguments)]
+    process = subprocess.Popen(command, cwd=PROJECT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    deadline = time.monotonic() + 90
+    try:
+        while True:
+            journal = next(iter((place / "runs").glob("*/journal.sqlite")), None)
+            if journal is not None and last_tick(journal) >= after:
+                break
+            assert time.monotonic() < deadline and process.poll() is None, process.stderr.read().decode()
+            time.sleep(0.02)
+    finally:
+        process.kill()
+        process.communicate()
+    return journal.parent
+
+
+def last_tick(journal: Path) -> int:
+    try:
+        reader = JournalReader(journal)
+    except Exception:  # the tables are not there yet
+        return -1
+    try:
+        return reader.last()[0]
+    finally:
+        reader.close()
+
+
+@dataclass
+class Story:
+    """A run that nothing disturbed, and one that was killed and resumed; `acknowledged` is what it had journaled."""
+
+    whole: RunFolder
+    folder: RunFolder
+    acknowledged: dict[str, list[Any]]
+    printed: dict[str, Any]
+    cut: int
+
+
+def rows(journal: Path) -> dict[str, list[Any]]:
+    """Everything that a journal holds of samples, windows and events."""
+    reader = JournalReader(journal)
+    try:
+        samples = reader.samples()
+        return {
+            "tick": samples.tick.tolist(),
+            "values": samples.values.tolist(),
+            "windows": [(row.calibrator, row.end_s, row.document) for row in reader.calibrations()],
+            "events": [(row.time_s, row.text) for row in reader.events()],
+        }
+    finally:
+        reader.close()
+
+
+@pytest.fixture(scope="module")
+def story(tmp_path_factory: pytest.TempPathFactory) -> Story:
+    place = tmp_path_factory.mktemp("resume")
+    (place / "load.csv").write_text(LOAD, encoding="utf-8")
+    asked = ("--virtual", "--lockstep", "--seed", 3, "--calibrator", "pso", "--calibrator", "least_squares")
+    folder = killed(place, random.randint(1500, 6000), *asked)
+    acknowledged = rows(folder / "journal.sqlite")
+    shutil.copytree(folder, place / "as it was cut", ignore=lambda _, names: [n for n in names if n == "control.sock"])
+    done = hil("resume", folder, "--no-viewer", "--json")
+    assert done.returncode == 0, done.stderr
+    whole = hil("run", place / "load.csv", *asked, "--no-viewer", "--runs", place / "whole", "--json")
+    assert whole.returncode == 0, whole.stderr
+    whole_folder = RunFolder(Path(json.loads(whole.stdout)["folder"]))
+    printed = json.loads(done.stdout)
+    return Story(whole_folder, RunFolder(folder), acknowledged, printed, acknowledged["tick"][-1])
+
+
+def test_nothing_that_was_acknowledged_is_lost_or_changed(story):
+    now = rows(story.folder.journal)
+    count = len(story.acknowledged["tick"])
+    assert now["tick"][:count] == story.acknowledged["tick"]
+    assert np.array_equal(now["values"][:count], story.acknowledged["values"], equal_nan=True)
+    assert now["events"][: len(story.acknowledged["events"])] == story.acknowledged["events"]
+    assert now["windows"][: len(story.acknowledged["windows"])] == story.acknowledged["windows"]
+
+
+def test_the_gap_is_there_for_everyone_to_see(story):
+    manifest = story.folder.read_manifest()
+    assert (manifest["exit_status"], manifest["safe"]) == ("done", True)
+    segment = manifest["segments"][0]
+    assert (segment["number"], segment["exit_status"]) == (2, "done")
+    assert segment["why"] == "the run was cut while running"
+    assert segment["profile_s"] == story.cut
+    assert segment["soaked_s"] > 600  # a new virtual rig is cold
+    record = read_record(story.folder.record)
+    jump = int(np.argmax(np.diff(record.time_s)))
+    assert record.time_s[jump] == story.cut
+    assert np.diff(record.time_s)[jump] == segment["gap_s"] > 1.0
+    assert np.array_equal(np.flatnonzero(np.diff(record.columns["segment"])), [jump])
+    lane = read_words(story.folder.review, "/state")
+    assert [word for _, word in lane] == ["running", "idle", "soaking", "running", "done"]
+    assert [time_s for time_s, _ in lane[1:3]] == [story.cut, story.cut + segment["gap_s"]]
+    assert "<h2>Segments</h2>" in story.folder.report.read_text(encoding="utf-8")
+    assert any("segment 2: goes on at" in text for _, text in rows(story.folder.journal)["events"])
+
+
+def test_profile_time_goes_on_where_it_stood_and_every_second_of_it_is_run_once(story):
+    record = read_record(story.folder.record)
+    profile_s = record.columns["profile_s"]
+    assert profile_s[-1] == 8400
+    assert sorted(set(profile_s.tolist())) == list(range(8401))
+    soaking = (record.time_s > story.cut) & (profile_s == story.cut)
+    assert soaking.sum() == pytest.approx(story.printed["segments"][0]["soaked_s"], abs=3)
+
+
+def outside_the_gap(record: Record, cut: int) -> dict[str, np.ndarray]:
+    """Columns by second of profile time, without the soak and the ten minutes after it."""
+    profile_s = record.columns.get("profile_s", record.time_s)
+    moves = np.concatenate([[True], np.diff(profile_s) > 0])
+    order = {int(p): i for i, p in enumerate(profile_s) if moves[i]}
+    kept = [order[p] for p in range(8400) if not cut - 1 <= p < cut + 600]
+    return {name: values[kept] for name, values in record.columns.items()}
+
+
+def test_outside_the_gap_the_record_is_that_of_a_run_that_nothing_disturbed(story):
+    mine, whole = (outside_the_gap(read_record(f.record), story.cut) for f in (story.folder, story.whole))
+    before = slice(0, story.cut - 2)
+    for name, values in whole.items():
+        assert np.array_equal(mine[name][before], values[before], equal_nan=True), name  # lockstep: to the bit
+    for name in ("heater_power_set_W", "pump_speed_set_pct", "fan_speed_set_pct"):
+        assert np.array_equal(mine[name], whole[name]), name
+    after = slice(story.cut - 1, None)
+    room = mine["T_ambient_C"][after] - whole["T_ambient_C"][after]
+    for name in TEMPERATURES:
+        off = mine[name][after] - whole[name][after]
+        # The soak may leave a kelvin, and the room is not as warm at another hour.
+        assert np.abs(off).max() < 1.0 + np.abs(room).max() + 0.4, name
+
+
+def test_calibrators_go_on_with_what_they_knew(story):
+    before = story.cut // 600 * 600
+    kept, whole = ([row for row in rows(f.journal)["windows"] if row[1] <= before] for f in (story.folder, story.whole))
+    assert len(kept) >= 2
+    assert kept == whole  # a window that was not journaled in time was made again, with the same random numbers
+    reader = JournalReader(story.folder.journal)
+    ticks = reader.samples().tick
+    for twin in ("static", "pso", "least_squares"):
+        assert np.array_equal(reader.twin_outputs(twin).tick, ticks), twin
+    later = [row for row in reader.calibrations() if row.start_s > story.cut]
+    assert next(row.document["window"] for row in later if row.calibrator == "pso") == len(kept) // 2
+    reader.close()
+    errors = story.printed["errors_K"]
+    column = errors["columns"].index("least_squares ahead")
+    assert all(cells[column] < 3.0 * errors["noise_K"][sensor] for sensor, cells in errors["rows"].items())
+
+
+@pytest.mark.parametrize(("name", "where"), [("profile", "load.csv"), ("twin", "twin.toml")])
+def test_a_file_that_has_changed_is_refused_by_name(story, tmp_path, name, where):
+    shutil.copytree(story.folder.path.parents[1] / "as it was cut", tmp_path / "run")
+    changed = tmp_path / where
+    source = story.folder.path.parents[1] / "load.csv" if name == "profile" else PROJECT / "profiles/twins/virtual.toml"
+    changed.write_text(source.read_text(encoding="utf-8") + "\n# changed\n", encoding="utf-8")
+    done = hil("resume", tmp_path / "run", f"--{name}", changed)
+    assert done.returncode == 2
+    assert f"{changed} is not what it was when the run began; put that {name} back" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert RunFolder(tmp_path / "run").read_manifest()["exit_status"] == "running"
+    assert rows(tmp_path / "run" / "journal.sqlite")["tick"] == story.acknowledged["tick"]
+
+
+def test_a_file_that_is_gone_is_asked_for(story, tmp_path):
+    shutil.copytree(story.folder.path.parents[1] / "as it was cut", tmp_path / "run")
+    manifest = RunFolder(tmp_path / "run").read_manifest()
+    manifest["files"]["rig"]["path"] = "/nowhere/rig.toml"
+    RunFolder(tmp_path / "run").write_manifest(manifest)
+    done = hil("resume", tmp_path / "run")
+    assert done.returncode == 2
+    assert "/nowhere/rig.toml, the run's rig, is not there; say where it is with --rig" in done.stderr
+
+
+def test_a_run_that_is_over_or_goes_on_is_refused(story):
+    over = hil("resume", story.folder.path)
+    assert (over.returncode, "has run to its end" in over.stderr) == (2, True)
+    with story.folder.owned():
+        live = hil("resume", story.folder.path)
+    assert (live.returncode, "still goes on" in live.stderr) == (2, True)
+    with story.folder.owned(), pytest.raises(RunFolderError), story.folder.owned():
+        pass
+
+
+def test_a_soak_that_takes_too_long_ends_safe_and_can_be_tried_again(story, tmp_path):
+    shutil.copytree(story.folder.path.parents[1] / "as it was cut", tmp_path / "run")
+    for attempt in range(2):
+        done = hil("resume", tmp_path / "run", "--timeout", 60, "--no-viewer", "--json")
+        assert done.returncode == 1, done.stderr
+        manifest = json.loads(done.stdout)
+        assert (manifest["exit_status"], manifest["safe"]) == ("faulted", True)
+        assert manifest["reason"].startswith("not resumed: after 60 s of soaking T_")
+        assert len(manifest["segments"]) == attempt + 1
+        # The aim is still where the rig was when the profile's clock went.
+        assert manifest["segments"][-1]["profile_s"] == story.cut
+
+
+def test_a_rig_that_goes_on_by_itself_is_safe_when_its_watchdog_runs_out_and_is_resumed_warm(tmp_path):
+    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    ports = [_free_port() for _ in range(3)]
+    names = ("--modbus-port", "--can-port", "--control-port")
+    arguments = [str(item) for pair in zip(names, ports, strict=True) for item in pair]
+    text = (PROJECT / "profiles/rigs/virtual.toml").read_text(encoding="utf-8")
+    for old, new in (
+        ("port = 5020", f"port = {ports[0]}"),
+        ("port = 29536", f"port = {ports[1]}"),
+        ('"thermocouples.dbc"', f'"{PROJECT}/profiles/rigs/thermocouples.dbc"'),
+    ):
+        text = text.replace(old, new)
+    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
+    server = subprocess.Popen([*HIL, "rig", "--mode", "lockstep", *arguments], cwd=PROJECT, stdout=subprocess.PIPE)
+    try:
+        assert server.stdout is not None
+        assert b"Virtual rig" in server.stdout.readline()
+        control = f"127.0.0.1:{ports[2]}"
+        folder = killed(tmp_path, 2000, "--rig", tmp_path / "rig.toml", "--control", control, "--no-twin")
+        assert _heater(ports[0]) > 600.0
+        deadline = time.monotonic() + 20
+        while _heater(ports[0]) > 0.0:  # nobody beats the heart
+            assert time.monotonic() < deadline
+            time.sleep(0.2)
+        done = hil("resume", folder, "--no-viewer", "--json")
+        assert done.returncode == 0, done.stderr
+        manifest = json.loads(done.stdout)
+        assert manifest["exit_status"] == "done"
+        assert 60.0 <= manifest["segments"][0]["soaked_s"] < 600.0  # it had not cooled far
+        assert _heater(ports[0]) == 0.0
+    finally:
+        server.terminate()
+        server.communicate(timeout=20)
+
+
+def _heater(port: int) -> float:
+    """Set-point of the heater as the PLC holds it, W, by a client of our own."""
+    with socket.create_connection(("127.0.0.1", port), timeout=5) as client:
+        client.sendall(bytes.fromhex("000100000006010300000001"))
+        return int.from_bytes(client.recv(64)[9:11], "big") * 0.1
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,133 @@
+"""A run that goes on after a cut, on the real engine with a simulated rig: it heats only to lead the rig back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.points import Quality
+from hil.journal_rows import StateRow
+from hil.operator import Verb
+from hil.segments import profile_times
+from hil.soaking import SETTLE_S
+from tests.hil.engine_bench import EngineBench, cut_at
+from tests.hil.simulated_rig import rig_with
+
+AIM = {"T_heater": 40.0, "T_tank": 38.0}
+
+
+def there(bench: EngineBench, off_K: float = 0.0) -> None:
+    bench.rig.readings |= {name: value + off_K for name, value in AIM.items()}
+
+
+def test_the_profile_goes_on_once_the_rig_has_been_back_for_a_minute():
+    with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
+        bench.ticks(1)
+        status = bench.engine.status()
+        assert (bench.state, status.profile_s) == ("soaking", 120.0)
+        assert status.time_s == pytest.approx(220.0, abs=2.0)
+        assert status.reason == "T_heater is 30.0 degC, 10.0 K below the 40.0 that it had when the run was cut"
+        bench.ticks(9)
+        assert bench.rig.heater_W == pytest.approx(700.0)  # no more than the profile asks for
+        there(bench, 0.9)
+        bench.ticks(int(SETTLE_S))
+        assert bench.state == "soaking"
+        bench.ticks(1)
+        assert (bench.state, bench.engine.status().profile_s) == ("running", 120.0)
+        bench.ticks(5)
+        assert bench.engine.status().profile_s == 125.0
+        segment = bench.journal.segments[0]
+        assert (segment.number, segment.profile_s, segment.aim_tick) == (2, 120.0, 120)
+        assert segment.gap_s == pytest.approx(100.0, abs=2.0)
+        assert bench.journal.samples[0][0] == segment.tick
+
+
+def test_a_rig_that_leaves_the_band_begins_its_minute_again():
+    with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
+        there(bench)
+        bench.ticks(50)
+        there(bench, 1.1)
+        bench.ticks(1)
+        there(bench)
+        bench.ticks(int(SETTLE_S))
+        assert bench.state == "soaking"
+        bench.ticks(1)
+        assert bench.state == "running"
+
+
+@pytest.mark.parametrize(("off_K", "heat_W"), [(-10.0, 700.0), (-0.5, 700.0), (1.0, 350.0), (10.0, 0.0)])
+def test_a_hotter_rig_gets_less_heat(off_K, heat_W):
+    with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
+        there(bench, off_K)
+        bench.ticks(20)
+        assert bench.rig.heater_W == pytest.approx(heat_W)
+        assert not bench.violations
+
+
+def test_a_rig_that_does_not_get_there_in_time_is_left_safe():
+    with EngineBench(rig_with(), resumption=cut_at(120.0, AIM, timeout_s=100.0)) as bench:
+        bench.ticks(101)
+        assert bench.state == "soaking"
+        bench.ticks(2)
+        assert (bench.state, bench.outcome.safe, bench.rig.heater_W) == ("faulted", True, 0.0)
+        assert bench.outcome.reason.startswith(
+            "not resumed: after 100 s of soaking T_heater is 30.0 degC, 10.0 K below"
+        )
+        assert bench.outcome.soaked_s > 100.0
+
+
+def test_a_sensor_that_is_lost_is_not_taken_for_one_that_is_back():
+    with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
+        there(bench)
+        bench.rig.quality["T_tank"] = Quality.STALE
+        bench.ticks(4)
+        assert "T_tank is not known" in bench.engine.status().reason
+
+
+@pytest.mark.parametrize("wait_s", [0.0, 500.0])
+def test_a_trip_ends_the_soak_and_nobody_is_waited_for(wait_s):
+    with EngineBench(rig_with(wait_s), resumption=cut_at(120.0, AIM)) as bench:
+        bench.ticks(20)
+        bench.rig.readings["flow"] = 0.0
+        bench.ticks(4)
+        assert (bench.state, bench.rig.heater_W) == ("faulted", 0.0)
+        assert "heat without flow" in bench.outcome.reason
+
+
+def test_a_warning_suspends_the_soak_which_goes_on_and_not_the_profile():
+    with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
+        bench.ticks(20)
+        bench.residuals = {("static", "T_tank"): 5.0}
+        bench.ticks(1)
+        assert (bench.state, bench.rig.heater_W) == ("suspended", 0.0)
+        assert "leads its rig back" in bench.ask(Verb.PAUSE)
+        bench.residuals = {}
+        bench.ticks(8)
+        assert bench.state == "soaking"
+        assert bench.engine.status().profile_s == 120.0
+        assert not bench.violations
+
+
+def test_an_operator_may_only_abort():
+    with EngineBench(rig_with(500.0), resumption=cut_at(120.0, AIM)) as bench:
+        bench.ticks(20)
+        for verb in (Verb.HOLD, Verb.PAUSE, Verb.RESUME):
+            assert "can only be aborted" in bench.ask(verb)
+        bench.ask(Verb.ABORT)
+        bench.ticks(2)
+        assert (bench.state, bench.rig.heater_W) == ("aborted", 0.0)
+
+
+def test_a_profile_that_was_over_is_not_run_again():
+    with EngineBench(rig_with(), duration_s=120.0, resumption=cut_at(120.0, AIM)) as bench:
+        assert (bench.state, bench.outcome.reason, bench.rig.heater_W) == ("done", "", 0.0)
+
+
+def test_profile_time_is_told_from_the_transitions():
+    def row(tick: int, profile_s: float, target: str) -> StateRow:
+        return StateRow(0, tick, float(tick), 0.0, profile_s, "", "", target, "")
+
+    states = [row(0, 0.0, "running"), row(5, 4.0, "held"), row(8, 4.0, "running"), row(10, 6.0, "idle"),
+              row(20, 6.0, "soaking"), row(30, 6.0, "running")]  # fmt: skip
+    ticks = np.array([0, 4, 5, 7, 8, 9, 21, 30, 32])
+    assert profile_times(states, ticks, 1.0).tolist() == [0.0, 4.0, 4.0, 4.0, 4.0, 5.0, 6.0, 6.0, 8.0]
