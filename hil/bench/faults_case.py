@@ -235,7 +235,7 @@ async def _attempt(
         truth = stage.moments()
         journal = judge.read_journal(stage.look())
         _judge(result, kind, stage, journal, truth, occurred_s)
-        if name == "SIGKILL" and result.heated and not result.failures:
+        if name == "SIGKILL" and result.heated and journal.ticks and not result.failures:
             result.resumed = await _resumed(stage, result)
         if result.failures:
             result.reason = (result.reason + " | " + _last_words(place))[:600]
@@ -382,7 +382,7 @@ async def _resumed(stage: Stage, result: Result) -> bool:
     folder = stage.harness.folder()
     assert folder is not None
     before, asked_s = dict(stage.seen.rows), time.time()
-    command = [sys.executable, "-m", "hil", "resume", str(folder), "--no-viewer", "--timeout", str(RESUME_S)]
+    command = [sys.executable, "-m", "hil", "resume", str(folder), "--no-viewer", "--band", "3"]
     stage.harness.process = await _spawn(command, stage.truth.parent)
 
     def running() -> bool:

@@ -214,6 +214,6 @@ def effect_text(kind: Kind, generator: random.Random, channels: tuple[str, ...],
     values = {
         "channel": generator.choice(channels),
         "jump": f"{generator.choice((-1, 1)) * generator.uniform(8.0, 30.0):.2f}",
-        "period": f"{generator.uniform(0.3, 3.0):.2f}",
+        "period": f"{generator.uniform(0.6, 3.0):.2f}",
     }
     return f"[[effect]]\n{kind.effect.format(**values)}onset_s = {onset_s:.1f}\n"
