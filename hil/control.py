@@ -121,7 +121,10 @@ def ask(path: Path, verb: str, reason: str = "") -> dict[str, Any]:
         except TimeoutError:
             raise ControlError(f"{path.parent}: the run does not answer within {ANSWER_WITHIN_S:g} s") from None
         except OSError as error:
-            raise ControlError(f"{path.parent} is no live run ({error.strerror}); `hil run` starts one") from None
+            raise ControlError(
+                f"{path.parent} is no live run ({error.strerror}); `hil run` starts one, "
+                "`hil resume` goes on with one that was cut"
+            ) from None
     if not line:
         raise ControlError(f"{path.parent}: the run ended before it answered")
     answer: dict[str, Any] = json.loads(line)

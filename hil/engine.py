@@ -23,7 +23,7 @@ from hil.operator import Verb
 from hil.outputs import Outputs
 from hil.profile import Profile
 from hil.recording import Position, Publisher, Recorder
-from hil.safing import make_safe
+from hil.safing import make_safe, write_safe
 from hil.segments import Resumption
 from hil.setpoints import bind
 from hil.soaking import Soak
@@ -99,6 +99,7 @@ class Engine:
         self._rearm = rearm
         self._soak: Soak | None = None
         self._soaked_s = 0.0
+        self._found_safe = False
         self._first = 0
         self._at = Position(clock.period_s)
         if resumption is not None:
@@ -173,6 +174,7 @@ class Engine:
             outcome.reason = "" if event is Event.COMPLETE else reason
             untouched = self._machine.state in UNTOUCHED
             self._machine.take(event, reason)
+            outcome.safe = self._found_safe
             if not untouched:
                 outcome.safe = await self._make_safe(outcome)
                 self._machine.take(event, reason)
@@ -190,6 +192,13 @@ class Engine:
         machine.take(Event.VALIDATE, f"{self._profile.name} on {rig.name}")
         machine.take(Event.CONNECT, ", ".join(rig.bus))
         await self._connection.connect()
+        if self._resumption is not None:
+            # Nobody knows what the rig was told last, and its watchdog may still wait.
+            problem = await write_safe(self._connection, self._outputs.safe_values)
+            self._found_safe = not problem
+            self._told.event(
+                "WARN" if problem else "INFO", problem or "safe values written on connecting, and read back"
+            )
         self._snapshot = await self._first_snapshot()
         refusals = self._interlocks.refusals(self._snapshot, rearm=self._rearm)
         if refusals:
@@ -270,7 +279,7 @@ class Engine:
         self._soaked_s = soak.elapsed_s
         if soak.reached and self._machine.state is State.SOAKING:
             self._soak, self._supervisor.soaks = None, False
-            self._machine.take(Event.START, f"the rig is back where it was, after {self._soaked_s:g} s of soaking")
+            self._machine.take(Event.START, f"the rig is back where it was, after {self._soaked_s:.0f} s of soaking")
         return None if soak.failure is None else (Event.FAIL, soak.failure)
 
     def _commanded(self) -> dict[str, float]:

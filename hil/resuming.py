@@ -64,7 +64,7 @@ def request_of(
     Raises:
         RunFolderError: the run is over, or one of its files is not what it was.
     """
-    if manifest.get("exit_status") == "done":
+    if manifest.get("exit_status") == "done" and folder.report.is_file():
         raise RunFolderError(f"{folder.path} has run to its end; start it again with `hil run`")
     files = _checked_files(folder, manifest, moved)
     settings = manifest["settings"]

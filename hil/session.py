@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import shutil
+import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -98,6 +99,8 @@ async def resume_session(
             stack.push_async_callback(tracking.close)
         reason = how_it_stopped(manifest, was)
         announce(f"{reason} at {was.profile_s / 3600:.3f} h of {ready.profile.duration_s / 3600:.2f} h of the profile")
+        if was.wall_s > time.time():
+            announce("this machine's clock has been set back since the cut: how long the gap was is not known")
         resumption = Resumption(was, rule, reason, request.speed if request.mode == "scaled" else 1.0)
         manifest |= {"exit_status": "running", "reason": "", "ended": None}
         folder.write_manifest(manifest)

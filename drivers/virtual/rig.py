@@ -178,6 +178,8 @@ async def start_virtual_rig(
         raise ValueError(f"period_s is {period_s}; give 0.02 to 10 s.")
     if not (math.isfinite(speed) and speed > 0.0):
         raise ValueError(f"speed is {speed}; give a factor above 0.")
+    if not (math.isfinite(start_s) and start_s >= 0.0):
+        raise ValueError(f"start_s is {start_s}; give 0 s or more.")
     for name, port in (("modbus_port", modbus_port), ("can_port", can_port), ("control_port", control_port)):
         if not 0 <= port <= 65535:
             raise ValueError(f"{name} is {port}; give 0 (any free port) to 65535.")

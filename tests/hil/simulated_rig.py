@@ -18,7 +18,7 @@ from drivers.interlock_specs import (
 )
 from drivers.points import LinkError, Quality, Snapshot
 from drivers.rigfile import Rig, load_rig
-from drivers.virtual.registers import ARMED, HEARTBEAT, Registers
+from drivers.virtual.registers import ARMED, HEARTBEAT, HEATER_SET, Registers
 from hil.journal import JournalError
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -45,6 +45,8 @@ START_QUALITY: dict[str, Quality] = {}
 """Of what is not good from the beginning."""
 START_TRIPS = 0
 """Bits of its own trips that the rig brings along."""
+START_HEATER_W = 0.0
+"""What a rig that is armed brings along: somebody else left it heating."""
 
 
 class SimulatedRig:
@@ -54,7 +56,8 @@ class SimulatedRig:
         self.rig = rig
         self.points = tuple(point for point in rig.point if point.access == "r")
         self.registers = Registers()
-        self.registers.status = START_TRIPS
+        self.registers.status = START_TRIPS | (ARMED if START_HEATER_W else 0)
+        self.registers.holding[HEATER_SET] = round(START_HEATER_W * 10.0)
         self.now = self._booted = 0.0
         self.link = True
         self.counts = True

@@ -221,6 +221,19 @@ def test_a_run_that_is_over_or_goes_on_is_refused(story):
         pass
 
 
+def test_a_run_that_was_killed_while_its_report_was_written_gets_it(story, tmp_path):
+    shutil.copytree(story.whole.path, tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+    folder.report.unlink()
+    folder.record.unlink()
+    done = hil("resume", folder.path, "--no-viewer")
+    assert done.returncode == 0, done.stderr
+    assert "the run was over, but its report was not written" in done.stderr
+    record, whole = read_record(folder.record), read_record(story.whole.record)
+    assert np.array_equal(record.columns["T_tank_C"], whole.columns["T_tank_C"])
+    assert folder.report.is_file()
+
+
 def test_a_soak_that_takes_too_long_ends_safe_and_can_be_tried_again(story, tmp_path):
     shutil.copytree(story.folder.path.parents[1] / "as it was cut", tmp_path / "run")
     for attempt in range(2):

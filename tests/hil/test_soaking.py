@@ -108,6 +108,19 @@ def test_a_warning_suspends_the_soak_which_goes_on_and_not_the_profile():
         assert not bench.violations
 
 
+@pytest.mark.parametrize("sensor", ["T_pm4", None])
+def test_a_rig_that_still_heats_is_safe_before_anything_else_even_where_the_run_may_not_go_on(sensor, monkeypatch):
+    monkeypatch.setattr("tests.hil.simulated_rig.START_HEATER_W", 700.0)
+    if sensor is not None:
+        monkeypatch.setattr("tests.hil.simulated_rig.START_QUALITY", {sensor: Quality.SENSOR_FAULT})
+    with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
+        assert bench.rig.heater_W == 0.0
+        assert any("safe values written on connecting" in text for _, text in bench.journal.events)
+        if sensor is not None:
+            assert (bench.state, bench.outcome.safe) == ("faulted", True)
+            assert bench.outcome.reason.startswith("not started: T_pm4")
+
+
 def test_an_operator_may_only_abort():
     with EngineBench(rig_with(500.0), resumption=cut_at(120.0, AIM)) as bench:
         bench.ticks(20)

@@ -242,3 +242,25 @@ def test_a_network_that_remembers_is_tracked_and_goes_on(loop_text: str, name: s
     rest = second.push(*(x[1300:] for x in s))
     assert np.abs(whole.tracked[1300:] - rest.tracked).max() < 1e-6
     assert np.abs(whole.static[1300:] - rest.static).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", ["pso", "kalman"])
+def test_beginning_again_keeps_what_was_learned_and_finds_the_state_anew(loop: Network, name: str) -> None:
+    t, u, y = stream(loop, 2600)
+    tracker = TwinTracker(loop, name, seed=2)
+    run(tracker, (t[:1300], u[:1300], y[:1300]))
+    learned = tracker.values
+    tracker.begin_again()
+    assert tracker.values == learned
+    # An hour that nobody saw, in which the rig has cooled: the twin is at once where the readings are.
+    later, drive_ = t[1300:] + 3600.0, u[1300:]
+    noise = np.random.default_rng(8).normal(0.0, 1.0, (1300, 4)) * loop.sigma
+    cold = simulate(loop, later, drive_, START - 6.0) + noise
+    update = run(tracker, (later, drive_, cold))[0]
+    assert np.abs((update.tracked - cold)[31:90].mean(axis=0)).max() < 0.3
+    if update.filtered is not None:
+        assert np.abs((update.filtered - cold)[31:90].mean(axis=0)).max() < 0.2
+        # Without, the filter explains the hour with its parameters: the loss of the modules sixfold.
+        assert tracker.values["modules_loss.hA"] == pytest.approx(learned["modules_loss.hA"], rel=0.2)
+    # Counted on from the two before; the one that was under way is not fitted.
+    assert [c.window for c in update.calibrations] == [2, 3]

@@ -156,3 +156,13 @@ def test_water_properties(t: float) -> None:
         np.interp(t, [0, 20, 40, 60, 90], [999.8, 998.2, 992.2, 983.2, 965.3]), rel=2e-3
     )
     assert viscosity_of(t + 1.0) < viscosity_of(t)
+
+
+def test_a_rig_that_is_switched_on_later_stands_in_the_same_room():
+    early, late = Plant(seed=4), Plant(seed=4, start_s=300.0)
+    for _ in range(300):
+        early.step(800.0, 1.0, 0.5)
+    assert late.time_s == early.time_s
+    assert late.ambient_C == early.ambient_C
+    assert late.junction == pytest.approx(late.ambient_C)  # and is cold
+    assert early.junction[HEATER] > late.junction[HEATER] + 2.0
