@@ -37,9 +37,13 @@ async def campaign(
     *,
     jobs: int = 2,
     keep: Path | None = None,
+    resume: bool = True,
     done: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
-    """Run `cases`, `jobs` at a time; with `keep`, those whose result lies in that folder are not run again."""
+    """Run `cases`, `jobs` at a time; with `keep`, those whose result lies in that folder are not run again.
+
+    With `resume`, a run that was killed is resumed, which takes it a minute.
+    """
     room = asyncio.Semaphore(jobs)
 
     async def one(kind: str, number: int) -> Result:
@@ -48,7 +52,7 @@ async def campaign(
             result = None if path is None else _kept(path)
             if result is None:
                 # The first of each kind is followed to its record and report, the others are spared that.
-                result = await run_case(kind, number, seed, thorough=number == 0)
+                result = await run_case(kind, number, seed, thorough=number == 0, resume=resume)
                 if path is not None:
                     with replacing(path) as temporary:
                         temporary.write_text(json.dumps(as_document(result), indent=1), encoding="utf-8")

@@ -201,14 +201,16 @@ class Stage:
         return True
 
 
-async def run_case(kind_name: str, number: int, seed: int, *, thorough: bool = False, retries: int = 2) -> Result:
+async def run_case(
+    kind_name: str, number: int, seed: int, *, thorough: bool = False, resume: bool = True, retries: int = 2
+) -> Result:
     """One case. It is repeated where the fault came before the run, and where the machine stood still and a must was
-    broken. `thorough` waits for record and report."""
+    broken. `thorough` waits for record and report, `resume` resumes what was killed."""
     for attempt in range(1, retries + 2):
         generator = random.Random(f"{seed} {kind_name} {number}")
         with tempfile.TemporaryDirectory(prefix="hil-fault-") as folder:
             try:
-                result = await _attempt(kind_name, number, generator, Path(folder), thorough, attempt)
+                result = await _attempt(kind_name, number, generator, Path(folder), thorough, resume, attempt)
             except Exception as error:  # a case that cannot be carried out is no reason to leave out the others
                 result = Result(kind_name, number, failures=[f"not carried out: {type(error).__name__}: {error}"])
         result.attempts = attempt
@@ -223,7 +225,7 @@ Of the rig its own log tells, of the harness the kernel (/proc/PID/schedstat).""
 
 
 async def _attempt(
-    name: str, number: int, generator: random.Random, place: Path, thorough: bool, attempt: int
+    name: str, number: int, generator: random.Random, place: Path, thorough: bool, resume: bool, attempt: int
 ) -> Result:
     kind, result = KINDS[name], Result(name, number)
     onset_s = generator.uniform(9.0, 12.0) + 8.0 * (attempt - 1)
@@ -235,7 +237,7 @@ async def _attempt(
         truth = stage.moments()
         journal = judge.read_journal(stage.look())
         _judge(result, kind, stage, journal, truth, occurred_s)
-        if name == "SIGKILL" and result.heated and journal.ticks and not result.failures:
+        if resume and name == "SIGKILL" and result.heated and journal.ticks and not result.failures:
             result.resumed = await _resumed(stage, result)
         if result.failures:
             result.reason = (result.reason + " | " + _last_words(place))[:600]
