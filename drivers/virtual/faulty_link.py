@@ -147,7 +147,7 @@ class FaultyLink:
     async def _up(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(OSError):
             while data := await reader.read(65536):
-                if not self._muted:
+                if not self._muted and not writer.is_closing():
                     writer.write(data)
 
     async def _down(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -169,5 +169,5 @@ class FaultyLink:
         for delay_s, piece in pieces:
             if delay_s > 0.0:
                 await asyncio.sleep(delay_s)
-            if not self._muted:
+            if not self._muted and not writer.is_closing():
                 writer.write(piece)

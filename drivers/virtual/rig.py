@@ -258,7 +258,8 @@ async def _serve(say: Callable[[str], None], options: dict[str, Any]) -> int:
         say(f"Virtual rig on {rig.host}: {kind} port {rig.modbus_port}, device id 1")
         say(f"  CAN (socketcand, bus vcan0) port {rig.can_port}, control port {rig.control_port}")
         if rig.host not in ("127.0.0.1", "localhost", "::1"):
-            say("  Reachable from other machines, without any password.")
+            what = "Reachable" if options.get("tls") is None else "CAN and control port are reachable"
+            say(f"  {what} from other machines, without any password.")
         say(f"  {rig.mode} time, a period of {rig.period_s:g} s; Ctrl-C ends it.")
         waits = [asyncio.create_task(stop.wait()), asyncio.create_task(rig.wait())]
         await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
