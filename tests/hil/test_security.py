@@ -17,6 +17,7 @@ import pytest
 from drivers.rigfile import RigFileError, file_sha256, load_rig
 from drivers.virtual.rig import start_virtual_rig
 from hil.atomic import replacing
+from hil.bench.faults_judge import read_states
 from hil.bench.faults_rig import LOAD, prepare, rig_text
 from hil.bench.faults_tls import make_certificates
 from hil.resuming import request_of
@@ -169,9 +170,7 @@ def test_a_run_folder_that_names_other_files_shows_nothing_of_them(tmp_path):
 
 def test_a_card_cannot_name_members_outside_its_folder(tmp_path):
     pytest.importorskip("torch")
-    from twin.calibrators.hiera_unet.errors import HieraError
-
-    from twin.calibrators.hiera_unet.members import load_ensemble
+    from twin.calibrators.hiera_unet.members import HieraError, load_ensemble
 
     shipped = PROJECT / "profiles" / "trained" / "loop_small.json"
     document = json.loads(shipped.read_text(encoding="utf-8"))
@@ -200,9 +199,12 @@ async def test_a_run_over_tls_leaves_no_key_in_its_folder(tmp_path):
             stderr=asyncio.subprocess.PIPE,
         )  # fmt: skip
         deadline = time.monotonic() + 30.0
-        while time.monotonic() < deadline and not list((tmp_path / "runs").glob("*/journal.sqlite")):
+        while time.monotonic() < deadline and not any(
+            "running" in [target for _, target in read_states(path)]
+            for path in (tmp_path / "runs").glob("*/journal.sqlite")
+        ):
             await asyncio.sleep(0.1)
-        await asyncio.sleep(1.5)
+        await asyncio.sleep(1.0)
         process.send_signal(signal.SIGTERM)
         _, err = await asyncio.wait_for(process.communicate(), 60.0)
     (folder,) = (tmp_path / "runs").iterdir()
