@@ -184,7 +184,8 @@ def _pictures(reader: JournalReader, samples: Samples, twins: dict[str, NDArray[
     figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper right", ncols=6, frameon=False)
     power = next((i for i, s in enumerate(reader.header.signals) if s.role == "heater_power"), None)
     if power is not None:
-        rows[-1].plot(hours[::step], samples.values[::step, power], color="#a8322a", linewidth=0.8)
+        heat = _broken(samples.values[:, power], cuts)
+        rows[-1].plot(hours[::step], heat[::step], color="#a8322a", linewidth=0.8)
         rows[-1].set_ylabel("heater / W")
     rows[-1].set_xlabel("time / h")
     rows[-1].grid(alpha=0.25)
