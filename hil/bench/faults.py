@@ -176,8 +176,8 @@ def _musts(results: list[Result]) -> Table:
     ]
     again = sum(result.attempts > 1 for result in results)
     note = (
-        f"{again} cases were repeated: a limit was missed while rig or harness waited {STALL_S:g} s or longer for a "
-        "processor, or the fault came before the run."
+        f"{again} cases were repeated: a limit was missed while rig, harness or relays waited {STALL_S:g} s or "
+        "longer for a processor, or the fault came before the run."
     )
     return Table("musts", "Musts", ("must", "found"), tuple(rows), (note,))
 

@@ -136,7 +136,8 @@ class Stage:
     asked_s: float = math.inf
     waited_s: float = math.inf
     starved_s: float = 0.0
-    """How long the harness had waited for a processor when the fault came, and has since."""
+    """How long the harness had waited for a processor when the fault came; the longest that it has since, or that our
+    own relays have stood still."""
     told_s: float | None = None
     """When the harness said on its terminal that it ends."""
     seen: judge.Seen = field(default_factory=judge.Seen)
@@ -197,7 +198,10 @@ class Stage:
             self.starved_s = max(self.starved_s, _waited_s(self.pid) - self.waited_s)
             if self.told_s is None and " finishing: " in self.harness.said():
                 self.told_s = time.time()
+            asleep = time.monotonic()
             await asyncio.sleep(LOOK_EVERY_S / 2)
+            if self.waited_s < math.inf:
+                self.starved_s = max(self.starved_s, time.monotonic() - asleep - LOOK_EVERY_S / 2)
         return True
 
 
@@ -220,8 +224,8 @@ async def run_case(
 
 
 STALL_S = 0.4
-"""A machine on which rig or harness waited this long for a processor while it mattered cannot keep a limit of a second.
-Of the rig its own log tells, of the harness the kernel (/proc/PID/schedstat)."""
+"""A machine on which rig, harness or relays waited this long for a processor while it mattered cannot keep a limit of a
+second. Of the rig its own log tells, of the harness the kernel (/proc/PID/schedstat), of the relays our own clock."""
 
 
 async def _attempt(
@@ -234,9 +238,7 @@ async def _attempt(
         if occurred_s is None:
             return result
         await _follow(stage, kind, occurred_s, result, thorough)
-        truth = stage.moments()
-        journal = judge.read_journal(stage.look())
-        _judge(result, kind, stage, journal, truth, occurred_s)
+        journal = await asyncio.to_thread(_judged, result, kind, stage, occurred_s)
         if resume and name == "SIGKILL" and result.heated and journal.ticks and not result.failures:
             result.resumed = await _resumed(stage, result)
         if result.failures:
@@ -247,7 +249,10 @@ async def _attempt(
 @contextlib.asynccontextmanager
 async def _stage(kind: Kind, generator: random.Random, place: Path, onset_s: float) -> AsyncIterator[Stage]:
     async with contextlib.AsyncExitStack() as stack:
-        certificates: Certificates | None = make_certificates(place) if kind.place == "tls" else None
+        # What takes long goes to a thread: the relays of the cases beside this one must not stand still for it.
+        certificates: Certificates | None = None
+        if kind.place == "tls":
+            certificates = await asyncio.to_thread(make_certificates, place)
         effects = None
         if kind.effect:
             effects = place / "effects.toml"
@@ -273,7 +278,7 @@ async def _stage(kind: Kind, generator: random.Random, place: Path, onset_s: flo
         text = rig_text(ports, None if certificates is None else certificates.harness)
         (place / "rig.toml").write_text(text, encoding="utf-8")
         (place / "load.csv").write_text(LOAD.format(generator.randrange(300, 600)), encoding="utf-8")
-        disk = OwnDisk(place / "disk") if kind.place == "tmpfs" else None
+        disk = await asyncio.to_thread(OwnDisk, place / "disk") if kind.place == "tmpfs" else None
         if disk is not None:
             stack.callback(disk.close)
         harness = await _start(kind, place, disk)
@@ -400,12 +405,12 @@ async def _resumed(stage: Stage, result: Result) -> bool:
         os.kill(stage.pid, signal.SIGTERM)
         await _ended(stage, result)
     await stage.harness.finish()
-    journal = judge.read_journal(stage.look())
+    journal = await asyncio.to_thread(lambda: judge.read_journal(stage.look()))
     gone = judge.lost(stage.seen, journal)
     if gone or not set(before) <= set(journal.ticks) or not journal.sound:
         result.failures.append(f"{gone} acknowledged samples lost by resuming")
     result.lost += gone
-    result.wrong += judge.wrong_values(journal, stage.moments())
+    result.wrong += await asyncio.to_thread(judge.wrong_values, journal, stage.moments())
     return went_on
 
 
@@ -416,6 +421,13 @@ async def _leave(stage: Stage, thorough: bool, result: Result) -> None:
         result.failures.append("record and report were not written within 60 s")
     await harness.finish()
     stage.look()
+
+
+def _judged(result: Result, kind: Kind, stage: Stage, occurred_s: float) -> judge.Journal:
+    """Fill in `result` from what rig and harness left; the journal."""
+    truth, journal = stage.moments(), judge.read_journal(stage.look())
+    _judge(result, kind, stage, journal, truth, occurred_s)
+    return journal
 
 
 def _judge(

@@ -77,6 +77,8 @@ def read_journal(path: Path) -> Journal:
     database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
     try:
         sound = database.execute("PRAGMA integrity_check").fetchone()[0] == "ok"
+        if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'samples'").fetchone() is None:
+            return Journal(sound=sound)  # cut while it was made, before anything moved
         rows = database.execute("SELECT tick, wall_s, quality FROM samples ORDER BY tick").fetchall()
     except sqlite3.Error:
         return Journal(sound=False)
