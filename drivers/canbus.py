@@ -23,6 +23,7 @@ import cantools.database
 from drivers.bus import Clock, Readings, quality_of
 from drivers.points import ConfigurationError, LinkError, Quality
 from drivers.rigfile import CanBus, Point
+from drivers.sensor_watch import watches
 from drivers.units import canonical_unit
 
 logging.getLogger("can").setLevel(logging.CRITICAL)  # what it reports, this module raises
@@ -30,6 +31,8 @@ logging.getLogger("can").setLevel(logging.CRITICAL)  # what it reports, this mod
 RECEIVE_TIMEOUT_S = 0.2
 REOPEN_EVERY_S = 1.0
 _EMPTY_READS_OF_A_DEAD_LINK = 20
+_BUS_OFF = 0x40
+"""CAN_ERR_BUSOFF of linux/can/error.h, in the identifier of an error frame: no interface tells it otherwise."""
 
 
 @dataclass(slots=True)
@@ -55,6 +58,7 @@ class CanReceiver:
         place = f"{config.host}:{config.port}/" if config.transport == "socketcand" else ""
         self._where = f"{name} ({config.transport} {place}{config.channel})"
         self._latest = [_Latest() for _ in points]
+        self._watches = watches(points)
         self._uptime = next((i for i, p in enumerate(points) if p.name == config.uptime), None)
         self._lock = threading.Lock()
         self._stop = threading.Event()
@@ -222,6 +226,9 @@ class CanReceiver:
         self.frames += 1
         if frame.is_error_frame or frame.is_remote_frame:
             self.error_frames += 1
+            if frame.is_error_frame and frame.arbitration_id & _BUS_OFF:
+                with self._lock:
+                    self._fault = f"{self._where}: the CAN controller is bus-off; look for a short or a wrong bit rate"
             return
         found = self._messages.get((frame.arbitration_id, frame.is_extended_id))
         if found is None:
@@ -242,6 +249,9 @@ class CanReceiver:
                 latest = self._latest[index]
                 latest.value = raw * point.scale + point.offset
                 latest.quality = quality_of(point, latest.value, raw)
+                watch = self._watches[index]
+                if watch is not None:
+                    latest.quality = watch.judge(latest.value, latest.quality, arrival)
                 latest.arrival_s = arrival
             if (
                 self._uptime is not None

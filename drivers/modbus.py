@@ -1,4 +1,4 @@
-"""Modbus/TCP client: the one module that imports pymodbus.
+"""Modbus/TCP client, plain or over TLS: the one module that imports pymodbus.
 
 pymodbus accepts replies that are too short or of the wrong function, declares a dead link only after many time-outs
 and backs off its reconnection to minutes. So the deadline, the checks of each reply and the reconnection are ours;
@@ -10,11 +10,13 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import ssl
 from collections.abc import Mapping
 from typing import Any
 
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
+from pymodbus.transport import CommParams, CommType
 
 from drivers.bus import Clock, Readings, judge
 from drivers.codec import decode, encode
@@ -28,7 +30,9 @@ from drivers.points import (
     ProtocolError,
     Quality,
 )
-from drivers.rigfile import ModbusTcpBus, Point
+from drivers.rigfile import ModbusTcpBus, ModbusTlsBus, Point
+from drivers.sensor_watch import watches
+from drivers.tls import client_context, why_refused
 
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # what it reports, this module raises
 
@@ -47,6 +51,16 @@ _EXCEPTIONS = {
 }
 
 
+class _SecureClient(AsyncModbusTcpClient):
+    """pymodbus's own TLS client takes each TLS record for one frame; this one finds frames by their length."""
+
+    def __init__(self, host: str, *, port: int, timeout: float, context: ssl.SSLContext) -> None:
+        self.comm_params = CommParams(
+            comm_type=CommType.TLS, host=host, port=port, timeout_connect=timeout, reconnect_delay=0, sslctx=context
+        )
+        super().__init__(host, port=port, timeout=timeout, retries=0, reconnect_delay=0)
+
+
 class ModbusBus:
     """One Modbus/TCP device: its polled points are read in as few blocks as the limits admit."""
 
@@ -57,12 +71,15 @@ class ModbusBus:
         self._all = {point.name: point for point in points}
         self._config = config
         self._clock = clock
-        self._where = f"{name} (Modbus/TCP {config.host}:{config.port}, device {config.device_id})"
+        self._tls = client_context(config) if isinstance(config, ModbusTlsBus) else None
+        kind = "Modbus/TCP" if self._tls is None else "Modbus/TCP Security"
+        self._where = f"{name} ({kind} {config.host}:{config.port}, device {config.device_id})"
         self._plan = plan_reads(self.points, max_read=config.max_read, max_gap=config.max_gap)
         order = {point.name: index for index, point in enumerate(self.points)}
         self._slots = [
             [(order[p.name], p, (p.address or 0) - block.address) for p in block.points] for block in self._plan
         ]
+        self._watches = watches(self.points)
         self._uptime = order.get(config.uptime) if config.uptime is not None else None
         self._write_plans: dict[tuple[str, ...], list[Block]] = {}
         self._client: AsyncModbusTcpClient | None = None
@@ -71,18 +88,17 @@ class ModbusBus:
     async def connect(self) -> None:
         """Connect and read each block once; raises LinkError, or ConfigurationError where the map is wrong."""
         await self._open()
-        for block in self._plan:
-            await self._request(block)
+        try:
+            for block in self._plan:
+                await self._request(block)
+        except LinkError:
+            # In TLS 1.3 a client learns only now that its certificate was refused.
+            await self._explain()
+            raise
 
     async def _open(self) -> None:
         self._drop()
-        client = AsyncModbusTcpClient(
-            self._config.host,
-            port=self._config.port,
-            timeout=self._config.timeout_s,
-            retries=0,
-            reconnect_delay=0,
-        )
+        client = self._new_client()
         try:
             async with asyncio.timeout(self._config.timeout_s + 1.0):
                 connected = await client.connect()
@@ -91,8 +107,38 @@ class ModbusBus:
             raise LinkError(f"{self._where} cannot be reached: {error or 'no answer'}; is the rig on?") from error
         if not connected:
             client.close()
+            await self._explain()
             raise LinkError(f"{self._where} cannot be reached; is the rig on, and host and port right?")
         self._client = client
+
+    def _new_client(self) -> AsyncModbusTcpClient:
+        config = self._config
+        client: AsyncModbusTcpClient
+        if self._tls is not None:
+            client = _SecureClient(config.host, port=config.port, timeout=config.timeout_s, context=self._tls)
+        else:
+            client = AsyncModbusTcpClient(
+                config.host, port=config.port, timeout=config.timeout_s, retries=0, reconnect_delay=0
+            )
+        receive = client.ctx.data_received
+
+        def guarded(data: bytes) -> None:
+            # A reply that pymodbus cannot decode raises in asyncio's callback, which prints a traceback.
+            try:
+                receive(data)
+            except Exception:
+                client.close()
+
+        client.ctx.data_received = guarded  # type: ignore[method-assign]
+        return client
+
+    async def _explain(self) -> None:
+        """Raise the reason why TLS was refused, where that is why; pymodbus tells only that there is no connection."""
+        if self._tls is None or not isinstance(self._config, ModbusTlsBus):
+            return
+        why = await why_refused(self._config, self._tls)
+        if why is not None:
+            raise LinkError(f"{self._where}: {why}")
 
     def _drop(self) -> None:
         if self._client is not None:
@@ -117,6 +163,9 @@ class ModbusBus:
                 values[index], quality[index] = judge(
                     point, decode(registers[at : at + point.width], point.type, point.order)
                 )
+                watch = self._watches[index]
+                if watch is not None:
+                    quality[index] = watch.judge(values[index], quality[index], now)
                 source[index] = now
         if self._uptime is not None and math.isfinite(values[self._uptime]):
             device_time = values[self._uptime]

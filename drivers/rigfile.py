@@ -46,6 +46,20 @@ class ModbusTcpBus(_Section):
     uptime: str | None = None
 
 
+class ModbusTlsBus(ModbusTcpBus):
+    """The same over TLS with certificates both ways (Modbus/TCP Security protocol specification, v21).
+
+    `certificate` and `key` are ours, `ca` signs the device's: PEM files, beside the rig file unless their paths say
+    otherwise. The device's certificate must name `host`.
+    """
+
+    transport: Literal["modbus_tls"]  # type: ignore[assignment]
+    port: Annotated[int, Field(ge=1, le=65535)] = 802
+    ca: Path
+    certificate: Path
+    key: Path
+
+
 class CanBus(_Section):
     """A CAN bus reached through python-can, its frames described by a DBC file beside the rig file."""
 
@@ -86,6 +100,8 @@ class Point(_Section):
     invalid: tuple[float, ...] = ()
     plausible: Interval | None = None
     stale_after_s: Annotated[float, Field(gt=0)] = 3.0
+    stuck_after_s: Annotated[float, Field(gt=0)] | None = None
+    max_change_per_s: Annotated[float, Field(gt=0)] | None = None
     alarm: Interval | None = None
     # what may be written
     limits: Interval | None = None
@@ -174,7 +190,7 @@ class Rig(_Section):
     suspend_at_most_s: Annotated[float, Field(ge=0)] = 0.0
     twin: Path | None = None
     heartbeat: Heartbeat | None = None
-    bus: dict[str, Annotated[ModbusTcpBus | CanBus, Field(discriminator="transport")]]
+    bus: dict[str, Annotated[ModbusTcpBus | ModbusTlsBus | CanBus, Field(discriminator="transport")]]
     point: tuple[Point, ...]
     interlock: tuple[InterlockSpec, ...] = ()
 
@@ -200,6 +216,9 @@ class Rig(_Section):
         return self.model_copy(update={"bus": buses})
 
 
+_FILES = ("dbc", "ca", "certificate", "key")
+
+
 def load_rig(path: Path) -> Rig:
     """Read and validate a rig file; raises RigFileError with every mistake in it."""
     try:
@@ -213,8 +232,9 @@ def load_rig(path: Path) -> Rig:
     except tomllib.TOMLDecodeError as error:
         raise RigFileError(f"{path}: is not valid TOML: {error}") from error
     for section in document.get("bus", {}).values():
-        if isinstance(section, dict) and isinstance(section.get("dbc"), str):
-            section["dbc"] = os.path.normpath(path.parent / section["dbc"])
+        for key in _FILES:
+            if isinstance(section, dict) and isinstance(section.get(key), str):
+                section[key] = os.path.normpath(path.parent / section[key])
     document = {**document.pop("rig", {}), **document}
     if isinstance(document.get("twin"), str):
         document["twin"] = os.path.normpath(path.parent / document["twin"])
@@ -339,7 +359,7 @@ def _line(text: str, place: Sequence[Any]) -> int:
     return start + 1
 
 
-_TAGS = ("modbus_tcp", "socketcand", "socketcan", *KINDS)
+_TAGS = ("modbus_tcp", "modbus_tls", "socketcand", "socketcan", *KINDS)
 """Which member of a union was meant: pydantic puts it into the place of a mistake."""
 _REMEDY = {
     "missing": "is missing; add it",

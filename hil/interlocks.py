@@ -51,7 +51,11 @@ class Judgement:
 
 
 class Interlock:
-    """One condition with its delays: `active` while it counts, `present` while its cause is there."""
+    """One condition with its delays: `active` while it counts, `present` while its cause is there.
+
+    The on-delay of a point without a good value is no timer but a balance: time without one fills it, time with one
+    drains it. A loose contact that is good for an instant now and then would reset a timer for ever.
+    """
 
     def __init__(self, level: Level, condition: Condition, on_delay_s: float, off_delay_s: float = 0.0) -> None:
         self.level = level
@@ -61,11 +65,18 @@ class Interlock:
         self.reason = ""
         self._on_delay_s, self._off_delay_s = on_delay_s, off_delay_s
         self._since: float | None = None  # of what speaks against the present value of `active`
+        self._drains = isinstance(condition, Untrusted)
+        self._last_s = math.nan
 
     def update(self, tick: Tick) -> None:
         """Judge one tick."""
         said = self.condition.judge(tick, self.active)
         self.present = said is not None
+        passed, self._last_s = tick.now_s - self._last_s, tick.now_s
+        if self._drains and not self.present and not self.active and self._since is not None:
+            drained = self._since + 2.0 * passed
+            self._since = drained if drained < tick.now_s else None
+            return
         if self.present == self.active:
             self._since = None
             return

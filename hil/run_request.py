@@ -85,6 +85,12 @@ def prepare(request: RunRequest) -> Prepared:
         )
     if request.mode != "real" and not request.virtual and request.control is None:
         raise ConfigurationError(f"{request.mode} time needs a rig whose time can be set; add --virtual")
+    secured = [name for name, bus in rig.bus.items() if bus.transport == "modbus_tls"]
+    if request.virtual and secured:
+        raise ConfigurationError(
+            f"{request.rig}: bus {secured[0]} wants TLS, which --virtual does not start; serve the rig with "
+            "`hil rig --tls-certificate ...` and take --virtual out"
+        )
     if request.effects is not None and not request.virtual:
         raise ConfigurationError(
             "--with switches on effects in the virtual rig; give --virtual too, or take --with out"

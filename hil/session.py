@@ -141,7 +141,9 @@ async def _guarded(run: _Run) -> RunResult:
         return await _run_in(run)
     except BaseException as error:
         failed = {"exit_status": "faulted", "reason": f"{type(error).__name__}: {error}"}
-        run.folder.write_manifest(run.manifest | failed)
+        # A disk that is full must not hide why the run ended.
+        with contextlib.suppress(OSError):
+            run.folder.write_manifest(run.manifest | failed)
         raise
 
 

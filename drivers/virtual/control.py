@@ -1,7 +1,8 @@
 """The control port: plain text lines that grant time to the plant in lockstep, or end the rig.
 
 Server on connect: `virtual-rig 1 mode=lockstep period=1.0 t=0.000`. Client: `step` -> `t 1.000` after the plant moved
-one period, or `error ...`; `quit` -> `bye`. One client at a time.
+one period, or `error ...`; `reboot 0.5` -> `ok`, and the PLC loses its memory and does not answer for that many seconds
+(its plant goes on); `quit` -> `bye`. One client at a time.
 """
 
 import asyncio
@@ -22,6 +23,8 @@ class Rig(Protocol):
     def congested(self) -> bool: ...
 
     def on_controller(self, connected: bool) -> None: ...
+
+    def reboot(self, seconds: str) -> str: ...
 
     def quit(self) -> None: ...
 
@@ -73,6 +76,8 @@ class ControlConnection(asyncio.Protocol):
             command = line.strip()
             if command == b"step":
                 self._transport.write(self._rig.grant().encode("ascii"))
+            elif command.startswith(b"reboot "):
+                self._transport.write(self._rig.reboot(command[7:].decode("ascii", "replace")).encode("ascii"))
             elif command == b"quit":
                 self._transport.write(b"bye\n")
                 self._rig.quit()

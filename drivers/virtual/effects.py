@@ -64,6 +64,7 @@ FORMS = (
     Form("sensor", CHANNELS + READINGS, "history", "lag_s", 0.0, 7200.0),
     Form("sensor", CHANNELS + READINGS, "constant", "stuck", 1.0, 1.0),
     Form("sensor", CHANNELS, "constant", "open_circuit", 1.0, 1.0),
+    Form("sensor", CHANNELS, "periodic", "jump_K", -1000.0, 1000.0, (("period_s", None), ("duty", 0.5))),
     Form("actuator", ACTUATORS, "constant", "gain", 0.0, 2.0),
 )
 _COMMON = ("kind", "where", "driver", "onset_s", "ramp_s", "end_s", "note")

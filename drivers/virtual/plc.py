@@ -1,12 +1,17 @@
 """Process 1 of the virtual rig: the plant, its PLC's Modbus/TCP server, and the control port.
 
 python -m drivers.virtual.plc [--mode real|scaled|lockstep] [--speed N] [--period S] [--seed N] [--start S]
-    [--with EFFECTS.toml] [--host H] [--modbus-port P] [--control-port P] [--link-fd FD]
+    [--with EFFECTS.toml] [--host H] [--modbus-port P] [--control-port P] [--link-fd FD] [--truth FILE]
+    [--tls-certificate PEM --tls-key PEM --tls-ca PEM]
 """
+
+from __future__ import annotations
 
 import argparse
 import asyncio
+import math
 import socket
+import ssl
 import sys
 from pathlib import Path
 
@@ -18,8 +23,10 @@ from drivers.virtual.modbus_protocol import ModbusConnection
 from drivers.virtual.plant import Plant
 from drivers.virtual.registers import Registers
 from drivers.virtual.supervision import end_with_parent, listen, port_of, say
+from drivers.virtual.truth import TruthLog
 
 MODES = ("real", "scaled", "lockstep")
+LONGEST_REBOOT_S = 600.0
 LARGEST_BACKLOG_S = 5.0
 """Wall-clock seconds that the plant catches up with after a stall of the host; older time is lost."""
 
@@ -45,9 +52,12 @@ class Plc:
         self.stop = asyncio.Event()
         self.controller: ControlConnection | None = None
         self.link: link.LinkSender | None = None
+        self.truth: TruthLog | None = None
+        self.server: ModbusServer | None = None
         self.missed_records = 0
         self.ended_because = "stopped"
         self._timer: asyncio.TimerHandle | None = None
+        self._opening: asyncio.Task[None] | None = None
         self._due = 0.0
         # Compile or load the physics before the ports open.
         Plant(seed=seed, period_s=period_s).step(0.0, 0.0, 0.0)
@@ -66,6 +76,13 @@ class Plc:
                 self.missed_records += 1
         registers.supervise(plant.time_s, plant.heater_water_C)
         registers.publish(self._instruments.read(plant), plant.steps)
+        if self.truth is not None:
+            self.truth.note(registers, period=True)
+
+    def keep_truth(self, path: Path) -> None:
+        """Write what is true to a file from now on."""
+        self.truth = truth = TruthLog(path, self.plant)
+        self.registers.on_write = lambda: truth.note(self.registers, period=False)
 
     # Time by itself: real and scaled modes, and lockstep after its client has gone.
 
@@ -124,10 +141,64 @@ class Plc:
             elif not self.stop.is_set():
                 self.run_free()
 
+    def reboot(self, seconds: str) -> str:
+        """A power cut of the PLC."""
+        try:
+            down_s = float(seconds)
+        except ValueError:
+            down_s = math.nan
+        if not 0.0 <= down_s <= LONGEST_REBOOT_S:
+            return f"error reboot takes 0 to {LONGEST_REBOOT_S:g} seconds.\n"
+        self.registers.restart()
+        self.registers.on_write()
+        if self.server is not None:
+            self.server.close()
+            asyncio.get_running_loop().call_later(down_s, self._serve_again)
+        return "ok\n"
+
+    def _serve_again(self) -> None:
+        if self.server is not None and not self.stop.is_set():
+            self._opening = asyncio.get_running_loop().create_task(self.server.open(), name="reboot")
+
     def quit(self) -> None:
         """End the process after what is being written."""
         self.ended_because = "quit"
         asyncio.get_running_loop().call_later(0.02, self.stop.set)
+
+
+class ModbusServer:
+    """The PLC's Modbus port, which can be closed and opened again."""
+
+    def __init__(self, registers: Registers, host: str, port: int, tls: ssl.SSLContext | None) -> None:
+        self.port = port
+        self._registers, self._host, self._tls = registers, host, tls
+        self._connections: set[ModbusConnection] = set()
+        self._server: asyncio.Server | None = None
+
+    async def open(self) -> None:
+        """Listen; on the same port when it is opened again."""
+        self._server = await listen(
+            lambda: ModbusConnection(self._registers, self._connections), self._host, self.port, "Modbus", self._tls
+        )
+        self.port = port_of(self._server)
+
+    def close(self) -> None:
+        """Close the port and every connection."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        for connection in tuple(self._connections):
+            connection.close()
+
+
+def tls_context(certificate: Path, key: Path, ca: Path) -> ssl.SSLContext:
+    """TLS 1.2 or later, and no client without a certificate of `ca` (Modbus/TCP Security, 8.2 and 8.5)."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.load_cert_chain(certificate, key)
+    context.load_verify_locations(ca)
+    context.verify_mode = ssl.CERT_REQUIRED
+    return context
 
 
 async def run(arguments: argparse.Namespace) -> int:
@@ -136,10 +207,13 @@ async def run(arguments: argparse.Namespace) -> int:
     plc = Plc(
         arguments.mode, arguments.period, arguments.speed, arguments.seed, effects, arguments.unit, arguments.start
     )
-    connections: set[ModbusConnection] = set()
-    modbus = await listen(
-        lambda: ModbusConnection(plc.registers, connections), arguments.host, arguments.modbus_port, "Modbus"
-    )
+    if arguments.truth is not None:
+        plc.keep_truth(arguments.truth)
+    tls = None
+    if arguments.tls_certificate is not None:
+        tls = tls_context(arguments.tls_certificate, arguments.tls_key, arguments.tls_ca)
+    modbus = plc.server = ModbusServer(plc.registers, arguments.host, arguments.modbus_port, tls)
+    await modbus.open()
     control = await listen(lambda: ControlConnection(plc), arguments.host, arguments.control_port, "control")
     loop = asyncio.get_running_loop()
     if arguments.link_fd is not None:
@@ -150,13 +224,11 @@ async def run(arguments: argparse.Namespace) -> int:
     end_with_parent(plc.stop)
     if plc.mode != "lockstep":
         plc.run_free()
-    say(event="ready", modbus_port=port_of(modbus), control_port=port_of(control))
+    say(event="ready", modbus_port=modbus.port, control_port=port_of(control))
     await plc.stop.wait()
     plc.hold()
     modbus.close()
     control.close()
-    for connection in tuple(connections):
-        connection.close()
     if plc.controller is not None:
         plc.controller.close()
     if plc.link is not None:
@@ -176,6 +248,10 @@ def main() -> int:
     parser.add_argument("--start", type=float, default=0.0, help="rig time in s at which it is switched on, cold")
     parser.add_argument("--unit", type=int, help="specimen whose sensors' offsets these are; default: the seed's")
     parser.add_argument("--with", dest="effects", type=Path, help="file of effects")
+    parser.add_argument("--truth", type=Path, help="keep what is true in this file")
+    parser.add_argument("--tls-certificate", type=Path, help="serve Modbus over TLS with this certificate (PEM) ...")
+    parser.add_argument("--tls-key", type=Path, help="... and key, ...")
+    parser.add_argument("--tls-ca", type=Path, help="... to clients with a certificate of this authority")
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--modbus-port", type=int, default=0)
     parser.add_argument("--control-port", type=int, default=0)

@@ -7,7 +7,7 @@ Holding registers: 0 heater_power_set 0.1 W; 1 pump_speed_set 0.1 %; 2 fan_speed
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 HEATER_SET, PUMP_SET, FAN_SET, HEARTBEAT, WATCHDOG, ARM = range(6)
 HOLDING_COUNT = 6
@@ -37,6 +37,16 @@ class Registers:
         self._needs_heartbeat = False
         self.now = 0.0
         """Rig time in s of the last period."""
+        self._started = 0.0
+        self.on_write: Callable[[], None] = lambda: None
+        """Called after every write that was accepted."""
+
+    def restart(self) -> None:
+        """What a PLC knows after a power cut: nothing. Its outputs are off, its clock begins anew."""
+        self.holding = [0, 0, 0, 0, DEFAULT_WATCHDOG, 0]
+        self.status = 0
+        self._needs_heartbeat = False
+        self._started = self.now
 
     @property
     def heater_W(self) -> float:
@@ -77,6 +87,7 @@ class Registers:
             self._alive_at = self.now
         elif arm == 0:
             self.status &= ~ARMED
+        self.on_write()
         return True
 
     def supervise(self, now: float, heater_water_C: float) -> None:
@@ -109,7 +120,7 @@ class Registers:
             min(max(round(fan * 10.0), 0), 0xFFFF),
             min(max(round(ambient * 100.0), -32768), 32767),
             self.status,
-            round(self.now * 1000.0) & 0xFFFFFFFF,
+            round((self.now - self._started) * 1000.0) & 0xFFFFFFFF,
             self.holding[HEARTBEAT],
             cycle & 0xFFFF,
         )

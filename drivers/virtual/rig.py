@@ -27,6 +27,7 @@ Mode = Literal["real", "scaled", "lockstep"]
 START_TIMEOUT_S = 120.0
 """The first start on a machine compiles the physics."""
 END_TIMEOUT_S = 3.0
+_TLS = ("--tls-certificate", "--tls-key", "--tls-ca")
 _PORTS = ("modbus_port", "can_port", "control_port")
 
 
@@ -158,14 +159,18 @@ async def start_virtual_rig(
     effects: Path | None = None,
     host: str = "127.0.0.1",
     unit: int | None = None,
+    truth: Path | None = None,
+    tls: tuple[Path, Path, Path] | None = None,
     start_s: float = 0.0,
 ) -> VirtualRig:
     """Start plant and PLC in one process, thermocouple module and CAN bus in another; return when both serve.
 
     Ports of 0 are chosen by the system. `unit` is the specimen: the same one has the same sensors' offsets, whatever
     the seed; by default another one for every seed. `start_s` is its clock at the start: room and effects are as then,
-    the rig itself is cold. Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and
-    `ValueError` for arguments that make no rig.
+    the rig itself is cold. What is true is kept in the file `truth` (see `drivers.virtual.truth`). With `tls`, files of
+    certificate, key and certificate authority, Modbus is served over TLS to clients that have a certificate of that
+    authority. Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and `ValueError` for arguments that make
+    no rig.
     """
     if mode not in ("real", "scaled", "lockstep"):
         raise ValueError(f"mode is {mode!r}; use real, scaled or lockstep.")
@@ -191,6 +196,10 @@ async def start_virtual_rig(
         with near, far:
             plc = ["--mode", mode, "--speed", repr(speed), "--period", repr(period_s)]
             plc += ["--modbus-port", str(modbus_port), "--control-port", str(control_port)]
+            if truth is not None:
+                plc += ["--truth", str(truth)]
+            if tls is not None:
+                plc += [word for name, path in zip(_TLS, tls, strict=True) for word in (name, str(path))]
             plc += ["--start", repr(start_s)]
             children.append(await _spawn("plc", [*common, *plc], near))
             module = ["--port", str(can_port), "--epoch", repr(time.time())]
@@ -245,10 +254,12 @@ async def _serve(say: Callable[[str], None], options: dict[str, Any]) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
     async with await start_virtual_rig(**options) as rig:
-        say(f"Virtual rig on {rig.host}: Modbus/TCP port {rig.modbus_port}, device id 1")
+        kind = "Modbus/TCP" if options.get("tls") is None else "Modbus/TCP over TLS,"
+        say(f"Virtual rig on {rig.host}: {kind} port {rig.modbus_port}, device id 1")
         say(f"  CAN (socketcand, bus vcan0) port {rig.can_port}, control port {rig.control_port}")
         if rig.host not in ("127.0.0.1", "localhost", "::1"):
-            say("  Reachable from other machines, without any password.")
+            what = "Reachable" if options.get("tls") is None else "CAN and control port are reachable"
+            say(f"  {what} from other machines, without any password.")
         say(f"  {rig.mode} time, a period of {rig.period_s:g} s; Ctrl-C ends it.")
         waits = [asyncio.create_task(stop.wait()), asyncio.create_task(rig.wait())]
         await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)

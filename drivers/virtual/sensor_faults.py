@@ -1,4 +1,4 @@
-"""What sensor effects do to readings: bias, drift, extra lag, stuck value, open circuit."""
+"""What sensor effects do to readings: bias, drift, extra lag, stuck value, jumps, open circuit."""
 
 import math
 from collections.abc import Sequence
@@ -43,6 +43,9 @@ class SensorFaults:
                 values[channel] += size * effect.value
             elif effect.magnitude == "drift_per_h":
                 values[channel] += size * effect.value * (time_s - effect.onset_s) / 3600.0
+            elif effect.magnitude == "jump_K":
+                phase = (time_s - effect.onset_s) / effect.shape["period_s"] % 1.0
+                values[channel] += size * effect.value if phase < effect.shape["duty"] else 0.0
             elif effect.magnitude == "stuck":
                 held = self._memory[number]
                 if held is None:

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import signal
+import ssl
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -21,10 +22,12 @@ def say(**fields: Any) -> None:
         print(json.dumps(fields), flush=True)
 
 
-async def listen(factory: Callable[[], asyncio.BaseProtocol], host: str, port: int, what: str) -> asyncio.Server:
+async def listen(
+    factory: Callable[[], asyncio.BaseProtocol], host: str, port: int, what: str, tls: ssl.SSLContext | None = None
+) -> asyncio.Server:
     """Server on `host:port` (0: any). A port that cannot be had ends the process with one sentence."""
     try:
-        return await asyncio.get_running_loop().create_server(factory, host, port, reuse_address=True)
+        return await asyncio.get_running_loop().create_server(factory, host, port, ssl=tls, reuse_address=True)
     except OSError as error:
         reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be opened ({error.strerror or error})"
         say(event="error", errno=error.errno, port=port, message=f"{what} port {host}:{port} {reason}; choose another.")

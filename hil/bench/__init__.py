@@ -11,6 +11,7 @@ BENCHMARKS = {
     "paper": "The experiments of Energies 2026, 19, 2452, beside its figures",
     "hiera": "Who keeps a twin true on rigs never seen: swarm, least squares, filter, network",
     "discovery": "Blind trial of the diagnosis: hidden effects, sealed answers",
+    "faults": "Faults of wires, rig and harness: heater safe, no sample lost, no wrong value believed",
     "loop": "How evenly the loop ticks, its memory over 40 hours, and what a run that is killed loses",
     "structure": "Commissioned twins of four and of ten volumes on healthy rigs of another maker",
     "records": "Public records of other rigs, beside the published figures",

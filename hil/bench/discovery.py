@@ -201,8 +201,11 @@ def left_out() -> tuple[str, ...]:
     return ()
 
 
+_NOT_IN_A_TRIAL = ("twin = ", "stuck_after_s = ")
+
+
 def _with_ports(rig: Path, ports: dict[str, int]) -> str:
-    """The rig file with other ports, its data files found from anywhere."""
+    """The rig file with other ports, its data files found from anywhere; a stuck sensor does not end a trial's run."""
     text = rig.read_text(encoding="utf-8")
     known = tomllib.loads(text)["bus"]
     for bus in known.values():
@@ -210,7 +213,7 @@ def _with_ports(rig: Path, ports: dict[str, int]) -> str:
         text = text.replace(f"port = {bus['port']}\n", f"port = {ours}\n")
         if "dbc" in bus:
             text = text.replace(f'dbc = "{bus["dbc"]}"', f'dbc = "{rig.parent / bus["dbc"]}"')
-    return "".join(line for line in text.splitlines(keepends=True) if not line.startswith("twin = "))
+    return "".join(line for line in text.splitlines(keepends=True) if not line.startswith(_NOT_IN_A_TRIAL))
 
 
 def _no_answer(error: str) -> dict[str, Any]:

@@ -322,6 +322,43 @@ def structure_command(seed: int, out: Path | None, as_json: bool) -> None:
     _finish("structure", seed, tables, skipped, out, as_json)
 
 
+@command.command("faults")
+@click.option("--runs", default=200, show_default=True, type=click.IntRange(1), help="Number of faults, of all kinds.")
+@click.option("--kind", "kinds", multiple=True, help="This kind alone; may be repeated.")
+@click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Cases at a time, a rig each.")
+@click.option(
+    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/faults"), show_default=True,
+    help="Finished cases are kept here.",
+)  # fmt: skip
+@SEED
+@OUT
+@JSON
+def faults_command(
+    runs: int, kinds: tuple[str, ...], jobs: int, work: Path, seed: int, out: Path | None, as_json: bool
+) -> None:
+    """Faults of wires, rig and harness at random instants: is the heater off in time, is anything lost or wrong?
+
+    Real time: some 15 s a fault. Exit code 1 where a must was broken.
+
+    \b
+    Example:
+      hil bench faults --runs 32
+      hil bench faults --kind "rig reboot" --runs 5
+    """
+    from hil.bench import faults
+    from hil.bench.faults_kinds import KINDS
+    from hil.terminal import Steps
+
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown:
+        raise click.UsageError(f"no kind {unknown[0]!r}; there are {', '.join(map(repr, KINDS))}")
+    with Steps("faults", 1.0, quiet=as_json) as steps:
+        tables, skipped, kept = faults.measure(runs, seed, work, steps.update, kinds=kinds, jobs=jobs)
+    _finish("faults", seed, tables, skipped, out, as_json)
+    if not kept:
+        sys.exit(1)
+
+
 @command.command("loop")
 @click.option(
     "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/loop"),

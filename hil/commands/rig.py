@@ -20,6 +20,9 @@ from hil.commands.paths import INPUT_FILE
 @click.option("--seed", default=0, show_default=True, help="Seed of noise, offsets and draughts.")
 @click.option("--with", "effects", type=INPUT_FILE, help="TOML file of effects that no twin knows of.")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
+@click.option("--tls-certificate", type=INPUT_FILE, help="Serve Modbus over TLS with this certificate (PEM).")
+@click.option("--tls-key", type=INPUT_FILE, help="Its key.")
+@click.option("--tls-ca", type=INPUT_FILE, help="Authority that signs the certificates of clients.")
 def command(
     modbus_port: int,
     can_port: int,
@@ -30,6 +33,9 @@ def command(
     seed: int,
     effects: Path | None,
     host: str,
+    tls_certificate: Path | None,
+    tls_key: Path | None,
+    tls_ca: Path | None,
 ) -> None:
     """Serve the virtual rig: a PLC on Modbus/TCP and a thermocouple module on CAN, in processes of their own.
 
@@ -42,6 +48,11 @@ def command(
     """
     from drivers.virtual.rig import serve
 
+    tls = None
+    if tls_certificate is not None and tls_key is not None and tls_ca is not None:
+        tls = (tls_certificate, tls_key, tls_ca)
+    elif tls_certificate is not None or tls_key is not None or tls_ca is not None:
+        raise click.UsageError("TLS needs --tls-certificate, --tls-key and --tls-ca; give all three or none")
     try:
         code = serve(
             modbus_port=modbus_port,
@@ -53,6 +64,7 @@ def command(
             seed=seed,
             effects=effects,
             host=host,
+            tls=tls,
         )
     except ValueError as error:
         raise click.UsageError(str(error)) from error

@@ -167,6 +167,29 @@ async def test_waiting_for_frames_that_never_come_ends_at_the_deadline(hub):
     await bus.close()
 
 
+async def test_bus_off_is_told_from_its_error_frame_and_gone_with_the_next_good_one(hub):
+    points = tuple(point.model_copy(update={"stale_after_s": 0.1}) for point in POINTS)
+    bus = await connected(hub, points)
+    hub.send_all(1000)
+    await settled(bus, 3)
+    hub.hub.publish(b"< error 20000004 1.000000 >", 1)
+    await settled(bus, 4)
+    assert (await bus.read()).fault is None
+    hub.hub.publish(b"< error 20000040 1.000000 >", 1)
+    await settled(bus, 5)
+    readings = await bus.read()
+    assert "bus-off" in (readings.fault or "")
+    await asyncio.sleep(0.2)
+    assert set((await bus.read()).quality) == {Quality.LINK_FAULT}
+    hub.send_all(2000)
+    await settled(bus, 8)
+    readings = await bus.read()
+    assert readings.fault is None
+    assert set(readings.quality) == {Quality.GOOD}
+    assert (bus.error_frames, bus.reconnects) == (2, 0)
+    await bus.close()
+
+
 async def test_no_hub_at_all_is_said_at_once(hub):
     bus = receiver(hub)
     await hub.stop()

@@ -64,7 +64,7 @@ def test_a_thermocouple_that_cannot_be_trusted_ends_the_run_in_time(quality):
 def test_a_short_dropout_does_not_end_the_run():
     interlocks = Interlocks(RIG, POINTS)
     for t in range(100):
-        bad = {"T_heater": Quality.STALE} if t % 6 < 4 else {}
+        bad = {"T_heater": Quality.STALE} if t % 6 < 2 else {}
         assert trip(interlocks, snapshot(float(t), bad), float(t)) is None
 
 
@@ -81,3 +81,25 @@ def test_a_counter_that_stands_still_is_a_dead_rig():
     assert reasons[:11] == [None] * 11
     assert reasons[11] is not None
     assert "cycle_counter has not advanced for 10 s" in reasons[11]
+
+
+def test_a_loose_contact_that_is_good_now_and_then_trips_all_the_same_and_one_that_is_mostly_good_does_not():
+    def tripped_after(bad: int, good: int) -> int | None:
+        rig = load_rig(Path(__file__).resolve().parents[2] / "profiles" / "rigs" / "virtual.toml")
+        points = tuple(point for point in rig.point if point.access == "r")
+        interlocks = Interlocks(rig, points)
+        index = [point.name for point in points].index("T_heater")
+        for tick in range(200):
+            quality = [0] * len(points)
+            quality[index] = int(Quality.SENSOR_FAULT) if tick % (bad + good) < bad else 0
+            values = [30.0 if point.unit == "degC" else 0.0 for point in points]
+            values[[point.name for point in points].index("cycle_counter")] = float(tick)
+            values[[point.name for point in points].index("plc_uptime")] = float(tick)
+            if any("T_heater" in trip for trip in interlocks.judge(Snapshot(values, quality, []), float(tick)).trips):
+                return tick
+        return None
+
+    assert tripped_after(200, 0) == 5  # abort_after_s of 5 s, as ever
+    assert tripped_after(4, 1) is not None
+    assert tripped_after(4, 1) < 15
+    assert tripped_after(1, 4) is None

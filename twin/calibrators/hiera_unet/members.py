@@ -99,6 +99,9 @@ def load_ensemble(card: Path, identity: Identity) -> Ensemble:
         ) from error
     except (ValueError, KeyError, TypeError) as error:
         raise HieraError(f"the card {card} cannot be read ({error}); train again") from error
+    outside = [name for name in names if Path(name).name != name]
+    if outside:
+        raise HieraError(f"the card {card} names {outside[0]}, which does not lie beside it; train again")
     members = tuple(load(card.parent / name, identity) for name in names)
     for (name, digest), member in zip(names.items(), members, strict=True):
         if member.card["weights"]["sha256"] != digest:

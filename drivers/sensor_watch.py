@@ -1,0 +1,51 @@
+"""Whether a reading may be believed beside the ones before it: sensors that are stuck, and sensors that jump.
+
+A single reading is judged by `drivers.bus`. Two faults show only over time, and a rig file says for each point how:
+`stuck_after_s`, after which an instrument with noise that repeats its value to the last bit is stuck, and
+`max_change_per_s`, beyond which the quantity cannot have gone. A reading that jumped is believed again when it is back,
+or when the quantity could have got there since the last one that was believed.
+"""
+
+from __future__ import annotations
+
+import math
+
+from drivers.points import Quality
+from drivers.rigfile import Point
+
+SHORTEST_S = 1.0
+"""Readings may come fast, and noise does not shrink with their distance: a change is allowed that of a second."""
+
+
+class SensorWatch:
+    """Memory of one point; values in its unit, times in s of rig time."""
+
+    def __init__(self, point: Point) -> None:
+        self._stuck_after_s = math.inf if point.stuck_after_s is None else point.stuck_after_s
+        self._max_change_per_s = math.inf if point.max_change_per_s is None else point.max_change_per_s
+        self._value = math.nan
+        self._since_s = 0.0
+        self._believed = math.nan
+        self._believed_s = 0.0
+
+    def judge(self, value: float, quality: int, now_s: float) -> int:
+        """Quality of `value`, read at `now_s` and good as such or not; SENSOR_FAULT where it is stuck or has jumped."""
+        if value != self._value:
+            self._value, self._since_s = value, now_s
+        if quality != Quality.GOOD:
+            return quality
+        if now_s - self._since_s >= self._stuck_after_s:
+            return Quality.SENSOR_FAULT
+        reach = self._max_change_per_s * max(now_s - self._believed_s, SHORTEST_S)
+        if abs(value - self._believed) > reach:  # False of the first reading, when nothing is believed yet
+            return Quality.SENSOR_FAULT
+        self._believed, self._believed_s = value, now_s
+        return Quality.GOOD
+
+
+def watches(points: tuple[Point, ...]) -> list[SensorWatch | None]:
+    """A watch for each point that asks for one, in the order of `points`."""
+    return [
+        None if point.stuck_after_s is None and point.max_change_per_s is None else SensorWatch(point)
+        for point in points
+    ]

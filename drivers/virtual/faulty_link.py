@@ -1,0 +1,173 @@
+"""A wire that fails on request: a TCP relay between a harness and a rig, on the loopback interface.
+
+    async with FaultyLink(rig.modbus_port, modbus_frames) as link:
+        ...                      # the harness talks to link.port
+        link.change = ...        # replies are changed, delayed or swallowed
+        link.drop()              # connections are reset and refused until restore()
+        link.mute()              # half-open: connections stay, nothing passes, new ones are taken and not served
+
+Only what the rig sends is cut into frames and may be changed; what the harness sends passes as it is.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Sequence
+from typing import Self
+
+Split = Callable[[bytes], tuple[list[bytes], bytes]]
+"""Whole frames of a stream, and the rest."""
+Change = Callable[[bytes], Sequence[tuple[float, bytes]]]
+"""What becomes of a frame: pieces, each with a delay in s after the piece before it; none swallows it."""
+HOST = "127.0.0.1"
+
+
+def modbus_frames(data: bytes) -> tuple[list[bytes], bytes]:
+    """Modbus/TCP frames (MBAP header and PDU) of a stream."""
+    frames = []
+    while len(data) >= 6:
+        size = 6 + int.from_bytes(data[4:6], "big")
+        if len(data) < size:
+            break
+        frames.append(data[:size])
+        data = data[size:]
+    return frames, data
+
+
+def can_frames(data: bytes) -> tuple[list[bytes], bytes]:
+    """`< ... >` of a socketcand stream."""
+    frames = []
+    while (end := data.find(b">")) >= 0:
+        frames.append(data[: end + 1])
+        data = data[end + 1 :]
+    return frames, data
+
+
+def as_it_comes(data: bytes) -> tuple[list[bytes], bytes]:
+    """The stream uncut: for what is encrypted."""
+    return [data], b""
+
+
+class FaultyLink:
+    """Listens on `port` and relays to `target` on the loopback interface."""
+
+    def __init__(self, target: int, split: Split = as_it_comes) -> None:
+        self.target = target
+        self.port = 0
+        self.change: Change | None = None
+        self.frames = 0
+        self.changed = 0
+        """Frames of the rig that passed, and those that were changed."""
+        self._split = split
+        self._muted = False
+        self._server: asyncio.Server | None = None
+        self._talks: dict[asyncio.Task[None], tuple[asyncio.StreamWriter, ...]] = {}
+
+    async def start(self) -> None:
+        """Listen; on the same port as before when it was stopped."""
+        self._server = await asyncio.start_server(self._serve, HOST, self.port, reuse_address=True)
+        self.port = int(self._server.sockets[0].getsockname()[1])
+
+    async def stop(self) -> None:
+        """Close everything."""
+        talks = list(self._talks)
+        self.drop()
+        for talk in talks:
+            talk.cancel()
+        await asyncio.gather(*talks, return_exceptions=True)
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.stop()
+
+    def reset(self) -> None:
+        """Reset every connection; new ones are served."""
+        for writers in self._talks.values():
+            for writer in writers:
+                writer.transport.abort()
+
+    def drop(self) -> None:
+        """Reset every connection and refuse new ones."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        self.reset()
+
+    def mute(self) -> None:
+        """Half-open: let nothing pass any more, either way, and say nothing about it."""
+        self._muted = True
+
+    async def restore(self) -> None:
+        """A wire in good order again. What was muted is lost, and its connections are reset."""
+        self.change = None
+        if self._muted:
+            self._muted = False
+            self.reset()
+        if self._server is None:
+            await self.start()
+
+    def say(self, frame: bytes) -> None:
+        """Send a frame of our own to everyone on the harness's side."""
+        for writers in self._talks.values():
+            writers[0].write(frame)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._talks[task] = (writer,)
+        try:
+            if self._muted:
+                await self._swallow(reader)
+                return
+            far_reader, far_writer = await asyncio.open_connection(HOST, self.target)
+            self._talks[task] = (writer, far_writer)
+            there = asyncio.create_task(self._up(reader, far_writer))
+            back = asyncio.create_task(self._down(far_reader, writer))
+            try:
+                await asyncio.wait((there, back), return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for half in (there, back):
+                    half.cancel()
+                await asyncio.gather(there, back, return_exceptions=True)
+                far_writer.transport.abort()
+        except (OSError, asyncio.CancelledError):
+            pass
+        finally:
+            self._talks.pop(task, None)
+            writer.transport.abort()
+
+    async def _swallow(self, reader: asyncio.StreamReader) -> None:
+        while await reader.read(65536):
+            pass
+
+    async def _up(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(OSError):
+            while data := await reader.read(65536):
+                if not self._muted and not writer.is_closing():
+                    writer.write(data)
+
+    async def _down(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        rest = b""
+        with contextlib.suppress(OSError):
+            while data := await reader.read(65536):
+                frames, rest = self._split(rest + data)
+                for frame in frames:
+                    await self._pass(frame, writer)
+
+    async def _pass(self, frame: bytes, writer: asyncio.StreamWriter) -> None:
+        if self._muted:
+            return
+        self.frames += 1
+        change = self.change
+        pieces = ((0.0, frame),) if change is None else change(frame)
+        if change is not None and tuple(pieces) != ((0.0, frame),):
+            self.changed += 1
+        for delay_s, piece in pieces:
+            if delay_s > 0.0:
+                await asyncio.sleep(delay_s)
+            if not self._muted and not writer.is_closing():
+                writer.write(piece)

@@ -1,0 +1,219 @@
+"""The kinds of fault of the campaign: what is done to rig, wires or harness, and what has to come of it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import signal
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from drivers.virtual import faulty_replies as replies
+from drivers.virtual.faulty_link import FaultyLink
+
+Ending = Literal["stops", "rides", "either", "killed"]
+"""The run ends by itself; goes on; one of the two, by how long the fault lasts; the harness is gone."""
+
+
+class Stage(Protocol):
+    """What a fault may lay hands on."""
+
+    generator: random.Random
+    plc: FaultyLink
+    can: FaultyLink
+
+    @property
+    def pid(self) -> int: ...
+
+    async def reboot(self, seconds: float) -> None: ...
+
+    def fill_disk(self) -> None: ...
+
+    def kill_child(self, words: str) -> None: ...
+
+
+Act = Callable[[Stage], Awaitable[None]]
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """`act` is None where the rig itself has the fault, by `effect`, a TOML table without onset.
+
+    `early`: it may come at any instant, also before anything is moved. `place`: `tmpfs` for a disk of its own,
+    `tls` for Modbus over TLS, `twin` with a calibrator, `viewer` with a viewer.
+    """
+
+    about: str
+    ending: Ending
+    act: Act | None = None
+    effect: str = ""
+    early: bool = False
+    place: str = ""
+
+
+def _lasting(change: Callable[[random.Random], replies.Change], wire: str = "plc") -> Act:
+    """Every frame is changed from now on."""
+
+    async def act(stage: Stage) -> None:
+        link = stage.plc if wire == "plc" else stage.can
+        link.change = change(stage.generator)
+
+    return act
+
+
+def _brief(change: Callable[[random.Random], replies.Change], wire: str = "plc") -> Act:
+    """Frames are changed for 0.1 to 0.5 s."""
+
+    async def act(stage: Stage) -> None:
+        link = stage.plc if wire == "plc" else stage.can
+        link.change = change(stage.generator)
+        await asyncio.sleep(stage.generator.uniform(0.1, 0.5))
+        link.change = None
+
+    return act
+
+
+async def _drop(stage: Stage) -> None:
+    stage.plc.drop()
+
+
+async def _drop_briefly(stage: Stage) -> None:
+    stage.plc.drop()
+    await asyncio.sleep(stage.generator.uniform(0.05, 0.3))
+    await stage.plc.restore()
+
+
+async def _half_open(stage: Stage) -> None:
+    stage.plc.mute()
+
+
+async def _server_restart(stage: Stage) -> None:
+    """The Modbus server of the gateway goes and comes again; the PLC behind it goes on."""
+    stage.plc.drop()
+    await asyncio.sleep(stage.generator.uniform(0.3, 4.0))
+    await stage.plc.restore()
+
+
+async def _can_drop(stage: Stage) -> None:
+    stage.can.drop()
+
+
+async def _can_drop_briefly(stage: Stage) -> None:
+    stage.can.reset()
+
+
+async def _can_silent(stage: Stage) -> None:
+    stage.can.mute()
+
+
+async def _bus_off(stage: Stage) -> None:
+    stage.can.say(b"< error 20000040 1.000000 >")
+    stage.can.mute()
+
+
+async def _error_frames(stage: Stage) -> None:
+    """Error frames among good ones: a disturbed bus that copes."""
+    for _ in range(stage.generator.randint(3, 12)):
+        stage.can.say(f"< error 200000{stage.generator.choice(('04', '08', '80'))} 1.000000 >".encode())
+        await asyncio.sleep(stage.generator.uniform(0.0, 0.1))
+
+
+async def _reboot(stage: Stage) -> None:
+    await stage.reboot(round(stage.generator.choice((0.0, stage.generator.uniform(0.05, 3.0))), 3))
+
+
+async def _disk_full(stage: Stage) -> None:
+    stage.fill_disk()
+
+
+def _sent(number: signal.Signals) -> Act:
+    async def act(stage: Stage) -> None:
+        os.kill(stage.pid, number)
+
+    return act
+
+
+async def _calibrator_crash(stage: Stage) -> None:
+    stage.kill_child("multiprocessing.spawn")
+
+
+async def _viewer_killed(stage: Stage) -> None:
+    stage.kill_child("hil.review")
+
+
+_TC = 'kind = "sensor"\nwhere = "{channel}"\n'
+_ACTUATOR = 'kind = "actuator"\nwhere = "{}"\ngain = 0.0\n'
+KINDS: dict[str, Kind] = {
+    "link drop": Kind("Modbus connection reset, port closed", "stops", _drop),
+    "link drop, brief": Kind("the same for 0.05 to 0.3 s", "rides", _drop_briefly),
+    "half-open link": Kind("Modbus connections stay open, nothing passes", "stops", _half_open),
+    "late replies": Kind(
+        "every reply 0.4 to 2 s late", "stops", _lasting(lambda g: replies.late(g, 1.0, 0.4, 2.0))
+    ),
+    "late replies, brief": Kind(
+        "some replies 0.1 to 0.6 s late, for up to 0.5 s", "either", _brief(lambda g: replies.late(g, 0.3, 0.1, 0.6))
+    ),
+    "garbled replies": Kind(
+        "other bits in header, function or count of every reply", "stops",
+        _lasting(lambda g: replies.garbled_header(g, 1.0)),
+    ),
+    "garbled replies, brief": Kind(
+        "the same of every other reply for up to 0.5 s", "either", _brief(lambda g: replies.garbled_header(g, 0.5))
+    ),
+    "garbled over TLS": Kind(
+        "other bits anywhere in every TLS record", "stops", _lasting(lambda g: replies.garbled_anywhere(g, 1.0)),
+        place="tls",
+    ),
+    "garbled over TLS, brief": Kind(
+        "the same of a third of them for up to 0.5 s", "either", _brief(lambda g: replies.garbled_anywhere(g, 0.34)),
+        place="tls",
+    ),
+    "cut-off replies": Kind(
+        "the end of every reply is missing", "stops", _lasting(lambda g: replies.cut_off(g, 1.0))
+    ),
+    "too few registers": Kind(
+        "well-formed replies with too few registers", "stops", _lasting(lambda g: replies.too_few_registers(g, 1.0))
+    ),
+    "wrong function": Kind("replies to another function", "stops", _lasting(lambda g: replies.wrong_function(g, 1.0))),
+    "replies in pieces": Kind(
+        "single bytes: no fault, to be put together", "rides", _brief(lambda g: replies.split_up(g, 1.0))
+    ),
+    "server restart": Kind("Modbus port gone for 0.3 to 4 s", "either", _server_restart),
+    "CAN link drop": Kind("connection to the CAN daemon reset, port closed", "stops", _can_drop),
+    "CAN link drop, brief": Kind("connection to the CAN daemon reset once", "either", _can_drop_briefly),
+    "CAN silent": Kind("no frames any more, connection open", "stops", _can_silent),
+    "CAN bus-off": Kind("error frame of bus-off, then silence", "stops", _bus_off),
+    "CAN error frames": Kind("error frames among good ones", "rides", _error_frames),
+    "CAN text garbled": Kind(
+        "characters missing in a third of the daemon's lines, for up to 0.5 s", "either",
+        _brief(lambda g: replies.without_a_digit(g, 0.34), "can"),
+    ),
+    "thermocouple stuck": Kind("repeats its last value", "stops", effect=_TC + "stuck = true\n"),
+    "thermocouple open": Kind("reads the code of an open circuit", "stops", effect=_TC + "open_circuit = true\n"),
+    "thermocouple jumps": Kind(
+        "loose contact: 8 to 30 K up or down, there and back", "stops",
+        effect=_TC + "jump_K = {jump}\nperiod_s = {period}\nduty = 0.9\n",
+    ),
+    "pump stop": Kind("pump stands still whatever it is told", "stops", effect=_ACTUATOR.format("pump_speed")),
+    "fan stop": Kind("fans stand still whatever they are told", "stops", effect=_ACTUATOR.format("fan_speed")),
+    "rig reboot": Kind("PLC loses its memory, gone for 0 to 3 s", "stops", _reboot),
+    "calibrator crash": Kind("kill -9 of the calibrators' process", "rides", _calibrator_crash, place="twin"),
+    "viewer killed": Kind("kill -9 of the process that feeds Rerun", "rides", _viewer_killed, place="viewer"),
+    "disk full": Kind("no byte can be written any more", "stops", _disk_full, place="tmpfs"),
+    "SIGTERM": Kind("at any instant from the start of the command on", "stops", _sent(signal.SIGTERM), early=True),
+    "SIGINT": Kind("the same", "stops", _sent(signal.SIGINT), early=True),
+    "SIGKILL": Kind("the same", "killed", _sent(signal.SIGKILL), early=True),
+    "loop hangs": Kind("SIGSTOP: process there, loop not", "killed", _sent(signal.SIGSTOP)),
+}  # fmt: skip
+
+
+def effect_text(kind: Kind, generator: random.Random, channels: tuple[str, ...], onset_s: float) -> str:
+    """The effects file of a fault that the rig itself has, from `onset_s` of rig time on."""
+    values = {
+        "channel": generator.choice(channels),
+        "jump": f"{generator.choice((-1, 1)) * generator.uniform(8.0, 30.0):.2f}",
+        "period": f"{generator.uniform(0.6, 3.0):.2f}",
+    }
+    return f"[[effect]]\n{kind.effect.format(**values)}onset_s = {onset_s:.1f}\n"

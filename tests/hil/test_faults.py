@@ -1,0 +1,151 @@
+"""Thirty seeded faults on the virtual rig, in processes of their own: heater, samples and values, told by the rig."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import shutil
+
+import pytest
+
+from drivers.points import Quality
+from drivers.virtual.truth import Moment
+from hil.bench import faults_judge as judge
+from hil.bench.faults import campaign, plan, tables
+from hil.bench.faults_case import Result
+from hil.bench.faults_kinds import KINDS
+from hil.bench.faults_rig import STALE_LIMIT_S, WATCHDOG_S, rig_text
+
+SEED = 20_261
+COSTLY = ("calibrator crash", "viewer killed", "SIGKILL")
+"""Seconds of processor time each, and tested elsewhere; `hil bench faults` has them."""
+HUNG, KILLED = ("loop hangs", 0), ("SIGKILL", 3)
+
+
+def cases() -> list[tuple[str, int]]:
+    names = [name for name in KINDS if name not in COSTLY]
+    names = [name for name in names if KINDS[name].place != "tls" or shutil.which("openssl")]
+    return [(kind, number + 1) for kind, number in plan(28, names)] + [HUNG, KILLED]
+
+
+@pytest.fixture(scope="module")
+def results() -> list[Result]:
+    return asyncio.run(campaign(cases(), SEED, jobs=3, resume=False))
+
+
+@pytest.mark.timeout(900)
+def test_thirty_faults_break_no_must(results):
+    assert len(results) == 30
+    broken = [f"{r.kind} {r.number}: {'; '.join(r.failures)} [{r.reason}]" for r in results if r.failures]
+    assert not broken, "\n".join(broken)
+    struck = [r for r in results if r.heated and r.ended != "rode through"]
+    assert len(struck) >= 15
+    for result in struck:
+        limit = WATCHDOG_S + 0.2 if result.ended == "killed" else STALE_LIMIT_S
+        assert result.safe is not None
+        assert result.safe <= limit, result
+    assert sum(result.acknowledged for result in results) > 300
+    assert not any(result.lost or result.wrong for result in results)
+
+
+@pytest.mark.parametrize("case", [HUNG, KILLED])
+def test_a_loop_that_hangs_or_was_killed_is_cut_by_the_rigs_own_watchdog(results, case):
+    (gone,) = (result for result in results if (result.kind, result.number) == case)
+    assert gone.heated
+    assert gone.by == "rig"
+    assert gone.safe is not None
+    assert 0.5 * WATCHDOG_S < gone.safe <= WATCHDOG_S + 0.2
+    assert gone.acknowledged > 0
+    assert gone.lost == 0
+    assert gone.unsaved_s is not None
+    assert gone.unsaved_s < 1.0
+
+
+def test_the_tables_count_what_happened(results):
+    kinds, musts, about = tables(results, 2.0)[:3]
+    rows = {row[0]: row for row in kinds.rows}
+    assert rows["all"][1] == 30
+    assert rows["all"][10:12] == (0, 0)
+    assert dict(musts.rows)["wrong values recorded as good"] == "0"
+    assert len(about.rows) == len(kinds.rows) - 1
+    bad = dataclasses.replace(results[0], lost=2, failures=["2 acknowledged samples lost"])
+    assert tables([bad], 2.0)[-1].key == "broken"
+
+
+# The judge itself must be able to find what is wrong.
+
+
+def moment(wall_s: float, heater_W: float = 500.0, status: int = 1, tank_C: float = 30.0) -> Moment:
+    return Moment(wall_s, wall_s, heater_W, status, heater_W, 3.8, 100.0, 100.0, 20.0, (30.0,) * 8 + (tank_C,))
+
+
+TRUE = {
+    "heater_power_W": 500.0, "flow_L_per_min": 3.8, "pump_speed_pct": 100.0, "fan_speed_pct": 100.0,
+    "T_ambient_C": 20.0,
+    **dict.fromkeys((f"T_{name}_C" for name in ("heater", *(f"pm{k}" for k in range(1, 7)), "radiator", "tank")), 30.0),
+}  # fmt: skip
+
+
+def journal(tank: list[float], quality: list[int] | None = None, **others: object) -> judge.Journal:
+    count = len(tank)
+    values = {name: [value] * count for name, value in TRUE.items()} | {"T_tank_C": tank}
+    good = {name: [0] * count for name in TRUE} | {"T_tank_C": quality or [0] * count}
+    raw = tuple(bytes([good["T_tank_C"][k]]) for k in range(count))
+    return judge.Journal(
+        tuple(range(count)),
+        tuple(0.1 * k for k in range(count)),
+        values,
+        good,
+        raw,
+        **others,  # type: ignore[arg-type]
+    )
+
+
+def test_a_wrong_value_is_found_unless_it_is_recorded_as_not_good():
+    truth = [moment(0.1 * k) for k in range(20)]
+    assert judge.wrong_values(journal([30.1, 29.9, 30.2]), truth) == []
+    assert "T_tank_C 31 recorded as good" in judge.wrong_values(journal([30.0, 31.0, 30.0]), truth)[0]
+    assert judge.wrong_values(journal([30.0, 31.0], [0, int(Quality.SENSOR_FAULT)]), truth) == []
+
+
+def test_a_value_may_be_as_old_as_the_staleness_limit_and_no_older():
+    truth = [moment(0.1 * k, tank_C=40.0 if k < 10 else 30.0) for k in range(60)]
+    assert judge.wrong_values(journal([40.0] * 20), truth) == []
+    assert len(judge.wrong_values(journal([40.0] * 40), truth)) > 10
+
+
+def test_a_lost_and_a_changed_sample_are_counted():
+    kept = journal([30.0] * 4)
+    seen = judge.Seen({k: (0.1 * k, b"\0") for k in range(4)})
+    assert judge.lost(seen, kept) == 0
+    seen.rows[4] = (0.4, b"\0")
+    seen.rows[1] = (0.1, b"\3")
+    assert judge.lost(seen, kept) == 2
+
+
+def test_safe_is_from_when_on_nothing_heats_any_more():
+    truth = [moment(0.0), moment(1.0, 0.0), moment(2.0), moment(3.0, 0.0), moment(4.0, 0.0)]
+    assert judge.safe_since(truth, 0.5) == 3.0
+    assert judge.safe_since(truth, 3.5) == 3.5
+    assert judge.safe_since(truth[:3], 0.5) is None
+    assert judge.watchdog_at([moment(0.0), moment(2.0, 0.0, 2)], 1.0) == 2.0
+
+
+def test_every_kind_is_among_two_hundred_runs_at_least_six_times():
+    names = [kind for kind, _ in plan(200)]
+    assert set(names) == set(KINDS)
+    assert min(names.count(name) for name in KINDS) >= 6
+
+
+def test_the_rig_of_the_campaign_is_the_shipped_one_with_short_limits(tmp_path):
+    from drivers.rigfile import load_rig
+
+    path = tmp_path / "rig.toml"
+    path.write_text(rig_text({"plc": 5999, "thermocouples": 5998}), encoding="utf-8")
+    rig = load_rig(path)
+    assert (rig.period_s, rig.abort_after_s, rig.bus["plc"].port) == (0.1, 1.5, 5999)
+    assert rig.heartbeat is not None
+    assert rig.heartbeat.timeout_s == WATCHDOG_S
+    assert {point.stale_after_s for point in rig.point} == {1.0}
+    assert rig.get("T_tank").stuck_after_s == 1.0
+    assert {spec.kind for spec in rig.interlock} == {"no_flow", "heater_power"}
