@@ -19,7 +19,9 @@ from twin.discovery.weighing import weigh
 
 SECOND_SHARE, EXACT_SHARE = 0.06, 0.01
 """A further effect must win this share of the first one's gain, since an effect is seldom of quite the form assumed, or
-that one where the first ones have no form to be wrong in: what is there at once and follows what is measured."""
+that one where the first ones have no form to be wrong in: heat or an error of reading that is there at once and
+follows what is measured."""
+_EXACT = ("heat_source", "heat_loss", "sensor")
 _FORMED = ("history", "rate_of_change", "time_of_day")
 """Drivers of effects that bring a form of their own."""
 MOST_EFFECTS = 3
@@ -51,7 +53,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     ranked: tuple[Ranked, ...] = ()
     entries, first_gain = part.entries, 0.0
     while entries and entries[0].z >= threshold and len(chosen) < MOST_EFFECTS:
-        exact = all(e.shape.name == "step" and e.candidate.driver not in _FORMED for e in chosen)
+        exact = all(_exact(e) for e in chosen)
         small = min(second_share, EXACT_SHARE if exact else second_share) * first_gain
         if best is not None and entries[0].gain < small and enough(best.chi, start_chi, contest):
             break
@@ -121,6 +123,11 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         folds=folds,
         beside=entries[0] if chosen and entries and entries[0].z >= threshold else None,
     )
+
+
+def _exact(entry: Entry) -> bool:
+    at_once = entry.shape.name == "step" and entry.candidate.driver not in _FORMED
+    return at_once and entry.candidate.kind in _EXACT
 
 
 def weighed(finding: Finding, first: Part, later: list[Part]) -> tuple[Finding, tuple[str, ...]]:
