@@ -64,7 +64,7 @@ def test_what_shows_in_the_held_out_part_alone_is_found(bench: Bench, healthy: C
     sized = bench.record(
         16.0, changed=bench.with_values(tank_loss__hA=bench.network.parameters["tank_loss.hA"].value + 1.0)
     )
-    share = np.clip(grown.time_s / grown.time_s[-1], 0.0, 1.0)[:, None] ** 4
+    share = np.clip(grown.time_s / grown.time_s[-1], 0.0, 1.0)[:, None] ** 16
     record = replace(grown, measured=grown.measured + share * (sized.measured - grown.measured))
     found = diagnose(bench.network, record, healthy)
     assert found.verdict != "adequate"

@@ -28,7 +28,7 @@ MOST_EFFECTS = 3
 MORE_LEFT, MORE_SHARE = 4.0, 0.1
 """Misfit that the answer may leave in a later record, over what noise alone leaves, or of what there was: its steps
 are harsher than those that the noise was learned from."""
-EXCHANGES, EXCHANGED = 2, 4
+EXCHANGES, EXCHANGED = 2, 3
 """Rounds in which effects may give way to others, and how many are tried in the place of each."""
 PAIRED = 8
 """Single effects that are tried as one of a pair."""
