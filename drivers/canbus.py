@@ -20,7 +20,7 @@ from typing import Any
 import can
 import cantools.database
 
-from drivers.bus import Clock, Readings, quality_of
+from drivers.bus import Clock, Readings, judge
 from drivers.points import ConfigurationError, LinkError, Quality
 from drivers.rigfile import CanBus, Point
 from drivers.sensor_watch import watches
@@ -245,10 +245,10 @@ class CanReceiver:
         with self._lock:
             self._fault = None
             for index, point, signal in wanted:
-                raw = float(decoded[signal])
+                if signal not in decoded:  # multiplexed, and not in this frame
+                    continue
                 latest = self._latest[index]
-                latest.value = raw * point.scale + point.offset
-                latest.quality = quality_of(point, latest.value, raw)
+                latest.value, latest.quality = judge(point, float(decoded[signal]))
                 watch = self._watches[index]
                 if watch is not None:
                     latest.quality = watch.judge(latest.value, latest.quality, arrival)
