@@ -353,6 +353,12 @@ def load_rig(path: Path) -> Rig:
     return rig
 
 
+def located(path: Path, mistakes: Sequence[tuple[Sequence[Any], str]]) -> RigFileError:
+    """The error of mistakes that were found in a rig file after it was read, each with its place in the document."""
+    text = path.read_text(encoding="utf-8")
+    return RigFileError("\n".join(f"{path}, line {_line(text, place)}: {what}" for place, what in mistakes))
+
+
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
