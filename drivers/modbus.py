@@ -30,6 +30,7 @@ from drivers.points import (
     ProtocolError,
     Quality,
 )
+from drivers.replies import FrameGuard
 from drivers.rigfile import ModbusTcpBus, ModbusTlsBus, Point
 from drivers.sensor_watch import watches
 from drivers.tls import client_context, why_refused
@@ -83,6 +84,7 @@ class ModbusBus:
         self._write_plans: dict[tuple[str, ...], list[Block]] = {}
         self._client: AsyncModbusTcpClient | None = None
         self._supervisor: asyncio.Task[None] | None = None
+        self._refused: str | None = None
 
     async def connect(self) -> None:
         """Connect and read each block once; raises LinkError, or ConfigurationError where the map is wrong."""
@@ -170,14 +172,21 @@ class ModbusBus:
             client = AsyncModbusTcpClient(
                 config.host, port=config.port, timeout=config.timeout_s, retries=0, reconnect_delay=0
             )
-        receive = client.ctx.data_received
+        receive, guard = client.ctx.data_received, FrameGuard()
+        self._refused = None
 
         def guarded(data: bytes) -> None:
             # A reply that pymodbus cannot decode raises in asyncio's callback, which prints a traceback.
             try:
-                receive(data)
+                for frame in guard.feed(data, client.ctx.request_transaction_id, config.device_id):
+                    receive(frame)
+            except ProtocolError as error:
+                self._refused = str(error)
+                client.close()
             except Exception:
                 client.close()
+            if guard.dropped:
+                self._refused = f"{guard.dropped} replies to another request or of another unit were not used"
 
         client.ctx.data_received = guarded  # type: ignore[method-assign]
         return client
@@ -331,10 +340,11 @@ class ModbusBus:
             self._drop()
             self._lost()
             kind = LinkError if isinstance(error, ConnectionException | OSError) else DeadlineError
-            raise kind(f"{self._where}: no answer within {self._config.timeout_s:g} s; reconnecting") from error
+            why = f" ({self._refused})" if self._refused is not None else ""
+            raise kind(f"{self._where}: no answer within {self._config.timeout_s:g} s{why}; reconnecting") from error
 
     def _check(self, reply: Any, function_code: int, block: Block) -> None:
-        if reply.isError():
+        if reply.isError() and reply.function_code & 0x7F == function_code:
             code = int(getattr(reply, "exception_code", 0))
             what = _EXCEPTIONS.get(code, "an unknown exception")
             raise DeviceExceptionError(
@@ -342,7 +352,9 @@ class ModbusBus:
                 code,
             )
         if reply.function_code != function_code:
-            raise ProtocolError(f"{self._where} answered function {reply.function_code} to function {function_code}")
+            raise ProtocolError(
+                f"{self._where} answered function {reply.function_code & 0x7F} to function {function_code}"
+            )
 
     def _lost(self) -> None:
         if self._supervisor is None or self._supervisor.done():
