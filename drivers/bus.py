@@ -46,18 +46,24 @@ class Bus(Protocol):
 
 
 def judge(point: Point, raw: float) -> tuple[float, int]:
-    """Engineering value of a raw number, and its quality by the point's sentinels and plausible range."""
+    """Engineering value of a raw number, and its quality by the point's sentinels, labels and plausible range.
+
+    What the device gives instead of a value is none: of a SENSOR_FAULT the value is NaN.
+    """
     value = raw * point.scale + point.offset
-    return value, quality_of(point, value, raw)
+    quality = quality_of(point, value, raw)
+    return (math.nan if quality == Quality.SENSOR_FAULT else value), quality
 
 
 def quality_of(point: Point, value: float, raw: float) -> int:
-    """GOOD, SENSOR_FAULT (NaN or one of the point's `invalid`, raw or scaled) or OUT_OF_RANGE."""
-    if not math.isfinite(value):
+    """GOOD, SENSOR_FAULT (not finite, or one of the point's `invalid`, raw or scaled) or OUT_OF_RANGE."""
+    if not math.isfinite(value) or raw in point.sentinels:
         return Quality.SENSOR_FAULT
     for sentinel in point.invalid:
-        if raw == sentinel or abs(value - sentinel) <= 1e-9 * max(1.0, abs(sentinel)):
+        if abs(value - sentinel) <= 1e-9 * max(1.0, abs(sentinel)):
             return Quality.SENSOR_FAULT
+    if point.label_of is not None and raw not in point.label_of:
+        return Quality.OUT_OF_RANGE
     if point.plausible is not None and not point.plausible[0] <= value <= point.plausible[1]:
         return Quality.OUT_OF_RANGE
     return Quality.GOOD

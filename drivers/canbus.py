@@ -15,12 +15,13 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import can
 import cantools.database
 
-from drivers.bus import Clock, Readings, quality_of
+from drivers.bus import Clock, Readings, judge
 from drivers.points import ConfigurationError, LinkError, Quality
 from drivers.rigfile import CanBus, Point
 from drivers.sensor_watch import watches
@@ -40,6 +41,58 @@ class _Latest:
     value: float = math.nan
     quality: int = int(Quality.LINK_FAULT)
     arrival_s: float = -math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class DbcSignal:
+    """One signal as a DBC file describes it; `minimum` and `maximum` in `unit`, `cycle_s` in s."""
+
+    message: str
+    frame_id: int
+    name: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    choices: dict[int, str] | None
+    cycle_s: float | None
+    multiplexed: bool
+    comment: str
+
+
+def _load_dbc(path: Path, encoding: str) -> Any:
+    try:
+        return cantools.database.load_file(path, encoding=encoding)
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: there is no such DBC file; correct the path") from None
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(
+            f"{path}: is not {encoding} text ({error.reason}); give its encoding, cp1252 for most older files"
+        ) from None
+    except Exception as error:  # cantools raises parse errors of several unrelated types
+        raise ConfigurationError(f"{path}: is not a DBC file that can be used ({error})") from error
+
+
+def describe_dbc(path: Path, encoding: str = "utf-8") -> list[DbcSignal]:
+    """Every signal of a DBC file, in the order of the file; raises ConfigurationError."""
+    found: list[DbcSignal] = []
+    for message in _load_dbc(path, encoding).messages:
+        for signal in message.signals:
+            choices = {int(key): str(text) for key, text in (signal.choices or {}).items()}
+            found.append(
+                DbcSignal(
+                    message.name,
+                    message.frame_id,
+                    signal.name,
+                    signal.unit or "",
+                    signal.minimum,
+                    signal.maximum,
+                    choices or None,
+                    message.cycle_time / 1000.0 if message.cycle_time else None,
+                    bool(signal.multiplexer_ids),
+                    signal.comment or "",
+                )
+            )
+    return found
 
 
 class CanReceiver:
@@ -72,12 +125,7 @@ class CanReceiver:
     def _bind(self) -> dict[tuple[int, bool], tuple[Any, list[tuple[int, Point, str]]]]:
         """Match points with the DBC's messages and signals; raises ConfigurationError."""
         path = self._config.dbc
-        try:
-            database: Any = cantools.database.load_file(path, encoding=self._config.dbc_encoding)
-        except FileNotFoundError:
-            raise ConfigurationError(f"{path}: there is no such DBC file; correct dbc of bus {self.name}") from None
-        except Exception as error:  # cantools raises parse errors of several unrelated types
-            raise ConfigurationError(f"{path}: is not a DBC file that can be used ({error})") from error
+        database = _load_dbc(path, self._config.dbc_encoding)
         bound: dict[tuple[int, bool], tuple[Any, list[tuple[int, Point, str]]]] = {}
         for index, point in enumerate(self.points):
             try:
@@ -100,6 +148,11 @@ class CanReceiver:
             key = (message.frame_id, message.is_extended_frame)
             bound.setdefault(key, (message, []))[1].append((index, point, signal.name))
         return bound
+
+    @property
+    def cycle_s(self) -> dict[str, float]:
+        """How often the DBC says that each wanted message comes, in s; messages without a cycle time are left out."""
+        return {m.name: m.cycle_time / 1000.0 for m, _ in self._messages.values() if m.cycle_time}
 
     async def connect(self) -> None:
         """Open the bus and start receiving; raises LinkError when no bound frame comes within the deadline."""
@@ -245,10 +298,10 @@ class CanReceiver:
         with self._lock:
             self._fault = None
             for index, point, signal in wanted:
-                raw = float(decoded[signal])
+                if signal not in decoded:  # multiplexed, and not in this frame
+                    continue
                 latest = self._latest[index]
-                latest.value = raw * point.scale + point.offset
-                latest.quality = quality_of(point, latest.value, raw)
+                latest.value, latest.quality = judge(point, float(decoded[signal]))
                 watch = self._watches[index]
                 if watch is not None:
                     latest.quality = watch.judge(latest.value, latest.quality, arrival)

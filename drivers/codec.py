@@ -1,18 +1,22 @@
-"""Registers to numbers and back: pure functions, no I/O.
+"""Registers to numbers and texts and back: pure functions, no I/O.
 
 A value of w registers travels as 2w bytes. `order` names the sequence of the bytes A (most significant) to D on the
-wire, as Telegraf and most gateways do: ABCD is the Modbus standard, CDAB has the low word first, BADC and DCBA have
-their bytes swapped within each register. For 64-bit values the same rule is applied to words and bytes.
+wire, as Telegraf and most gateways do: ABCD is the Modbus standard (Modbus application protocol V1.1b3, 4.2), CDAB has
+the low word first, BADC and DCBA have their bytes swapped within each register. For 64-bit values the same rule is
+applied to words and bytes. Of a text only the bytes within each register may be swapped.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Iterable, Sequence
+from typing import Literal, get_args
 
-RegisterType = Literal["bool", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"]
+from drivers.points import DriverError
+
+NumberType = Literal["bool", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"]
+RegisterType = Literal["bool", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64", "string"]
 ByteOrder = Literal["ABCD", "CDAB", "BADC", "DCBA"]
 
 _FORMAT: dict[str, str] = {
@@ -26,6 +30,14 @@ _FORMAT: dict[str, str] = {
     "float64": "d",
 }
 WIDTH: dict[str, int] = {"bool": 1} | {kind: struct.calcsize(">" + code) // 2 for kind, code in _FORMAT.items()}
+"""Registers of each type of number. A text has as many as its point says."""
+NUMBER_TYPES: tuple[str, ...] = get_args(NumberType)
+UNSIGNED = ("uint16", "uint32", "uint64")
+SIGNED = ("int16", "int32", "int64")
+
+
+class CodecError(DriverError, ValueError):
+    """Registers that are no value of the type, or a value that the type cannot hold."""
 
 
 def _arranged(registers: Sequence[int], order: ByteOrder) -> list[int]:
@@ -37,26 +49,118 @@ def _arranged(registers: Sequence[int], order: ByteOrder) -> list[int]:
     return words
 
 
-def decode(registers: Sequence[int], kind: RegisterType, order: ByteOrder = "ABCD") -> float:
-    """The raw number in `registers` (each 0..65535, as many as `WIDTH[kind]`); raises ValueError on another count."""
+def _packed(registers: Sequence[int], order: ByteOrder) -> bytes:
+    try:
+        return struct.pack(f">{len(registers)}H", *_arranged(registers, order))
+    except (struct.error, TypeError) as error:
+        raise CodecError(f"{list(registers)} are no registers of 0 to 65535") from error
+
+
+def decode_exact(registers: Sequence[int], kind: str, order: ByteOrder = "ABCD") -> int | float:
+    """The raw number in `registers` (0..65535 each, as many as `WIDTH[kind]`), integers exact; raises CodecError."""
+    if kind not in WIDTH:
+        raise CodecError(f"{kind} is no type of number")
     if len(registers) != WIDTH[kind]:
-        raise ValueError(f"{kind} takes {WIDTH[kind]} registers, got {len(registers)}")
+        raise CodecError(f"{kind} takes {WIDTH[kind]} registers, got {len(registers)}")
+    raw = _packed(registers, order)
     if kind == "bool":
-        return float(registers[0] != 0)
-    words = _arranged(registers, order)
-    raw = struct.pack(f">{len(words)}H", *words)
-    return float(struct.unpack(">" + _FORMAT[kind], raw)[0])
+        return int(any(raw))
+    number: int | float = struct.unpack(">" + _FORMAT[kind], raw)[0]
+    return number
 
 
-def encode(value: float, kind: RegisterType, order: ByteOrder = "ABCD") -> list[int]:
-    """Registers of the raw number `value`, rounded for integers; raises ValueError where it does not fit."""
-    if kind == "bool":
-        return [int(bool(value))]
+def decode(
+    registers: Sequence[int], kind: str, order: ByteOrder = "ABCD", bits: tuple[int, int] | None = None
+) -> float:
+    """The raw number in `registers`, or that of its `bits` (lowest and highest, bit 0 the least significant).
+
+    A float, as all readings are: of a 64-bit integer beyond 2^53 it is the nearest one. Raises CodecError.
+    """
+    number = decode_exact(registers, kind, order)
+    return float(number if bits is None else field_of(number, *bits))
+
+
+def field_of(number: int | float, lowest: int, highest: int) -> int:
+    """The unsigned number in bits `lowest` to `highest` of an integer; raises CodecError of anything else."""
+    if not isinstance(number, int) or number < 0 or not 0 <= lowest <= highest:
+        raise CodecError(f"{number} has no bits {lowest} to {highest}")
+    return number >> lowest & (1 << (highest - lowest + 1)) - 1
+
+
+def encode(value: float, kind: str, order: ByteOrder = "ABCD") -> list[int]:
+    """Registers of the raw number `value`, rounded for integers; raises CodecError where it does not fit."""
+    if kind not in WIDTH:
+        raise CodecError(f"{kind} is no type of number")
     if not math.isfinite(value):
-        raise ValueError(f"{value} cannot be written")
+        raise CodecError(f"{value} cannot be written")
+    if kind == "bool":
+        if value not in (0, 1):
+            raise CodecError(f"{value:g} does not fit in bool; write 0 or 1")
+        return _arranged([int(value)], order)
     try:
         number: float | int = value if kind.startswith("float") else round(value)
         raw = struct.pack(">" + _FORMAT[kind], number)
     except (struct.error, OverflowError) as error:
-        raise ValueError(f"{value:g} does not fit in {kind}") from error
+        raise CodecError(f"{value:g} does not fit in {kind}") from error
     return _arranged(struct.unpack(f">{WIDTH[kind]}H", raw), order)
+
+
+def decode_text(registers: Sequence[int], order: ByteOrder = "ABCD") -> str:
+    """The UTF-8 text in `registers`, without the zeros or blanks that fill it up; raises CodecError."""
+    raw = _packed(registers, _text_order(order)).split(b"\0", 1)[0]
+    try:
+        text = raw.decode("utf-8").rstrip(" ")
+    except UnicodeDecodeError as error:
+        raise CodecError(f"the bytes {raw.hex(' ')} are no text; correct address, length or order") from error
+    if not text.isprintable():
+        raise CodecError(f"the bytes {raw.hex(' ')} are no printable text; correct address, length or order")
+    return text
+
+
+def encode_text(text: str, length: int, order: ByteOrder = "ABCD") -> list[int]:
+    """`length` registers with `text` in UTF-8, filled up with zeros; raises CodecError where it does not fit."""
+    raw = text.encode("utf-8")
+    if not text.isprintable() or text != text.rstrip(" "):
+        raise CodecError(f"{text!r} is no printable text, or ends in blanks, which would not come back")
+    if len(raw) > 2 * length:
+        raise CodecError(f"{text!r} takes {len(raw)} bytes and {length} registers hold {2 * length}")
+    words = struct.unpack(f">{length}H", raw.ljust(2 * length, b"\0"))
+    return _arranged(words, _text_order(order))
+
+
+def _text_order(order: ByteOrder) -> ByteOrder:
+    if order not in ("ABCD", "BADC"):
+        raise CodecError(f"a text has no word order {order}; use ABCD, or BADC where its letters come in swapped pairs")
+    return order
+
+
+def raw_bounds(kind: str, bits: tuple[int, int] | None = None) -> tuple[float, float]:
+    """Least and greatest finite raw number of a type."""
+    if bits is not None:
+        return 0.0, float((1 << (bits[1] - bits[0] + 1)) - 1)
+    if kind == "bool":
+        return 0.0, 1.0
+    size = 16 * WIDTH[kind]
+    if kind in UNSIGNED:
+        return 0.0, float(2**size - 1)
+    if kind in SIGNED:
+        return -float(2 ** (size - 1)), float(2 ** (size - 1) - 1)
+    greatest = struct.unpack(">f", b"\x7f\x7f\xff\xff")[0] if kind == "float32" else math.ldexp(1.0 - 2.0**-53, 1024)
+    return -greatest, greatest
+
+
+def raw_sentinels(declared: Iterable[float], kind: str) -> frozenset[float]:
+    """The raw numbers that sentinels of a rig file mean, as `decode` gives them.
+
+    0x8000 in an int16 decodes to -32768, and 9999.9 in a float32 to the nearest float32: taken literally neither
+    would ever be met.
+    """
+    found: set[float] = set()
+    for sentinel in declared:
+        found.add(sentinel)
+        size = 16 * WIDTH.get(kind, 1)
+        if kind in SIGNED and sentinel == math.floor(sentinel) and 2 ** (size - 1) <= sentinel < 2**size:
+            found.add(float(int(sentinel) - 2**size))
+        elif kind == "float32" and abs(sentinel) <= raw_bounds("float32")[1]:
+            found.add(struct.unpack(">f", struct.pack(">f", sentinel))[0])
+    return frozenset(found)

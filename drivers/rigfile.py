@@ -7,16 +7,18 @@ Every mistake is reported with the file, the line, the key and what to do about 
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import re
 import tomllib
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from drivers.codec import WIDTH, ByteOrder, RegisterType
+from drivers.codec import UNSIGNED, WIDTH, ByteOrder, CodecError, RegisterType, encode, raw_bounds, raw_sentinels
 from drivers.interlock_specs import KINDS, HeaterPowerSpec, InterlockSpec
 from drivers.points import ConfigurationError, Signal
 from drivers.units import canonical_unit
@@ -32,8 +34,28 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+Table = Literal["coil", "discrete", "holding", "input"]
+
+
+class Hole(_Section):
+    """Addresses `first` to `last` of a table that the device has not; no request crosses them."""
+
+    table: Table
+    first: Annotated[int, Field(ge=0, le=65535)]
+    last: Annotated[int, Field(ge=0, le=65535)]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.last < self.first:
+            raise ValueError(f"a hole from {self.first} to {self.last} is none; give first and last in this order")
+        return self
+
+
 class ModbusTcpBus(_Section):
-    """A Modbus/TCP server and the device behind it. `uptime` names the point that carries the device's own clock."""
+    """A Modbus/TCP server and the device behind it. `uptime` names the point that carries the device's own clock.
+
+    `serial_baud` is the speed in bit/s of the line behind a gateway: what is polled must fit on it (`hil check`).
+    """
 
     transport: Literal["modbus_tcp"]
     host: str = "127.0.0.1"
@@ -43,6 +65,10 @@ class ModbusTcpBus(_Section):
     max_read: Annotated[int, Field(ge=1, le=125)] = 125
     max_write: Annotated[int, Field(ge=1, le=123)] = 123
     max_gap: Annotated[int, Field(ge=0, le=124)] = 8
+    max_read_bits: Annotated[int, Field(ge=1, le=2000)] = 2000
+    max_write_bits: Annotated[int, Field(ge=1, le=1968)] = 1968
+    hole: tuple[Hole, ...] = ()
+    serial_baud: Annotated[int, Field(ge=300, le=4_000_000)] | None = None
     uptime: str | None = None
 
 
@@ -77,6 +103,9 @@ class Point(_Section):
     """One quantity on a bus: where it is, how its raw value becomes an engineering value, and what it may be.
 
     engineering value = raw * scale + offset. A point with `access` `w` or `rw` is a set-point when it has `limits`.
+    `bits` takes the lowest and the highest bit of an unsigned register, bit 0 being the least significant; `labels`
+    names the numbers that an enumeration may have. A point of type `string` is `length` registers of text that is read
+    once, when the rig is connected, and must be `expect` where that is given: a serial number, a firmware.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
@@ -86,18 +115,22 @@ class Point(_Section):
     role: str | None = None
     doc: str = ""
     # where: Modbus
-    table: Literal["holding", "input"] | None = None
+    table: Table | None = None
     address: Annotated[int, Field(ge=0, le=65535)] | None = None
     type: RegisterType = "uint16"
     order: ByteOrder = "ABCD"
     scale: float = 1.0
     offset: float = 0.0
+    bits: tuple[Annotated[int, Field(ge=0, le=63)], Annotated[int, Field(ge=0, le=63)]] | None = None
+    labels: dict[str, str] | None = None
+    length: Annotated[int, Field(ge=1, le=125)] | None = None
+    expect: str | None = None
     # where: CAN
     message: str | None = None
     signal: str | None = None
     # what a reading may be
     kind: Literal["measured", "status"] = "measured"
-    invalid: tuple[float, ...] = ()
+    invalid: tuple[Annotated[float, Field(allow_inf_nan=True)], ...] = ()
     plausible: Interval | None = None
     stale_after_s: Annotated[float, Field(gt=0)] = 3.0
     stuck_after_s: Annotated[float, Field(gt=0)] | None = None
@@ -111,6 +144,13 @@ class Point(_Section):
     readback: str | None = None
     readback_tolerance: Annotated[float, Field(gt=0)] = 1.0
     readback_within_s: Annotated[float, Field(gt=0)] = 30.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _bits_are_bool(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("table") in ("coil", "discrete"):
+            return {"type": "bool", **data}
+        return data
 
     @field_validator("unit")
     @classmethod
@@ -140,7 +180,56 @@ class Point(_Section):
                 raise ValueError("is a set-point without safe_value; give the value that it is left at")
             if not self.limits[0] <= self.safe_value <= self.limits[1]:
                 raise ValueError(f"safe_value {self.safe_value:g} is outside limits {list(self.limits)}")
+        for mistake in (self._mistaken_type(), self._mistaken_number()):
+            if mistake is not None:
+                raise ValueError(mistake)
         return self
+
+    def _mistaken_type(self) -> str | None:
+        """What type, bits, labels and length say against one another, or None."""
+        if self.table in ("coil", "discrete") and self.type != "bool":
+            return f"a {self.table} is one bit and has no type {self.type}; take type out"
+        if (self.length is not None) != (self.type == "string"):
+            return "length is the number of registers of a string; give it with type = 'string', and only there"
+        if self.type == "string":
+            if self.access != "r" or self.order not in ("ABCD", "BADC"):
+                return "a string is only read, in order 'ABCD' or 'BADC'; take access or order out"
+            if self.bits is not None or self.labels is not None or self.invalid:
+                return "a string has neither bits nor labels nor invalid; take them out"
+        elif self.expect is not None:
+            return "expect is the text that a point of type = 'string' must have; take it out"
+        if self.bits is not None:
+            if self.type not in UNSIGNED or not self.bits[0] <= self.bits[1] < 16 * self.width:
+                return (
+                    f"bits {list(self.bits)} are the lowest and the highest bit of an unsigned integer; "
+                    f"{self.type} has {16 * self.width if self.type in UNSIGNED else 'none'}"
+                )
+            if self.access != "r":
+                return "bits of a register can only be read here; write the whole register, as a point without bits"
+        if self.labels is not None:
+            if any(re.fullmatch(r"-?\d{1,19}", key) is None for key in self.labels):
+                return "labels name whole numbers; write them as labels = { 0 = 'off', 1 = 'on' }"
+            if self.type.startswith("float") or self.scale != 1.0 or self.offset != 0.0:
+                return "labels name raw whole numbers; take scale and offset out, and use an integer type"
+        return None
+
+    def _mistaken_number(self) -> str | None:
+        """A limit or safe value that cannot be written, or a sentinel that cannot come; None where all can."""
+        if self.table is None or self.type == "string":
+            return None
+        written = [*(self.limits or ()), *([] if self.safe_value is None else [self.safe_value])]
+        for value in written:
+            try:
+                encode((value - self.offset) / self.scale, self.type, self.order)
+            except CodecError as error:
+                return f"{value:g} {self.unit} cannot be written: raw {error}; correct type, scale or limits"
+        low, high = raw_bounds(self.type, self.bits)
+        for sentinel in self.invalid:
+            scaled = (sentinel - self.offset) / self.scale
+            met = any(low <= raw <= high for raw in (*raw_sentinels((sentinel,), self.type), scaled))
+            if not met and not (math.isnan(sentinel) or self.type.startswith("float")):
+                return f"invalid {sentinel:g} never comes out of a {self.type}; give the raw number, or its value"
+        return None
 
     @property
     def is_setpoint(self) -> bool:
@@ -149,8 +238,23 @@ class Point(_Section):
 
     @property
     def width(self) -> int:
-        """Number of registers."""
-        return WIDTH[self.type]
+        """Number of registers; of a coil or a discrete input one bit."""
+        return WIDTH[self.type] if self.length is None else self.length
+
+    @property
+    def is_polled(self) -> bool:
+        """Whether it is read on every tick."""
+        return self.access == "r" and self.type != "string"
+
+    @cached_property
+    def sentinels(self) -> frozenset[float]:
+        """Raw numbers that say that the sensor is faulty."""
+        return raw_sentinels(self.invalid, self.type if self.table is not None else "float64")
+
+    @cached_property
+    def label_of(self) -> dict[int, str] | None:
+        """Names of the numbers that an enumeration may have, or None."""
+        return None if self.labels is None else {int(key): text for key, text in self.labels.items()}
 
     def as_signal(self) -> Signal:
         """The point without its address."""
@@ -249,6 +353,12 @@ def load_rig(path: Path) -> Rig:
     return rig
 
 
+def located(path: Path, mistakes: Sequence[tuple[Sequence[Any], str]]) -> RigFileError:
+    """The error of mistakes that were found in a rig file after it was read, each with its place in the document."""
+    text = path.read_text(encoding="utf-8")
+    return RigFileError("\n".join(f"{path}, line {_line(text, place)}: {what}" for place, what in mistakes))
+
+
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
@@ -258,7 +368,7 @@ def _cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
     """Mistakes that need more than one section, with their place in the document."""
     found: list[tuple[tuple[Any, ...], str]] = []
     names: dict[str, int] = {}
-    taken: dict[tuple[str, str, int], str] = {}
+    taken = Layout()
     for index, point in enumerate(rig.point):
         place = ("point", index)
         if point.name in names:
@@ -275,20 +385,26 @@ def _cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
                 found.append(((*place, "access"), f"{point.name}: points on CAN are read only; take access out"))
             continue
         if point.table is None or point.address is None:
-            found.append((place, f"{point.name}: a point on Modbus needs table ('holding' or 'input') and address"))
-            continue
-        if point.access != "r" and point.table == "input":
-            found.append(((*place, "table"), f"{point.name}: input registers cannot be written; use table 'holding'"))
-        for address in range(point.address, point.address + point.width):
-            other = taken.setdefault((point.bus, point.table, address), point.name)
-            if other != point.name:
-                found.append(
-                    (
-                        (*place, "address"),
-                        f"{point.name}: {point.table} register {address} is {other}'s already; correct one address",
-                    )
+            found.append(
+                (
+                    place,
+                    f"{point.name}: a point on Modbus needs table (holding, input, coil or discrete) and address",
                 )
-                break
+            )
+            continue
+        if point.access != "r" and point.table in ("input", "discrete"):
+            which, other = ("input registers", "holding") if point.table == "input" else ("discrete inputs", "coil")
+            found.append(((*place, "table"), f"{point.name}: {which} cannot be written; use table '{other}'"))
+        found += [((*place, key), f"{point.name}: {what}") for key, what in misplaced(point, bus)]
+        clash = taken.taken_by(point)
+        if clash is not None:
+            unit = "" if point.table in ("coil", "discrete") else " register"
+            found.append(
+                (
+                    (*place, "address"),
+                    f"{point.name}: {point.table}{unit} {clash[1]} is {clash[0]}'s already; correct one address",
+                )
+            )
         if point.is_setpoint and point.readback is not None:
             target = next((other for other in rig.point if other.name == point.readback), None)
             if target is None:
@@ -308,6 +424,48 @@ def _cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
     return found + _interlock_checks(rig)
 
 
+def misplaced(point: Point, bus: ModbusTcpBus) -> list[tuple[str, str]]:
+    """Key and mistake of a Modbus point that its bus cannot carry."""
+    first = point.address or 0
+    last = first + point.width - 1
+    found: list[tuple[str, str]] = []
+    if last > 65535:
+        found.append(("address", f"ends at {last} and the last address is 65535; correct the address or the type"))
+    most = bus.max_read if point.access == "r" else min(bus.max_read, bus.max_write)
+    if point.width > most:
+        found.append(("type", f"{point.type} takes {point.width} registers and one request {most}; raise max_read"))
+    for hole in bus.hole:
+        if hole.table == point.table and first <= hole.last and hole.first <= last:
+            found.append(("address", f"is in the hole {hole.first} to {hole.last} of its bus; correct one of them"))
+    return found
+
+
+class Layout:
+    """Which addresses belong to whom. Bit fields may share registers where their bits differ."""
+
+    def __init__(self) -> None:
+        self._taken: dict[tuple[str, str, int], list[Point]] = {}
+
+    def taken_by(self, point: Point) -> tuple[str, int] | None:
+        """Take the addresses of a Modbus point; name and address of another point that has one of them already."""
+        first = point.address or 0
+        clash: tuple[str, int] | None = None
+        for address in range(first, first + point.width):
+            others = self._taken.setdefault((point.bus, str(point.table), address), [])
+            for other in others:
+                if clash is None and other is not point and not _share(point, other):
+                    clash = other.name, address
+            others.append(point)
+        return clash
+
+
+def _share(one: Point, other: Point) -> bool:
+    if one.bits is None or other.bits is None:
+        return False
+    same = (one.address, one.type, one.order) == (other.address, other.type, other.order)
+    return same and (one.bits[1] < other.bits[0] or other.bits[1] < one.bits[0])
+
+
 def _interlock_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
     """Interlocks that watch what there is not."""
     found: list[tuple[tuple[Any, ...], str]] = []
@@ -317,7 +475,7 @@ def _interlock_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
             point, place = points.get(name), ("interlock", index, key)
             if point is None:
                 found.append((place, f"{spec.kind}: no point {name!r}; declare it or correct {key}"))
-            elif not (point.is_setpoint if key == "setpoint" else point.access == "r"):
+            elif not (point.is_setpoint if key == "setpoint" else point.is_polled):
                 what = "a set-point" if key == "setpoint" else "read on every tick (access = 'r')"
                 found.append((place, f"{spec.kind}: {name} is not {what}; correct {key}"))
             elif isinstance(spec, HeaterPowerSpec) and point.readback is None:

@@ -382,3 +382,31 @@ def loop_command(work: Path, quick: bool, seed: int, out: Path | None, as_json: 
     with Steps("running", 1.0, quiet=as_json) as steps:
         tables, skipped = loop.measure(loop.QUICK if quick else loop.FULL, seed, work, steps.update)
     _finish("loop", seed, tables, skipped, out, as_json)
+
+
+@command.command("wire")
+@click.option("--count", type=click.IntRange(min=1), default=100_000, show_default=True, help="Mutated replies.")
+@QUICK
+@SEED
+@OUT
+@JSON
+def wire_command(count: int, quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
+    """Mutated replies against the Modbus client, in memory: is a wrong value ever taken for a good one?
+
+    \b
+    Example:
+      hil bench wire --quick
+    """
+    import asyncio
+
+    from hil.bench.report import Table
+    from hil.bench.wire import mutate_modbus
+
+    found = asyncio.run(mutate_modbus(1_700 if quick else count, seed))
+    rows = tuple((kind, *numbers) for kind, numbers in found.items())
+    note = "wrong: good and not what the register held, or a number that is not good. Each read asks for two blocks."
+    heading = ("mutation", "reads", "values good", "values not used", "wrong")
+    table = Table("modbus", f"{sum(r[1] for r in rows):,} reads with mutated replies", heading, rows, (note,))
+    _finish("wire", seed, (table,), (), out, as_json)
+    if any(row[-1] for row in rows):
+        sys.exit(1)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,18 +15,26 @@ from hil.commands.paths import INPUT_FILE, VIRTUAL_RIG
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from drivers.budget import Polling
+    from drivers.canbus import CanReceiver
+    from drivers.rigfile import Rig
+
+_TRANSPORTS = {"modbus_tcp": "Modbus/TCP", "modbus_tls": "Modbus/TCP Security"}
+
 
 @click.command()
 @click.argument("file", type=INPUT_FILE)
 @click.option("--rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig that a profile is meant for.")
 @click.option("--catalogue", is_flag=True, help="Of a twin: which effects no record of its rig could tell apart.")
+@click.option("--json", "as_json", is_flag=True, help="Of a rig file: its read plan as JSON, for a script.")
 @click.option("--picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw a twin's network: .svg or .png.")
-def command(file: Path, rig: Path, catalogue: bool, picture: Path | None) -> None:
+def command(file: Path, rig: Path, catalogue: bool, as_json: bool, picture: Path | None) -> None:
     """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
 
     \b
     Example:
       hil check profiles/rigs/virtual.toml
+      hil check my_rig.toml --json
       hil check my_load.csv --rig my_rig.toml
       hil check profiles/twins/loop_six.toml --picture network.svg
       hil check my_twin.toml --catalogue
@@ -37,6 +46,11 @@ def command(file: Path, rig: Path, catalogue: bool, picture: Path | None) -> Non
         raise click.UsageError(f"--picture draws twins, and {file} is none")
     if catalogue and checker is not _twin:
         raise click.UsageError(f"--catalogue lists what a twin may lack, and {file} is none")
+    if as_json:
+        if checker is not _rig:
+            raise click.UsageError(f"--json tells the read plan of a rig file, and {file} is none")
+        click.echo(_rig_as_json(file))
+        return
     checker(file, rig, console())
     if catalogue:
         _catalogue(file, console())
@@ -67,20 +81,44 @@ def _checker(file: Path) -> Callable[[Path, Path, Console], None]:
     raise click.UsageError(f"{file}: is no .toml, .csv or .parquet file; nothing here knows how to check it")
 
 
+def _checked(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]]:
+    """A rig, what polling its Modbus buses costs and its CAN buses; raises RigFileError with every mistake."""
+    from drivers.budget import overloads, polling, too_short
+    from drivers.canbus import CanReceiver
+    from drivers.rigfile import CanBus, load_rig, located
+
+    rig = load_rig(file)
+    polled: dict[str, Polling] = {}
+    receivers: dict[str, CanReceiver] = {}
+    mistakes: list[tuple[Sequence[Any], str]] = []
+    for name, bus in rig.bus.items():
+        if isinstance(bus, CanBus):
+            mine = tuple(point for point in rig.point if point.bus == name)
+            receivers[name] = CanReceiver(name, bus, mine, lambda: 0.0)  # matches every point with the DBC
+            mistakes += too_short(rig, name, receivers[name].cycle_s)
+        else:
+            polled[name] = polling(name, bus, rig.point)
+    mistakes += overloads(rig, tuple(polled.values()))
+    if mistakes:
+        raise located(file, mistakes)
+    return rig, polled, receivers
+
+
 def _rig(file: Path, _: Path, out: Console) -> None:
     from rich.table import Table
 
-    from drivers.canbus import CanReceiver
-    from drivers.plan import plan_reads
-    from drivers.rigfile import CanBus, load_rig
+    from drivers.budget import unit_of_count, unsaid
+    from drivers.rigfile import CanBus
 
-    rig = load_rig(file)
+    rig, polled, receivers = _checked(file)
     points = Table(title=f"{rig.name}: {len(rig.point)} points", title_justify="left")
     for heading in ("point", "bus", "where", "type", "unit", "limits", "safe", "plausible"):
         points.add_column(heading)
     for point in rig.point:
         where = f"{point.table} {point.address}" if point.table else f"{point.message}.{point.signal}"
         kind = f"{point.type} {point.order}" if point.table and point.width > 1 else point.type if point.table else ""
+        if point.bits is not None:
+            kind += f" bits {point.bits[0]}-{point.bits[1]}"
         limits = f"{point.limits[0]:g} to {point.limits[1]:g}" if point.limits else ""
         safe = f"{point.safe_value:g}" if point.safe_value is not None else ""
         plausible = f"{point.plausible[0]:g} to {point.plausible[1]:g}" if point.plausible else ""
@@ -98,17 +136,59 @@ def _rig(file: Path, _: Path, out: Console) -> None:
             table.add_row(spec.kind, spec.level, of, what)
         out.print(table)
     for name, bus in rig.bus.items():
-        mine = tuple(point for point in rig.point if point.bus == name)
         if isinstance(bus, CanBus):
-            CanReceiver(name, bus, mine, lambda: 0.0)  # matches every point with the DBC
-            out.print(f"{name}: {bus.transport} {bus.channel}, {len(mine)} signals found in {bus.dbc.name}")
+            receiver = receivers[name]
+            often = ", ".join(f"{message} every {cycle:g} s" for message, cycle in receiver.cycle_s.items())
+            out.print(
+                f"{name}: {bus.transport} {bus.channel}, {len(receiver.points)} signals found in {bus.dbc.name}"
+                + (f" ({often})" if often else "")
+            )
             continue
-        blocks = plan_reads((p for p in mine if p.access == "r"), max_read=bus.max_read, max_gap=bus.max_gap)
-        out.print(f"{name}: Modbus/TCP {bus.host}:{bus.port}, {len(blocks)} reads a tick:")
-        for block in blocks:
-            gaps = block.count - sum(point.width for point in block.points)
-            out.print(f"  {block.table} {block.address} to {block.address + block.count - 1}, {gaps} unused")
+        cost = polled[name]
+        line = "" if cost.line_s is None else f", {cost.line_s:.3f} s of the line at {bus.serial_baud} bit/s"
+        table = Table(
+            title=f"{name}: {_TRANSPORTS[bus.transport]} {bus.host}:{bus.port}, device {bus.device_id}",
+            title_justify="left",
+            caption=f"{len(cost.blocks)} reads and {cost.bytes_per_tick} bytes every {rig.period_s:g} s{line}",
+            caption_justify="left",
+        )
+        for heading in ("read", "function", "count", "unused", "points", "bytes"):
+            table.add_column(heading, justify="left" if heading == "read" else "right")
+        for block in cost.blocks:
+            count = f"{block.count} {unit_of_count(block)}"
+            cells = (block.unused, len(block.points), sum(block.read_bytes))
+            table.add_row(str(block), str(block.read_code), count, *map(str, cells))
+        out.print(table)
+    for note in unsaid(rig):
+        out.print(f"note: {note}", soft_wrap=True)
     out.print(f"{file}: no mistakes found", style="green")
+
+
+def _rig_as_json(file: Path) -> str:
+    from drivers.budget import unsaid
+
+    rig, polled, receivers = _checked(file)
+    plan = {
+        name: {
+            "bytes_per_tick": cost.bytes_per_tick,
+            "line_s": cost.line_s,
+            "reads": [
+                {
+                    "function": block.read_code,
+                    "table": block.table,
+                    "address": block.address,
+                    "count": block.count,
+                    "unused": block.unused,
+                    "points": [point.name for point in block.points],
+                }
+                for block in cost.blocks
+            ],
+        }
+        for name, cost in polled.items()
+    }
+    cycles = {name: receiver.cycle_s for name, receiver in receivers.items()}
+    found = {"rig": rig.name, "period_s": rig.period_s, "modbus": plan, "can_cycle_s": cycles, "notes": unsaid(rig)}
+    return json.dumps(found, indent=2)
 
 
 def _twin(file: Path, _: Path, out: Console) -> None:

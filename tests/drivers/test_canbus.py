@@ -9,7 +9,10 @@ import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+import can
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from drivers.canbus import CanReceiver
 from drivers.points import ConfigurationError, LinkError, Quality
@@ -222,3 +225,54 @@ async def test_a_missing_or_broken_dbc_is_refused(hub, tmp_path):
         config = CanBus(transport="socketcand", port=hub.port, channel="vcan0", dbc=path)
         with pytest.raises(ConfigurationError, match=words):
             CanReceiver("thermocouples", config, POINTS[:1], time.monotonic)
+
+
+@settings(max_examples=400, deadline=None)
+@given(
+    identifier=st.sampled_from([0x181, 0x281, 0x381, 0x182]) | st.integers(0, 0x7FF),
+    data=st.binary(max_size=8),
+    extended=st.booleans(),
+    remote=st.booleans(),
+    error=st.booleans(),
+)
+def test_no_odd_frame_is_ever_a_wrong_value_that_counts_as_good(identifier, data, extended, remote, error):
+    config = CanBus(transport="socketcand", port=1, channel="vcan0", dbc=DBC)
+    bus = CanReceiver("thermocouples", config, POINTS, lambda: 1.0)
+    bus._take(
+        can.Message(
+            arbitration_id=identifier,
+            data=b"" if remote else data,
+            dlc=len(data),
+            is_extended_id=extended,
+            is_remote_frame=remote,
+            is_error_frame=error,
+        )
+    )
+    layout = {0x181: "<4h", 0x281: "<4h", 0x381: "<hHI"}.get(identifier)
+    usable = layout is not None and len(data) == 8 and not (extended or remote or error)
+    raws = struct.unpack(layout, data) if usable else ()
+    readings = asyncio.run(bus.read())
+    for point, value, quality in zip(POINTS, readings.values, readings.quality, strict=True):
+        if quality != Quality.GOOD:
+            continue
+        assert usable
+        scale = 0.001 if point.name == "tc_uptime" else 1.0 if point.name == "tc_fault_bits" else 0.01
+        assert any(value == pytest.approx(raw * scale) for raw in raws)
+        assert point.plausible is None or point.plausible[0] <= value <= point.plausible[1]
+
+
+def test_a_signal_that_comes_in_some_frames_only_does_not_end_the_receiving_thread(tmp_path):
+    dbc = tmp_path / "mux.dbc"
+    dbc.write_text(
+        'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: N\n\nBO_ 256 M: 8 N\n'
+        ' SG_ page M : 0|8@1+ (1,0) [0|1] "" N\n'
+        ' SG_ T_a m0 : 8|16@1- (0.1,0) [-40|150] "degC" N\n'
+        ' SG_ T_b m1 : 8|16@1- (0.1,0) [-40|150] "degC" N\n',
+        encoding="utf-8",
+    )
+    points = tuple(Point(name=n, bus="c", unit="degC", message="M", signal=n) for n in ("T_a", "T_b"))
+    bus = CanReceiver("c", CanBus(transport="socketcand", dbc=dbc), points, lambda: 1.0)
+    bus._take(can.Message(arbitration_id=256, is_extended_id=False, data=struct.pack("<Bh5x", 1, 215)))
+    readings = asyncio.run(bus.read())
+    assert readings.values[1] == pytest.approx(21.5)
+    assert readings.quality == [Quality.STALE, Quality.GOOD]

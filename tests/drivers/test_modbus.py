@@ -10,7 +10,7 @@ import time
 import pytest
 
 from drivers.modbus import ModbusBus
-from drivers.points import DeviceExceptionError, LinkError, ProtocolError, Quality
+from drivers.points import ConfigurationError, DeviceExceptionError, LinkError, ProtocolError, Quality
 from drivers.rigfile import ModbusTcpBus, Point
 from tests.drivers.faulty_server import FaultyServer, correct
 
@@ -201,3 +201,145 @@ async def test_a_write_that_is_confirmed_wrongly_is_an_error():
         with pytest.raises(ProtocolError, match="echoed"):
             await driver.write({"beat": 7})
         await driver.close()
+
+
+# What a device has not, and what it is -------------------------------------------------------------------------------
+
+
+def has(*present: int):
+    """A device that has only the `present` input registers; a request that touches another is refused (6.4)."""
+
+    def answer(server, tid, unit, pdu):
+        code, address, count = struct.unpack(">BHH", pdu[:5])
+        server.asked.append((code, address, count))
+        if code == 4 and not set(range(address, address + count)) <= set(present):
+            return bytes([0x84, 2])
+        return correct(server, tid, unit, pdu)
+
+    return answer
+
+
+async def test_a_hole_that_nobody_declared_is_found_once_and_remembered():
+    async with FaultyServer(has(0, 1, 4, 5)) as server:
+        server.asked = []
+        fill(server)
+        driver = bus(server)
+        await driver.connect()
+        assert server.asked == [(4, 0, 6), (4, 0, 2), (4, 4, 2)]
+        server.asked.clear()
+        readings = await driver.read()
+        await driver.close()
+    assert server.asked == [(4, 0, 2), (4, 4, 2)]
+    assert readings.quality == [Quality.GOOD] * 3
+    assert readings.fault is None
+    assert readings.values == pytest.approx([750.25, 65.5, 21.34])
+
+
+async def test_a_declared_hole_is_never_asked_for():
+    async with FaultyServer(has(0, 1, 4, 5)) as server:
+        server.asked = []
+        driver = bus(server, hole=[{"table": "input", "first": 2, "last": 3}])
+        await driver.connect()
+        await driver.close()
+    assert server.asked == [(4, 0, 2), (4, 4, 2)]
+
+
+async def test_a_value_that_the_device_has_not_is_named_when_it_is_connected():
+    async with FaultyServer(has(0, 1, 5)) as server:
+        server.asked = []
+        driver = bus(server)
+        with pytest.raises(DeviceExceptionError, match=r"points that cannot be read: speed$"):
+            await driver.connect()
+        await driver.close()
+
+
+async def test_a_value_that_is_refused_later_is_a_fault_of_its_own_signal_only():
+    async with FaultyServer() as server:
+        fill(server)
+        server.asked = []
+        driver = bus(server)
+        await driver.connect()
+        server.behaviour = has(0, 1, 5)
+        for _ in range(2):
+            readings = await driver.read()
+            assert readings.quality == [Quality.GOOD, Quality.LINK_FAULT, Quality.GOOD]
+            assert "the device has no input 4" in readings.fault or "refused input 4" in readings.fault
+        asked = len(server.asked)
+        await driver.read()
+        assert len(server.asked) == asked + 2
+        await driver.close()
+
+
+MIXED = (
+    Point(name="serial", bus="b", unit="1", table="input", address=40, type="string", length=3, expect="P17"),
+    Point(name="alarm", bus="b", unit="1", table="input", address=50, bits=(3, 3)),
+    Point(name="mode", bus="b", unit="1", table="input", address=50, bits=(4, 6), labels={"0": "off", "2": "run"}),
+)
+
+
+@pytest.mark.parametrize(("last", "said"), [(0x3700, None), (0x3800, "is 'P18' and the rig file expects 'P17'")])
+async def test_a_text_tells_which_device_it_is(last, said):
+    async with FaultyServer() as server:
+        server.registers = {40: 0x5031, 41: last, 50: 0b0010_1000}
+        config = ModbusTcpBus(transport="modbus_tcp", port=server.port, timeout_s=0.2)
+        driver = ModbusBus("plc", config, MIXED, time.monotonic)
+        if said is None:
+            await driver.connect()
+            readings = await driver.read()
+            assert driver.texts == {"serial": "P17"}
+            assert readings.values == [1.0, 2.0]
+            assert readings.quality == [Quality.GOOD] * 2
+        else:
+            with pytest.raises(ConfigurationError, match=said):
+                await driver.connect()
+        await driver.close()
+
+
+BITS = tuple(
+    Point(name=f"c{a}", bus="b", unit="1", table="coil", address=a, access="rw" if a < 22 else "r")
+    for a in range(19, 38)
+)
+
+
+def coils(server, tid, unit, pdu):
+    """The coils of the specification's example (V1.1b3, 6.1): 20 to 38, addressed from 19."""
+    code, address, count = struct.unpack(">BHH", pdu[:5])
+    if code == 1:
+        bits = int.from_bytes(bytes.fromhex("cd6b05"), "little") >> (address - 19)
+        data = (bits & (1 << count) - 1).to_bytes(-(-count // 8), "little")
+        return bytes([1, len(data)]) + data
+    server.written.append((code, pdu))
+    return pdu[:5]
+
+
+async def test_coils_are_read_and_written_as_the_specification_shows():
+    async with FaultyServer(coils) as server:
+        config = ModbusTcpBus(transport="modbus_tcp", port=server.port, timeout_s=0.2)
+        driver = ModbusBus("plc", config, BITS, time.monotonic)
+        await driver.connect()
+        readings = await driver.read()
+        await driver.write({"c19": 1.0})
+        await driver.write({"c19": 1.0, "c20": 0.0, "c21": 1.0})
+        held = await driver.read_back(("c19", "c20", "c21"))
+        with pytest.raises(ConfigurationError, match="write 0 or 1"):
+            await driver.write({"c19": 0.5})
+        await driver.close()
+    whole = [int(bit) for byte in bytes.fromhex("cd6b05") for bit in format(byte, "08b")[::-1]]
+    assert readings.values == whole[3:19]
+    assert held == {"c19": 1, "c20": 0, "c21": 1}
+    assert server.written == [
+        (5, bytes.fromhex("050013ff00")),
+        (15, bytes.fromhex("0f001300030105")),
+    ]
+
+
+async def test_a_coil_reply_of_another_length_is_not_used():
+    async with FaultyServer(coils) as server:
+        config = ModbusTcpBus(transport="modbus_tcp", port=server.port, timeout_s=0.2)
+        driver = ModbusBus("plc", config, BITS, time.monotonic)
+        await driver.connect()
+        server.behaviour = lambda *_: bytes.fromhex("0101ff")
+        readings = await driver.read()
+        await driver.close()
+    assert set(readings.quality) == {Quality.LINK_FAULT}
+    assert "answered 8 bits where 16 were asked" in readings.fault

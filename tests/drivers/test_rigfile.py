@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.rigfile import RigFileError, load_rig
+from drivers.rigfile import Point, RigFileError, load_rig
 
 PROJECT = Path(__file__).resolve().parents[2]
 VIRTUAL = PROJECT / "profiles" / "rigs" / "virtual.toml"
@@ -126,3 +128,12 @@ def test_a_wrong_interlock_is_named_with_its_line(tmp_path, kind, level, rest, s
     assert said in str(caught.value)
     line = int(str(caught.value).split("line ")[1].split(":")[0])
     assert line > len(text.splitlines())
+
+
+def test_the_point_that_the_readme_shows_is_a_point():
+    text = (PROJECT / "README.md").read_text(encoding="utf-8")
+    example = re.search(r'```\n(\[\[point\]\]\nname = "pump_state".*?)```', text, re.DOTALL)
+    assert example is not None
+    (keys,) = tomllib.loads(example[1])["point"]
+    point = Point(**keys)
+    assert (point.bits, point.label_of, point.sentinels) == ((4, 6), {0: "off", 2: "run"}, {7.0})

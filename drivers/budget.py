@@ -1,0 +1,97 @@
+"""What a rig file asks of its wires: bytes a tick, time on a serial line, and what it leaves unsaid. Pure, offline."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from drivers.plan import BIT_TABLES, Block, plan_reads
+from drivers.rigfile import CanBus, ModbusTcpBus, Point, Rig
+
+MBAP_BYTES = 7
+"""Header of a Modbus/TCP frame (Modbus messaging on TCP/IP implementation guide V1.0b, 3.1.3)."""
+_RTU_BYTES = 3  # address and CRC
+_BITS_PER_BYTE = 11  # start, eight, parity or a second stop bit, stop (Modbus over serial line V1.02, 2.5.1)
+_SILENCE_ABOVE_19200_S = 1.75e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Polling:
+    """What one bus carries on every tick. `line_s` is None where no `serial_baud` says how fast the line is."""
+
+    bus: str
+    blocks: tuple[Block, ...]
+    bytes_per_tick: int
+    line_s: float | None
+
+
+def silence_s(baud: int) -> float:
+    """The gap between two frames on a serial line (Modbus over serial line V1.02, 2.5.1.1), in s."""
+    return 3.5 * _BITS_PER_BYTE / baud if baud <= 19200 else _SILENCE_ABOVE_19200_S
+
+
+def polling(name: str, bus: ModbusTcpBus, points: Sequence[Point]) -> Polling:
+    """The read plan of a Modbus bus and what it costs."""
+    blocks = plan_reads(
+        (point for point in points if point.bus == name and point.is_polled),
+        max_read=bus.max_read,
+        max_gap=bus.max_gap,
+        max_read_bits=bus.max_read_bits,
+        holes=bus.hole,
+    )
+    pdu = [sum(block.read_bytes) for block in blocks]
+    line_s = None
+    if bus.serial_baud is not None:
+        frames = sum(pdu) + 2 * _RTU_BYTES * len(pdu)
+        line_s = frames * _BITS_PER_BYTE / bus.serial_baud + 2 * len(pdu) * silence_s(bus.serial_baud)
+    return Polling(name, tuple(blocks), sum(pdu) + 2 * MBAP_BYTES * len(pdu), line_s)
+
+
+def overloads(rig: Rig, polled: Sequence[Polling]) -> list[tuple[tuple[str, ...], str]]:
+    """Buses on which a tick's polling does not fit into the period, with their place in the rig file."""
+    found: list[tuple[tuple[str, ...], str]] = []
+    for one in polled:
+        if one.line_s is not None and one.line_s > rig.period_s:
+            baud = getattr(rig.bus[one.bus], "serial_baud", None)
+            found.append(
+                (
+                    ("bus", one.bus, "serial_baud"),
+                    f"bus {one.bus}: {len(one.blocks)} reads take {one.line_s:.2f} s of a line at {baud} bit/s and the "
+                    f"period is {rig.period_s:g} s; poll fewer points, raise period_s or the speed of the line",
+                )
+            )
+    return found
+
+
+def unsaid(rig: Rig) -> list[str]:
+    """What the rig file leaves open and would be missed when something breaks: a sentence each."""
+    measured = [p for p in rig.point if p.is_polled and p.kind == "measured" and p.labels is None and p.type != "bool"]
+    groups = (
+        ("no plausible range, so that any number is believed", [p.name for p in measured if p.plausible is None]),
+        ("no max_rate, so that a profile may jump", [p.name for p in rig.setpoints if p.max_rate is None]),
+        ("no readback, so that nobody sees whether it obeys", [p.name for p in rig.setpoints if p.readback is None]),
+    )
+    return [f"{what}: {', '.join(names)}" for what, names in groups if names]
+
+
+def unit_of_count(block: Block) -> str:
+    """What a block counts: bits or registers."""
+    return "bits" if block.table in BIT_TABLES else "registers"
+
+
+def too_short(rig: Rig, name: str, cycle_s: dict[str, float]) -> list[tuple[tuple[str | int, ...], str]]:
+    """Points of a CAN bus that are stale before their next frame is due; `cycle_s` by message, from the DBC."""
+    found: list[tuple[tuple[str | int, ...], str]] = []
+    if not isinstance(rig.bus[name], CanBus):
+        return found
+    for index, point in enumerate(rig.point):
+        due = cycle_s.get(point.message or "", 0.0)
+        if point.bus == name and point.stale_after_s < due:
+            found.append(
+                (
+                    ("point", index, "stale_after_s"),
+                    f"{point.name}: is stale after {point.stale_after_s:g} s and {point.message} comes every {due:g} s "
+                    f"by the DBC; give stale_after_s = {3 * due:g}",
+                )
+            )
+    return found

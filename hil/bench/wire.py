@@ -1,0 +1,191 @@
+"""`hil bench wire`: mutated replies against the Modbus client, in memory and from a fixed seed.
+
+TCP's checksum guards the bytes of a value; what it cannot guard against is a device or a gateway that answers the wrong
+thing: another transaction, unit, function or length, half a reply, two, or the one before. Those are what is made here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import random
+import struct
+from collections import Counter
+from collections.abc import Callable
+
+from drivers.modbus import ModbusBus
+from drivers.points import Quality
+from drivers.rigfile import ModbusTcpBus, Point
+
+REGISTERS = 12
+POINTS = tuple(
+    Point(name=f"p{a}_{k}", bus="b", unit="1", table="input", address=a * 40 + k)
+    for a in range(2)
+    for k in range(REGISTERS)
+)
+"""Two blocks of the same length, so that the reply to one could pass for the reply to the other."""
+
+
+HARMLESS = ("none", "twice", "in segments")
+"""What a client must put up with: these replies are right, and must be used."""
+
+
+class _Wire(asyncio.Transport):
+    """A connection in memory: what is written is answered by `answer`, in as many segments as it returns."""
+
+    def __init__(self, answer: Callable[[bytes], list[bytes]], receive: Callable[[bytes], None]) -> None:
+        super().__init__()
+        self._answer = answer
+        self._receive = receive
+        self._closed = False
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        for segment in self._answer(bytes(data)):
+            asyncio.get_running_loop().call_soon(self._deliver, segment)
+
+    def _deliver(self, segment: bytes) -> None:
+        if not self._closed:
+            self._receive(segment)
+
+    def close(self) -> None:
+        self._closed = True
+
+    def abort(self) -> None:
+        self._closed = True
+
+    def is_closing(self) -> bool:
+        return self._closed
+
+
+class _MemoryBus(ModbusBus):
+    """The driver as it is, but for the socket."""
+
+    answer: Callable[[bytes], list[bytes]]
+
+    async def _open(self) -> None:
+        self._drop()
+        client = self._new_client()
+        context = client.ctx
+        context.connection_made(_Wire(self.answer, lambda data: context.data_received(data)))
+        self._client = client
+
+    def _lost(self) -> None:
+        """Opened again by who reads: a task of its own would race with the next read, which has no time between."""
+
+
+def truth(address: int, epoch: int) -> int:
+    """What register `address` holds in a given read: it differs from every other register and read nearby."""
+    return (address * 251 + epoch * 7919 + 13) & 0xFFFF
+
+
+class Mutator:
+    """Answers requests as a device would, but for one mutation a read; `made` counts them by kind."""
+
+    KINDS = (
+        "none",
+        "transaction",
+        "transaction 0",
+        "protocol",
+        "length",
+        "unit",
+        "function",
+        "byte count",
+        "truncated",
+        "trailing bytes",
+        "twice",
+        "the reply before",
+        "the reply before as transaction 0",
+        "exception",
+        "in segments",
+        "noise before",
+        "silence",
+    )
+
+    def __init__(self, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.epoch = 0
+        self.kind = "none"
+        self.made: Counter[str] = Counter()
+        self._before = b""
+
+    def answer(self, request: bytes) -> list[bytes]:
+        """Segments that come back for a request frame."""
+        tid, _, _, unit, code, address, count = struct.unpack(">HHHBBHH", request[:12])
+        values = [truth(address + k, self.epoch) for k in range(count)]
+        pdu = struct.pack(f">BB{count}H", code, 2 * count, *values)
+        good = struct.pack(">HHHB", tid, 0, len(pdu) + 1, unit) + pdu
+        before, self._before = self._before or good, good
+        self.made[self.kind] += 1
+        return self._mutated(good, before, request)
+
+    def _mutated(self, good: bytes, before: bytes, request: bytes) -> list[bytes]:
+        pick, frame, kind = self.random, bytearray(good), self.kind
+        fields = {"transaction": (0, 2), "protocol": (2, 4), "length": (4, 6), "unit": (6, 7), "function": (7, 8)}
+        fields["byte count"] = (8, 9)
+        if kind in fields:
+            low, high = fields[kind]
+            old = bytes(frame[low:high])
+            while bytes(frame[low:high]) == old:
+                frame[low:high] = pick.randbytes(high - low)
+            return [bytes(frame)]
+        if kind == "transaction 0":
+            return [b"\0\0" + good[2:]]
+        if kind == "truncated":
+            end = pick.randrange(len(good))
+            cut = good[:end]
+            if pick.random() < 0.5 and end > 8:  # the header agrees with what is left of it
+                cut = cut[:4] + struct.pack(">H", end - 6) + cut[6:]
+            return [cut]
+        if kind == "trailing bytes":
+            more = pick.randbytes(pick.randint(1, 9))
+            return [good[:4] + struct.pack(">H", len(good) - 6 + len(more)) + good[6:] + more]
+        if kind == "twice":
+            return [good + good]
+        if kind == "the reply before":
+            return [before]
+        if kind == "the reply before as transaction 0":
+            return [b"\0\0" + before[2:]]
+        if kind == "exception":
+            body = bytes([request[7] | 0x80 if pick.random() < 0.7 else pick.randrange(128, 256), pick.randrange(256)])
+            return [good[:4] + b"\0\x03" + good[6:7] + body]
+        if kind == "in segments":
+            at = sorted(pick.sample(range(1, len(good)), 3))
+            return [good[a:b] for a, b in zip([0, *at], [*at, len(good)], strict=True)]
+        if kind == "noise before":
+            return [pick.randbytes(pick.randint(1, 20)) + good]
+        return [] if kind == "silence" else [good]
+
+
+async def mutate_modbus(count: int, seed: int, *, timeout_s: float = 0.004) -> dict[str, tuple[int, int, int, int]]:
+    """By kind of mutation: reads, values that came as good, values that did not, and wrong ones (of either).
+
+    A value is wrong that is good and not the register's, or not good and yet a number. Whatever the driver raises is
+    let through: a lost link is a quality.
+    """
+    mutator = Mutator(seed)
+    found: dict[str, list[int]] = {kind: [0, 0, 0, 0] for kind in Mutator.KINDS}
+    patient, hasty = (_memory_bus(mutator, deadline_s) for deadline_s in (5.0, timeout_s))
+    for number in range(count):
+        mutator.kind = Mutator.KINDS[number % len(Mutator.KINDS)]
+        mutator.epoch = number
+        bus = patient if mutator.kind in HARMLESS else hasty
+        if bus._client is None:
+            await bus._open()
+        bus._plan.forget()
+        readings = await bus.read()
+        tally = found[mutator.kind]
+        tally[0] += 1
+        for point, value, quality in zip(bus.points, readings.values, readings.quality, strict=True):
+            good = quality == Quality.GOOD
+            tally[1 if good else 2] += 1
+            if (good and value != truth(point.address or 0, number)) or (not good and not math.isnan(value)):
+                tally[3] += 1
+    await patient.close()
+    await hasty.close()
+    return {kind: (t[0], t[1], t[2], t[3]) for kind, t in found.items()}
+
+
+def _memory_bus(mutator: Mutator, timeout_s: float) -> _MemoryBus:
+    bus = _MemoryBus("b", ModbusTcpBus(transport="modbus_tcp", port=1, timeout_s=timeout_s), POINTS, lambda: 0.0)
+    bus.answer = mutator.answer
+    return bus

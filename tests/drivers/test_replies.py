@@ -1,0 +1,86 @@
+"""Replies that a device may not give: none of them is ever a value, and nothing foreign is raised."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.points import ProtocolError
+from drivers.replies import FrameGuard
+from hil.bench.wire import HARMLESS, Mutator, mutate_modbus
+
+GOOD = struct.pack(">HHHBBB2H", 7, 0, 7, 1, 4, 4, 555, 100)
+
+
+def test_whole_frames_of_the_request_are_passed_on_however_they_are_cut():
+    for cut in range(1, len(GOOD)):
+        guard = FrameGuard()
+        assert guard.feed(GOOD[:cut], 7, 1) + guard.feed(GOOD[cut:], 7, 1) == [GOOD]
+        assert guard.dropped == 0
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [GOOD.replace(b"\0\x07", b"\0\x06", 1), b"\0\0" + GOOD[2:], GOOD[:6] + b"\x02" + GOOD[7:]],
+    ids=["another transaction", "transaction 0", "another unit"],
+)
+def test_frames_of_others_are_dropped_and_counted(frame):
+    guard = FrameGuard()
+    assert guard.feed(frame + GOOD, 7, 1) == [GOOD]
+    assert guard.dropped == 1
+
+
+@pytest.mark.parametrize(
+    ("frame", "said"),
+    [
+        (GOOD[:2] + b"\0\x01" + GOOD[4:], "of protocol 1"),
+        (GOOD[:4] + b"\0\x02" + GOOD[6:], "length 2"),
+        (GOOD[:4] + b"\x01\x00" + GOOD[6:], "length 256"),
+        (GOOD[:8] + b"\x02" + GOOD[9:], "with 6 bytes where it says 4"),
+        (GOOD[:4] + b"\0\x08" + GOOD[6:] + b"\0", "with 7 bytes where it says 6"),
+        (GOOD[:7] + b"\x2b" + GOOD[8:], "function 43, which was not asked for"),
+        (GOOD[:4] + b"\0\x04\x01\x84\x02\x00", "function 132 with 3 bytes where it says 2"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(frame, said):
+    with pytest.raises(ProtocolError, match=said):
+        FrameGuard().feed(frame, 7, 1)
+
+
+@given(data=st.lists(st.binary(max_size=40), max_size=8))
+def test_any_bytes_are_frames_of_the_request_or_our_own_error(data):
+    guard = FrameGuard()
+    try:
+        for segment in data:
+            for frame in guard.feed(segment, 7, 1):
+                assert frame[:2] == b"\0\x07" and frame[6] == 1
+    except ProtocolError:
+        pass
+
+
+async def test_no_mutated_reply_is_ever_a_wrong_value_that_counts_as_good():
+    found = await mutate_modbus(2040, 1)
+    assert {kind: wrong for kind, (*_, wrong) in found.items() if wrong} == {}
+    assert all(reads == 2040 // len(Mutator.KINDS) for reads, *_ in found.values())
+    for kind in HARMLESS:
+        reads, right, unused, _ = found[kind]
+        assert (right, unused) == (24 * reads, 0), kind
+    for kind in ("transaction 0", "the reply before as transaction 0", "unit", "trailing bytes", "silence"):
+        assert found[kind][1] == 0, kind
+
+
+class Naive(FrameGuard):
+    """Passes everything on, as pymodbus by itself would take it."""
+
+    def feed(self, data: bytes, transaction: int, unit: int) -> list[bytes]:
+        return [data]
+
+
+async def test_without_the_guard_a_late_reply_of_transaction_0_is_taken_for_the_answer(monkeypatch):
+    monkeypatch.setattr("drivers.modbus.FrameGuard", Naive)
+    found = await mutate_modbus(170, 1)
+    assert found["the reply before as transaction 0"][3] > 0
+    assert found["trailing bytes"][1] > 0
