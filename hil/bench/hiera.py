@@ -43,7 +43,7 @@ class Size:
     calibrating: int = 6
 
 
-FULL = Size(simulated=20, virtual=8, lost_every=5, calibrating=18)
+FULL = Size(simulated=16, virtual=6, lost_every=7, calibrating=12)
 QUICK = Size(seeds=(0,), simulated=3, virtual=2, rigs=("simulated", "virtual"), lost=(0.25,))
 
 Results = dict[str, list[Score]]

@@ -48,7 +48,8 @@ class LeastSquares:
         opened = np.clip(0.3 * (misfit(window, np.hypot(sigma, MODEL_K)) - 1.0), QUIET_SHARE, 1.0)
         prior = self._covariance + np.diag((opened * wide) ** 2)
         weight = weighing(sigma, window.time)
-        done = fit_window(self.kernel, scaling, weight, window, self._mean, prior, window.state)
+        noise = float(np.mean((sigma / weight) ** 2))
+        done = fit_window(self.kernel, scaling, weight, window, self._mean, prior, window.state, noise=noise)
         if np.isfinite(done.fit.cost) and np.isfinite(done.covariance).all():
             self._mean = done.fit.v[: len(self.ids)].copy()
             self._covariance = no_wider(done.covariance, wide)

@@ -1,7 +1,7 @@
 """What a twin errs by that is no noise: its structure, which no number of samples averages away.
 
 A healthy twin is off by some hundredths of a kelvin, and stays so for minutes. Samples are weighed accordingly: what is
-alike for a while counts once, whatever the sampling rate. What lasts longer moves parameters without showing in the
+alike for a minute counts once, whatever the sampling rate. What lasts longer moves parameters without showing in the
 residuals, so the spread that it gives them is worked out apart, from how far the twin was off before it saw the window
 (the sandwich of White, Econometrica 50 (1982) 1, with an error of given size and duration in place of the residuals).
 """
@@ -16,8 +16,8 @@ from twin.network import Array
 
 MODEL_K = 0.02
 """What a healthy twin errs by, which no number of samples averages away."""
-ALIKE_S = 30.0
-"""So long an error counts once. It stays alike for longer, but then a fit would follow changes too slowly."""
+ALIKE_S = 60.0
+"""A healthy twin's error stays alike for so long: the samples in between count as one."""
 LASTS_S = 300.0
 """How long an error is taken to last where its effect on parameters is worked out."""
 

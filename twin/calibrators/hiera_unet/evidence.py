@@ -19,7 +19,7 @@ from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.signals import stuck
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.calibrators.identifiability import condition, told_by
-from twin.calibrators.structure_error import MODEL_K
+from twin.calibrators.structure_error import ALIKE_S, MODEL_K
 from twin.commission import inflation
 from twin.gauss_newton import Data, Fit, Prior, Problem
 from twin.network import Array
@@ -33,7 +33,7 @@ SMALL = 0.2
 STATE_SD = 0.3
 WORSE, LEAST_CHI = 1.25, 0.6
 """Factor by which a longer fit's mean square may exceed that of a shorter one, or this where that is smaller."""
-CORRELATED_STEPS = 12.0
+CORRELATED_STEPS = ALIKE_S / STEP_S
 """Steps over which a healthy twin's error stays alike: so many count as one."""
 MOST = 8
 LARGEST_LOG_CONDITION = 8.0
