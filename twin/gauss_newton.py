@@ -192,12 +192,24 @@ class Problem:
 
     def linearise(self, v: Array) -> Linearisation:
         """Residuals and their derivatives at v (q + k,)."""
+        steps = self._lanes(v)
+        return linearise(self.kernel, self._full, self._states, steps, self.data)
+
+    def jacobian(self, v: Array) -> Array:
+        """Derivatives (n, m, q + k) of the readings at v (q + k,), unweighted."""
+        steps = self._lanes(v)
+        traced, _ = self.kernel.trace(self._full, self._states, self.data.time, self.data.inputs)
+        derivatives: Array = np.moveaxis((traced[1:] - traced[0]) / steps[:, None, None], 0, 2)
+        return derivatives
+
+    def _lanes(self, v: Array) -> Array:
+        """Parameters and states that differ from v by a step each; the steps (q + k,)."""
         self.evaluations += 1
         steps = np.where(v + self._steps > self.high, -self._steps, self._steps)
         rows = v + np.vstack([np.zeros(v.size), np.diag(steps)])
         self._full[:, self.scaling.index] = self.scaling.to_values(rows[:, : self.q])
         self._states[:, : v.size - self.q] = rows[:, self.q :]
-        return linearise(self.kernel, self._full, self._states, steps, self.data)
+        return steps
 
     def minimise(
         self,

@@ -10,6 +10,7 @@ BENCHMARKS = {
     "fit": "The same windows fitted by our calibrators and by other people's optimisers",
     "paper": "The experiments of Energies 2026, 19, 2452, beside its figures",
     "hiera": "Who keeps a twin true on rigs never seen: swarm, least squares, filter, network",
+    "ablations": "The network's pieces, each left out in turn, at the same CPU time of training",
     "discovery": "Blind trial of the diagnosis: hidden effects, sealed answers",
     "faults": "Faults of wires, rig and harness: heater safe, no sample lost, no wrong value believed",
     "loop": "How evenly the loop ticks, its memory over 40 hours, and what a run that is killed loses",

@@ -28,7 +28,8 @@ CALIBRATING = 900_001
 class Size:
     """Seeds; simulated and virtual cases a seed; which rigs; trackers by name, all that are here if empty.
 
-    `calibrating`: simulated cases that set constant intervals; of virtual ones a third as many, as in what is scored.
+    `lost_every`: of so many cases one is given with channels lost too. `calibrating`: simulated cases that set constant
+    intervals; of virtual ones a third as many, as in what is scored.
     """
 
     seeds: tuple[int, ...] = (0, 1, 2)
@@ -38,10 +39,11 @@ class Size:
     trackers: tuple[str, ...] = ()
     strangers: tuple[str, ...] = cases.STRANGERS
     lost: tuple[float, ...] = LOST
+    lost_every: int = 1
     calibrating: int = 6
 
 
-FULL = Size(calibrating=36)
+FULL = Size(simulated=16, virtual=6, lost_every=7, calibrating=12)
 QUICK = Size(seeds=(0,), simulated=3, virtual=2, rigs=("simulated", "virtual"), lost=(0.25,))
 
 Results = dict[str, list[Score]]
@@ -50,7 +52,10 @@ Results = dict[str, list[Score]]
 
 @dataclass(frozen=True)
 class Everything:
-    """What was measured: on all cases, with channels lost (by share), and on the cases that set constant intervals."""
+    """What was measured: on all cases, with channels lost, and on the cases that set constant intervals.
+
+    `lost`: by share; 0 has the same cases whole.
+    """
 
     whole: Results
     lost: dict[float, Results]
@@ -76,7 +81,7 @@ def measure(
         contestants |= with_network(network, features)
     else:
         left_out.append("network: name the card of a trained one with --network")
-    everything = Everything({}, {share: {} for share in size.lost}, {}, features.network.rules.calibrated_K)
+    everything = Everything({}, {share: {} for share in (0.0, *size.lost)}, {}, features.network.rules.calibrated_K)
     third = -(-size.calibrating // 3)
     total = len(size.seeds) * (size.simulated + size.virtual) + len(size.strangers) + size.calibrating + third
     done = 0
@@ -92,7 +97,9 @@ def measure(
         for case in _cases(size, seed, features, family, data):
             say(min(done / total, 1.0), f"{case.rig}, seed {case.seed}: {case.name}")
             _judge(features, case, contestants, everything.whole, everything.threshold_K)
-            if case.rig != "stranger":
+            if case.rig != "stranger" and done % size.lost_every == 0:
+                for name, scores in everything.whole.items():
+                    everything.lost[0.0].setdefault(name, []).append(scores[-1])
                 for share in size.lost:
                     fewer = cases.hidden(case, share, done)
                     _judge(features, fewer, contestants, everything.lost[share], everything.threshold_K)

@@ -11,14 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.hiera_cases import Case
-from twin.calibrators import NAMES
-from twin.calibrators.base import Calibration
+from twin.calibrators import NAMES, make
+from twin.calibrators.base import Calibration, Calibrator
 from twin.calibrators.hiera_unet.campaigns import Label
 from twin.calibrators.hiera_unet.evidence import Evidence, estimate, identifiable, least_error, step_noise
 from twin.calibrators.hiera_unet.features import Features, Frame
 from twin.calibrators.hiera_unet.series import STEP_S, filled_forward
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
-from twin.network import Array
+from twin.gauss_newton import SE90
+from twin.network import Array, Network
 from twin.tracking import TwinTracker
 
 TRAINED = Path(__file__).resolve().parents[2] / "profiles" / "trained" / "loop_small.json"
@@ -61,6 +62,7 @@ class Answer:
     calibrated: np.ndarray
     cpu_s: float
     half: Array | None = None
+    theta_half: Array | None = None
 
 
 Contestant = Callable[[Features, Sheet], Answer]
@@ -117,7 +119,8 @@ def refit(features: Features, given: Sheet, found: tuple[Evidence, ...], cpu_s: 
     readings = np.stack([free_run(features, given, i, e.theta, e.state) for i, e in enumerate(found)])
     noise = float(np.sqrt(np.mean(step_noise(features) ** 2)))
     calibrated = np.array([np.sqrt(e.chi) * noise < features.network.rules.calibrated_K for e in found])
-    return Answer(readings, np.stack([e.theta for e in found]), calibrated, cpu_s)
+    half = np.stack([np.where(e.told, SE90 * e.sd, np.nan) for e in found])
+    return Answer(readings, np.stack([e.theta for e in found]), calibrated, cpu_s, theta_half=half)
 
 
 def free_run(features: Features, given: Sheet, i: int, theta: Array, state: Array) -> Array:
@@ -135,7 +138,7 @@ def tracked(name: str) -> Contestant:
         values = dict(zip(features.network.ids, campaign.nominal.tolist(), strict=True))
         own = {k: v for k, v in values.items() if not features.network.parameters[k].same_as}
         network = features.network.with_values(own)
-        tracker = TwinTracker(network, name, seed=given.case.seed)
+        tracker = TwinTracker(network, _calibrator(name, network, given.case.seed))
         stop = TARGET * (targets[-1] + 1)
         part = campaign.series.part(0, min(stop, len(campaign.series)))
         began = time.process_time()
@@ -144,27 +147,49 @@ def tracked(name: str) -> Contestant:
         spent = (time.process_time() - began) * TARGET / len(part)
         done = {_number(c, part.time[0]): c for c in update.calibrations}
         readings = np.stack([update.tracked[TARGET * k : TARGET * (k + 1)] for k in targets])
-        theta, calibrated = zip(*(_before(features, campaign.nominal, done, k) for k in targets), strict=True)
-        return Answer(readings, np.stack(theta), np.array(calibrated), spent)
+        theta, half, calibrated = zip(*(_before(features, campaign.nominal, done, k) for k in targets), strict=True)
+        return Answer(readings, np.stack(theta), np.array(calibrated), spent, theta_half=np.stack(half))
 
     return contestant
+
+
+def _calibrator(name: str, network: Network, seed: int) -> Calibrator:
+    """A calibrator that is told the noise of the rows it gets, which are means over a step's readings.
+
+    The network knows that of itself: its steps are such means whatever it is fed with.
+    """
+    noise = {f"{s.name}.sigma": network.parameters[f"{s.name}.sigma"].value / np.sqrt(STEP_S) for s in network.sensors}
+    steps = network.with_values(noise)
+    if name == "hiera_unet":
+        return make(name, network)
+    if name == "hiera_ls":
+        from twin.calibrators.hiera_unet.refined import RefinedCalibrator
+        from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
+
+        return RefinedCalibrator(steps, HieraUNetCalibrator.shipped(network))
+    return make(name, steps, seed=seed)
 
 
 def _number(calibration: Calibration, origin: float) -> int:
     return round((calibration.start_s - origin) / (TARGET * STEP_S) - 0.02)
 
 
-def _before(features: Features, nominal: Array, done: dict[int, Calibration], target: int) -> tuple[Array, bool]:
-    """Deviations that a tracker predicted a target with, and whether it had called itself calibrated."""
+def _before(features: Features, nominal: Array, done: dict[int, Calibration], target: int) -> tuple[Array, Array, bool]:
+    """What a tracker predicted a target with: deviations and half widths (P,), and whether it said to be calibrated."""
     earlier = [k for k in done if k < target]
-    theta = np.full(len(features.deviations), np.nan)
+    unknown = np.full(len(features.deviations), np.nan)
     if not earlier:
-        return theta, False
+        return unknown, unknown, False
     last, deviations = done[max(earlier)], features.deviations
     there = np.array([name in last.values for name in deviations.ids])
     own = nominal[deviations.index]
     values = np.array([last.values.get(name, v) for name, v in zip(deviations.ids, own.tolist(), strict=True)])
-    return np.where(there, deviations.theta(values, nominal), np.nan), bool(last.calibrated)
+    theta = np.where(there, deviations.theta(values, nominal), np.nan)
+    if last.covariance is None:
+        return theta, unknown, bool(last.calibrated)
+    spread = dict(zip(last.values, np.sqrt(np.diag(last.covariance)).tolist(), strict=True))
+    told = np.array([spread[i] if i in spread and i not in last.frozen else np.nan for i in deviations.ids])
+    return theta, SE90 * told / deviations.scaling(nominal).slope(values), bool(last.calibrated)
 
 
 def _shipped() -> tuple[str, ...]:

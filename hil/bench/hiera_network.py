@@ -64,7 +64,7 @@ class _Network:
         if not np.isfinite(given.case.campaign.truth).any():
             # Intervals are for the rig; what is known of it here are readings with their noise.
             half = np.hypot(half, Z90 * features.network.sigma / np.sqrt(STEP_S))
-        return Answer(said.error, said.theta, calm, sum(given.cpu_s) + spent, half)
+        return Answer(said.error, said.theta, calm, sum(given.cpu_s) + spent, half, Z90 * said.theta_sd)
 
     def then_fit(self, features: Features, given: Sheet) -> Answer:
         """Least squares with the network's deviations and their spread as the prior."""

@@ -27,7 +27,8 @@ class Score:
             change behind them. before: (n,) bool, those of a rig in which nothing has changed yet.
         recovered: targets until its prediction was right again, the first whole one after the change being 1; infinite
             for never, NaN where nothing was to recover from.
-        off: (n, P) parameter errors over their Cramer-Rao bounds, NaN where the label does not count.
+        off: (n, P) parameter errors over their Cramer-Rao bounds, NaN where the label does not count. sure: (n, P) the
+            same over the half widths of the contestant's own 90 % intervals, NaN where it gives none.
         error: (n, 120, Y) K, prediction minus truth. half: its own half widths, or None.
         calibrated: (n,) bool. cpu_s: a window.
     """
@@ -41,6 +42,7 @@ class Score:
     after: np.ndarray
     recovered: float
     off: Array
+    sure: Array
     error: Array
     half: Array | None
     calibrated: np.ndarray
@@ -61,9 +63,11 @@ def score(given: Sheet, answer: Answer, plain: Answer, threshold_K: float) -> Sc
     if changed and after.any() and np.nanmean(lost[targets >= case.first_after]) > threshold_K:
         recovered = _recovered(rmse[targets >= case.first_after], threshold_K)
     with np.errstate(invalid="ignore", divide="ignore"):
-        off = np.where(given.known & np.isfinite(given.floor), (answer.theta - given.theta) / given.floor, np.nan)
+        wrong = np.where(given.known, answer.theta - given.theta, np.nan)
+        off = np.where(np.isfinite(given.floor), wrong / given.floor, np.nan)
+        sure = np.full(wrong.shape, np.nan) if answer.theta_half is None else wrong / answer.theta_half
     return Score(
-        case.rig, case.kind, case.seed, case.name, rmse, before, after, recovered, off, error, answer.half,
+        case.rig, case.kind, case.seed, case.name, rmse, before, after, recovered, off, sure, error, answer.half,
         answer.calibrated, answer.cpu_s,
     )  # fmt: skip
 
@@ -129,6 +133,13 @@ def median_over_bound(scores: Iterable[Score]) -> float:
     values = np.concatenate([np.abs(s.off[s.after | s.before]).ravel() for s in scores] or [np.zeros(0)])
     values = values[np.isfinite(values)]
     return float(np.median(values)) if values.size else float("nan")
+
+
+def sure(scores: Iterable[Score], which: Callable[[Score], np.ndarray]) -> float:
+    """Share of parameters that lie inside their own 90 % intervals, over the chosen targets; NaN without any."""
+    values = np.concatenate([s.sure[which(s)].ravel() for s in scores] or [np.zeros(0)])
+    values = np.abs(values[~np.isnan(values)])
+    return float((values <= 1.0).mean()) if values.size else float("nan")
 
 
 def falsely_calibrated(scores: Iterable[Score], threshold_K: float) -> float:

@@ -238,6 +238,36 @@ def hiera_command(
     _finish("hiera", seed, tables, skipped, out, as_json)
 
 
+@command.command("ablations")
+@click.option(
+    "--data", type=click.Path(exists=True, file_okay=False, path_type=Path), default=Path("training/loop"),
+    show_default=True, help="Folder of generated campaigns, as `hil train loop` leaves it.",
+)  # fmt: skip
+@click.option("--config", "name", type=click.Choice(["small", "full"]), default="small", show_default=True)
+@click.option("--minutes", default=5.0, show_default=True, help="CPU time of each training.")
+@SEED
+@OUT
+@JSON
+def ablations_command(data: Path, name: str, minutes: float, seed: int, out: Path | None, as_json: bool) -> None:
+    """Train the network without each of its pieces, for the same CPU time, and compare on unseen windows.
+
+    \b
+    Example:
+      hil bench ablations --minutes 5 --out docs/results
+    """
+    from hil.bench import hiera_ablations
+    from hil.terminal import Steps
+    from hil.training.data import read
+    from hil.training.generate import features_of
+    from twin.calibrators.hiera_unet.device import ready
+
+    ready(threads=1)
+    windows = read(data, features_of())
+    with Steps("trainings", 1.0, quiet=as_json) as steps:
+        tables, skipped = hiera_ablations.measure(windows, name, seed, minutes, steps.update)
+    _finish("hiera_ablations", seed, tables, skipped, out, as_json)
+
+
 @command.command("discovery")
 @click.option("--blind", is_flag=True, help="Seal the truth and the answers before comparing them; always done.")
 @click.option("--cases", default=40, show_default=True, help="Number of cases, a quarter of them healthy.")

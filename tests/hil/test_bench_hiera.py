@@ -97,6 +97,31 @@ def test_own_widths_are_brought_to_their_promise():
     assert hiera_score.coverage(many[40:], factors, own=True)[0] == pytest.approx(0.9, abs=0.04)
 
 
+def test_parameters_inside_their_own_intervals_are_counted_where_the_data_tells_them():
+    right = Answer(heated().truth(), given().theta, np.ones(len(heated().targets), dtype=bool), 0.0)
+    plain = commissioned(features(), given())
+    wide, off = np.full(given().theta.shape, 0.1), np.where(np.arange(given().theta.shape[1]) % 2, 0.05, 0.2)
+    shares = [
+        hiera_score.sure([hiera_score.score(given(), answer, plain, 0.1)], lambda s: s.after)
+        for answer in (
+            replace(right, theta_half=wide), replace(right, theta=right.theta + off, theta_half=wide), right,
+            replace(right, theta_half=np.full(wide.shape, np.nan)),
+        )
+    ]  # fmt: skip
+    after = hiera_score.score(given(), right, plain, 0.1).after
+    known = given().known[after]
+    assert shares[0] == 1.0
+    assert shares[1] == pytest.approx(known[:, 1::2].sum() / known.sum())
+    assert np.isnan(shares[2:]).all()
+
+
+def test_a_tracker_is_told_the_noise_of_means_and_gives_intervals_of_deviations():
+    answer = tracked("least_squares")(features(), given())
+    assert answer.theta_half is not None and answer.theta_half.shape == answer.theta.shape
+    one = hiera_score.score(given(), answer, commissioned(features(), given()), 0.1)
+    assert hiera_score.sure([one], lambda s: s.before) > 0.7
+
+
 def test_hiding_channels_hides_them_from_everyone_but_not_from_the_score():
     case = heated()
     fewer = hiera_cases.hidden(case, 0.25, 1)
@@ -115,7 +140,16 @@ def test_the_tables_of_a_small_run_name_every_contestant(tmp_path):
     assert any("stranger" in line for line in left_out)
     named = {row[1] for table in tables if table.key == "errors" for row in table.rows}
     assert named == set(roster(("least_squares",)))
-    assert {t.key for t in tables} >= {"errors", "recovery", "parameters", "intervals", "lost", "flags", "cost"}
+    assert {t.key for t in tables} >= {
+        "errors",
+        "recovery",
+        "parameters",
+        "parameter_intervals",
+        "intervals",
+        "lost",
+        "flags",
+        "cost",
+    }
 
 
 def test_an_unknown_rig_is_refused():

@@ -151,3 +151,40 @@ def test_descent_goes_on_where_several_tunables_reach_their_longest_step(loop: N
     flat = Prior(v, np.diag(np.concatenate([1e-8 * np.ones(len(ids)), np.ones(START.size)])))
     fit = problem.minimise(v, flat, held=np.arange(v.size) >= len(ids), most=100)
     assert fit.sse.sum() < 1e-3
+
+
+def off_structure(net: Network, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Two hours of a rig that is off its twin by 0.04 K, for five minutes one way and then another."""
+    t, u = drive(7200, seed)
+    rng = np.random.default_rng(seed)
+    lasting = np.repeat(rng.normal(0.0, 0.04, (24, 4)), 300, axis=0)
+    return t, u, simulate(net, t, u, START) + lasting + rng.normal(0.0, 1.0, (7200, 4)) * net.sigma
+
+
+def test_ninety_per_cent_intervals_hold_the_truth_of_a_rig_that_is_not_its_twin(loop: Network) -> None:
+    """Noise alone, which is what residuals show, would promise a fraction of this."""
+    held, narrow = [], []
+    for seed in range(6):
+        for c in TwinTracker(loop, "least_squares").push(*off_structure(loop, seed)).calibrations[1:]:
+            assert c.covariance is not None
+            sd = dict(zip(c.values, np.sqrt(np.diag(c.covariance)), strict=True))
+            for name in set(c.values) - set(c.frozen):
+                miss = abs(c.values[name] - loop.parameters[name].value)
+                held.append(miss < 1.645 * sd[name])
+                narrow.append(sd[name] > 0.0)
+    assert all(narrow) and len(held) > 200
+    assert 0.8 < np.mean(held) < 0.995
+
+
+def test_intervals_do_not_shrink_with_the_sampling_rate(loop: Network) -> None:
+    """Five times the samples of the same thermometer say next to nothing more of a rig that is not its twin."""
+    spreads = []
+    for pace in (1, 5):
+        t, u = drive(600, 1)
+        y = simulate(loop, t, u, START) + np.random.default_rng(1).normal(0.0, 1.0, (600, 4)) * loop.sigma
+        t, u, y = (np.ascontiguousarray(a[::pace]) for a in (t, u, y))
+        w = assemble(0, t, u, y, START, loop.values.copy(), simulate(loop, t, u, START), loop.rules)
+        found = make("least_squares", loop, "paper4").calibrate(w).covariance
+        assert found is not None
+        spreads.append(np.sqrt(np.diag(found)))
+    assert np.all(spreads[1] < 1.3 * spreads[0])

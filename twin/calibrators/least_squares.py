@@ -3,27 +3,30 @@
 The posterior of a window (parameters, in the optimiser's variables) widened by a process noise is the prior of
 the next. The process noise grows with the error that the live twin made: a change of the rig opens the
 parameters, quiet closes them. What a window cannot tell is held (see `posterior`). The initial state is estimated
-with the carried state as its prior.
+with the carried state as its prior. The twin is not taken for the rig: samples are weighed, and standard errors
+widened, for what its structure errs by (see `structure_error`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from twin.calibrators.base import Calibration, Window, misfit
-from twin.calibrators.outcome import conclude
-from twin.calibrators.posterior import fit_window, no_wider
-from twin.gauss_newton import Scaling
+from twin.calibrators.outcome import Report, conclude
+from twin.calibrators.posterior import STATE_SD, Posterior, fit_window, no_wider, weighted
+from twin.calibrators.structure_error import MODEL_K, size, spread, weighing
+from twin.gauss_newton import Problem, Scaling
 from twin.kernel import Kernel
-from twin.network import Network
+from twin.network import Array, Network
 
 FIRST_SHARE = 0.3
 """Width of the first prior, round the commissioned values, as a share of the full prior."""
 QUIET_SHARE = 0.02
-"""Process noise per window, as a share of the full prior, while the live twin errs by noise only."""
+"""Process noise per window, as a share of the full prior, while the live twin errs as a healthy one does."""
 
 
 class LeastSquares:
@@ -42,17 +45,37 @@ class LeastSquares:
     def calibrate(self, window: Window) -> Calibration:
         sigma, scaling = self.network.sigma, self._scaling
         wide = scaling.prior_sd()
-        opened = np.clip(0.3 * (misfit(window, sigma) - 1.0), QUIET_SHARE, 1.0)
+        opened = np.clip(0.3 * (misfit(window, np.hypot(sigma, MODEL_K)) - 1.0), QUIET_SHARE, 1.0)
         prior = self._covariance + np.diag((opened * wide) ** 2)
-        done = fit_window(self.kernel, scaling, sigma, window, self._mean, prior, window.state)
+        weight = weighing(sigma, window.time)
+        noise = float(np.mean((sigma / weight) ** 2))
+        done = fit_window(self.kernel, scaling, weight, window, self._mean, prior, window.state, noise=noise)
         if np.isfinite(done.fit.cost) and np.isfinite(done.covariance).all():
             self._mean = done.fit.v[: len(self.ids)].copy()
             self._covariance = no_wider(done.covariance, wide)
         return conclude(
             self.network, window, self.ids, done.fit.values, done.fit.state, done.fit.data.readings, done.fit.data.end,
-            cost=float(np.sqrt(done.chi)), evaluations=done.fit.evaluations * (1 + done.fit.v.size),
-            report=done.report(scaling),
+            cost=float(np.sqrt(done.chi)), evaluations=(done.fit.evaluations + 1) * (1 + done.fit.v.size),
+            report=self._report(window, done, weight),
         )  # fmt: skip
+
+    def _report(self, window: Window, done: Posterior, weight: Array) -> Report:
+        """What goes with the values: their covariance has the twin's structure in it, the next window's prior has not.
+
+        Were it in the prior too, every window would begin with parameters that are as good as unknown.
+        """
+        scaling, q, k = self._scaling, len(self.ids), len(self.network.nodes)
+        wide = scaling.prior_sd()
+        problem = Problem(self.kernel, scaling, window.parameters, weighted(window, weight), window.state)
+        # An error that lasts is not averaged over windows, so no more than the widest prior holds against it.
+        apart = np.concatenate([wide, np.full(k, max(window.error_K, STATE_SD))])
+        precision = done.fit.normal / done.chi
+        off = np.concatenate([done.held, np.zeros(k, dtype=bool)])
+        precision[off] = 0.0
+        precision[:, off] = 0.0
+        precision += np.diag(np.where(off, 0.0, apart**-2.0))
+        lasting = spread(problem, done.fit.v, precision, size(window, self.network.sigma), done.chi)[:q, :q]
+        return replace(done, covariance=no_wider(done.covariance + lasting, wide)).report(scaling)
 
     def state(self) -> dict[str, Any]:
         return {"mean": self._mean.tolist(), "covariance": self._covariance.tolist()}

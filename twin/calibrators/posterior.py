@@ -75,6 +75,7 @@ def fit_window(
     state: Array,
     *,
     told: Told | None = None,
+    noise: float = 1.0,
     most: int = 25,
 ) -> Posterior:
     """Fit tunables and initial state to a window.
@@ -82,6 +83,8 @@ def fit_window(
     Args:
         sigma: (m,) K noise of the sensors. mean, covariance: (q,), (q, q) prior in z. state: K, prior mean.
         told: what the window tells, if it is known already. most: linearisations in one descent.
+        noise: share of `sigma` squared that is noise. What the window tells, and what it contradicts, is judged by
+            that alone: a change that hides behind the twin's own error would never be followed.
     """
     q, k = mean.size, len(kernel.network.nodes)
     data = weighted(window, sigma)
@@ -91,18 +94,19 @@ def fit_window(
     of_state = np.zeros(k, dtype=bool)
     problem = Problem(kernel, scaling, window.parameters, data, state)
     v, at = centre, problem.linearise(centre)
-    told = told or told_by(at.jtj, scaling.prior_sd())
+    told = told or told_by(at.jtj, scaling.prior_sd(), noise)
     held = told.untold
     for _ in range(ROUNDS):
         inverse = np.asarray(np.linalg.inv(_independent(covariance, held)))
         prior = Prior(centre, _blocks(inverse, state_precision))
         of_all = np.concatenate([held, of_state])
         fit = problem.minimise(v, prior, first=at, held=of_all, most=most, tolerance=TOLERANCE)
-        chi = max(float(fit.sse.sum()) / count, 1.0)
-        release = _contradicted(fit, held, prior, chi)
+        square = float(fit.sse.sum()) / count
+        release = _contradicted(fit, held, prior, max(square, noise))
         if not release.any():
             break
         held, v, at = held & ~release, fit.v, fit.data
+    chi = max(square, 1.0)
     information = fit.normal / chi
     information[:q][held] = 0.0
     information[:, :q][:, held] = 0.0

@@ -19,6 +19,7 @@ from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.signals import stuck
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.calibrators.identifiability import condition, told_by
+from twin.calibrators.structure_error import ALIKE_S, MODEL_K
 from twin.commission import inflation
 from twin.gauss_newton import Data, Fit, Prior, Problem
 from twin.network import Array
@@ -29,12 +30,10 @@ LIMIT = 80.0
 """Condition number above which a set of parameters counts as not told apart."""
 SMALL = 0.2
 """Standard error, as a share of the prior's, that settles a parameter whatever the condition number."""
-MODEL_K = 0.02
-"""What a healthy twin errs by, which no number of samples averages away."""
 STATE_SD = 0.3
 WORSE, LEAST_CHI = 1.25, 0.6
 """Factor by which a longer fit's mean square may exceed that of a shorter one, or this where that is smaller."""
-CORRELATED_STEPS = 12.0
+CORRELATED_STEPS = ALIKE_S / STEP_S
 """Steps over which a healthy twin's error stays alike: so many count as one."""
 MOST = 8
 LARGEST_LOG_CONDITION = 8.0
@@ -48,7 +47,8 @@ class Evidence:
         theta, sd: (P,) deviations and standard errors, no wider than the prior. condition: of all P together.
         told: (P,) bool, parameters that the fitted data tells (`tell`).
         chi: mean square of the residuals in units of noise. steps: how much of the context was fitted.
-        state: full state at the first target step, under theta. evaluations: linearisations.
+        start: full state at the first fitted step, under theta. state: at the first target step.
+        evaluations: linearisations.
     """
 
     theta: Array
@@ -57,6 +57,7 @@ class Evidence:
     told: np.ndarray
     chi: float
     steps: int
+    start: Array
     state: Array
     evaluations: int
 
@@ -123,7 +124,7 @@ def _commissioned(features: Features) -> Belief:
 def nothing(features: Features, frame: Frame, belief: Belief) -> Evidence:
     """What is known without any data: the prior."""
     none = np.zeros(len(belief.sd), dtype=bool)
-    return Evidence(belief.mean, belief.sd, 1e16, none, 1.0, HORIZONS[-1], frame.state, 0)
+    return Evidence(belief.mean, belief.sd, 1e16, none, 1.0, HORIZONS[-1], frame.start, frame.state, 0)
 
 
 def _data(features: Features, frame: Frame, first: int, last: int) -> Data:
@@ -191,7 +192,7 @@ def _conclude(
     covariance = np.linalg.inv(fit.normal / widened + prior)[:count, :count]
     told, number = tell(fit.normal, scaling.prior_sd(), widened)
     sd = np.minimum(np.sqrt(np.diag(covariance)), belief.sd)
-    return Evidence(fit.v[:count].copy(), sd, number, told, chi, steps, fit.data.end.copy(), evaluations)
+    return Evidence(fit.v[:count].copy(), sd, number, told, chi, steps, fit.state, fit.data.end.copy(), evaluations)
 
 
 def tell(normal: Array, plausible: Array, widened: float = 1.0) -> tuple[np.ndarray, float]:

@@ -28,6 +28,8 @@ FLAT_STEPS = 120
 FLAT_K = 1e-6
 """Change from step to step that is none: means of equal readings differ by rounding."""
 LEAKS = 0.05
+UNREADABLE = ("SHORT_RECORD", "MISSING_REQUIRED", "FLAT_RECORD", "SHUFFLED_RECORD")
+"""Codes of the gates on the record itself."""
 
 
 @dataclass(frozen=True)

@@ -1,26 +1,47 @@
-"""The network proposes, least squares disposes: two fits of each window, of which the better one counts.
+"""The network proposes, least squares disposes, and keeps its own counsel.
 
-One begins where least squares alone would, the other from the network's proposal with its own uncertainty, for the
-parameters whose gates are open. The second counts only if it explains the window's own data clearly better. So what
-the network has seen in two hours can lead the fit out of a wrong place, and can never make it explain less.
+Least squares goes on as if it were alone: its twin, its prior and its state are its own, whatever becomes of the
+network's. Beside it stands a fit over the longest stretch up to now that one set of parameters explains (`evidence`),
+with what the network believes as the prior where its gates are open. That one counts only where it explains the latest
+minutes far better: when the rig changed inside the window, which least squares alone fits as a whole. Everywhere else
+the answer is that of least squares.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from twin.calibrators.base import Calibration, Window, misfit
+from twin.calibrators.base import Calibration, Window, from_plain, plain
+from twin.calibrators.hiera_unet import gates
+from twin.calibrators.hiera_unet.evidence import HORIZONS, LEAST_CHI, Belief, Evidence, estimate, step_noise
+from twin.calibrators.hiera_unet.features import Frame
+from twin.calibrators.hiera_unet.series import STEP_S, binned
 from twin.calibrators.hiera_unet.service import HieraUNetCalibrator, Proposal
-from twin.calibrators.least_squares import QUIET_SHARE, LeastSquares
-from twin.calibrators.outcome import conclude
-from twin.calibrators.posterior import Posterior, fit_window, no_wider
+from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
+from twin.calibrators.least_squares import LeastSquares
+from twin.calibrators.outcome import Report, conclude
+from twin.calibrators.windows import assemble
 from twin.network import Array, Network
 
-BETTER = 0.98
-"""Share of the weighted squares that the second fit must stay below."""
+BETTER = 3.0
+"""Factor by which the mean square over the latest minutes must fall for the second fit to count."""
+LATEST_S = HORIZONS[-1] * STEP_S
+NARROWEST = 0.1
+"""Least standard deviation of the network's belief, as a share of what was known before any data."""
+
+
+@dataclass(frozen=True)
+class _Left:
+    """Where least squares alone left its twin: time s, inputs (c,), state, full parameters (p,)."""
+
+    time: float
+    inputs: Array
+    state: Array
+    parameters: Array
 
 
 class RefinedCalibrator(LeastSquares):
@@ -35,52 +56,108 @@ class RefinedCalibrator(LeastSquares):
     def __init__(self, network: Network, network_calibrator: HieraUNetCalibrator, tunables: str = "nine") -> None:
         super().__init__(network, tunables)
         self.proposing = network_calibrator
+        self._left: _Left | None = None
 
     def calibrate(self, window: Window) -> Calibration:
-        sigma, scaling = self.network.sigma, self._scaling
-        wide = scaling.prior_sd()
-        opened = np.clip(0.3 * (misfit(window, sigma) - 1.0), QUIET_SHARE, 1.0)
-        prior = self._covariance + np.diag((opened * wide) ** 2)
+        before = self._scaling.to_values(self._mean)
+        alone = super().calibrate(self._apart(window))
+        self._left = _Left(float(window.time[-1]), window.inputs[-1].copy(), alone.end, self._full(alone))
         proposal = self.proposing.propose(window)
-        done = fit_window(self.kernel, scaling, sigma, window, self._mean, prior, window.state)
-        evaluations, led = done.fit.evaluations, False
-        if not proposal.held.all():
-            mean, covariance = self._led(proposal, prior)
-            second = fit_window(
-                self.kernel, scaling, sigma, window, mean, covariance, window.state, told=done.told
-            )  # fmt: skip
-            evaluations += second.fit.evaluations
-            led = float(second.fit.sse.sum()) < BETTER * float(done.fit.sse.sum())
-            done = second if led else done
-        self._keep(done, wide)
-        report = done.report(scaling)
-        said = "led by the network" if led else "on its own: the network's proposal explains no more"
-        flags = (*report.flags, said if not proposal.held.all() else "on its own: the network's gates are closed")
+        if any(r.code in gates.UNREADABLE for r in proposal.reasons):
+            return _said(alone, window, "on its own: the network's gates are closed", proposal.evaluations)
+        led = self._led(window, self._belief(proposal, before), alone)
+        if self._recent(window, alone) <= BETTER * max(self._recent(window, led), LEAST_CHI):
+            more = proposal.evaluations + led.evaluations
+            return _said(alone, window, "on its own: the network's proposal explains no more", more)
+        return _said(led, window, "led by the network", proposal.evaluations + alone.evaluations)
+
+    def _apart(self, window: Window) -> Window:
+        """The window as least squares alone would have met it."""
+        left, rules = self._left, self.network.rules
+        if left is None or window.time[0] - left.time > rules.window_s:
+            return window
+        time = np.concatenate([[left.time], window.time[:1]])
+        inputs = np.vstack([left.inputs, window.inputs[:1]])
+        state = self.kernel.trace(left.parameters, left.state, time, inputs)[1][0]
+        live = self.kernel.trace(left.parameters, state, window.time, window.inputs)[0][0]
+        found = assemble(
+            window.number, window.time, window.inputs, window.measured, state, left.parameters, live, rules
+        )  # fmt: skip
+        return replace(found, kind=window.kind)
+
+    def _led(self, window: Window, belief: Belief, alone: Calibration) -> Calibration:
+        """The fit from a belief; before the stretch that it is of, readings are those of `alone`."""
+        features, nominal = self.proposing.features, self.proposing.network.values
+        series = self.proposing.history.series().ahead(TARGET)
+        frame = features.frame(series, len(series), nominal)
+        found = estimate(features, frame, nominal, belief=belief)
+        values = features.deviations.values(found.theta, nominal)
+        readings, end = self._traced(window, frame, found)
+        fitted = alone.fitted.copy()
+        fitted[len(fitted) - len(readings) :] = readings
+        slope = features.deviations.scaling(nominal).slope(values)
+        flags = [
+            f"cannot tell {i} apart: it leans on the network"
+            for i, t in zip(self.ids, found.told, strict=True)
+            if not t
+        ]
         return conclude(
-            self.network, window, self.ids, done.fit.values, done.fit.state, done.fit.data.readings, done.fit.data.end,
-            cost=float(np.sqrt(done.chi)), evaluations=evaluations * (1 + done.fit.v.size) + proposal.evaluations,
-            report=type(report)(report.covariance, flags, report.frozen, report.alone, report.condition),
+            self.network, window, self.ids, values, alone.state, fitted, end,
+            cost=float(np.sqrt(found.chi)), evaluations=found.evaluations * (1 + len(self.ids) + len(alone.state)),
+            report=Report(np.diag((found.sd * slope) ** 2), tuple(flags), condition=found.condition),
         )  # fmt: skip
 
-    def _led(self, proposal: Proposal, prior: Array) -> tuple[Array, Array]:
-        """Mean (q,) and covariance (q, q) in z with the network's where its gates are open."""
-        free, scaling = ~proposal.held, self._scaling
-        mean, covariance = self._mean.copy(), prior.copy()
-        mean[free] = scaling.to_z(proposal.values)[free]
-        covariance[free, :] = 0.0
-        covariance[:, free] = 0.0
-        sd = np.minimum(proposal.sd / np.abs(scaling.slope(proposal.values)), scaling.prior_sd())
-        covariance[free, free] = sd[free] ** 2
-        return mean, covariance
+    def _belief(self, proposal: Proposal, before: Array) -> Belief:
+        """What the network says where its gates are open; elsewhere, loosely, the values (q,) of before the window."""
+        deviations, nominal = self.proposing.features.deviations, self.proposing.network.values
+        sd = proposal.sd / np.abs(deviations.scaling(nominal).slope(proposal.values))
+        wide = deviations.prior_sd
+        mean = deviations.theta(np.where(proposal.held, before, proposal.values), nominal)
+        return Belief(mean, np.where(proposal.held, wide, np.clip(sd, NARROWEST * wide, wide)))
 
-    def _keep(self, done: Posterior, wide: Array) -> None:
-        if np.isfinite(done.fit.cost) and np.isfinite(done.covariance).all():
-            self._mean = done.fit.v[: len(self.ids)].copy()
-            self._covariance = no_wider(done.covariance, wide)
+    def _traced(self, window: Window, frame: Frame, found: Evidence) -> tuple[Array, Array]:
+        """Readings (n', m) at the last samples of the window, those that the fit is of, and the state at the last."""
+        features, nominal = self.proposing.features, self.proposing.network.values
+        first = max(CONTEXT - TARGET - found.steps, frame.begin)
+        begin = min(int(np.searchsorted(window.time, frame.time[first])), len(window.time) - 1)
+        upto = max(int(np.searchsorted(frame.time, window.time[begin])), first)
+        time = np.concatenate([frame.time[first:upto], window.time[begin:]])
+        inputs = np.vstack([frame.held[first:upto], window.inputs[begin:]])
+        full = features.deviations.full(found.theta, nominal)
+        readings, end = features.kernel.trace(full, found.start, time, inputs)
+        return readings[0][upto - first :], end[0]
+
+    def _recent(self, window: Window, done: Calibration) -> float:
+        """Mean square of what a calibration leaves of the latest minutes, in units of a step's noise."""
+        since = int(np.searchsorted(window.time, window.time[-1] - LATEST_S))
+        place = ((window.time[since:] - window.time[since]) / STEP_S + 1e-9).astype(np.intp)
+        left = binned((done.fitted - window.measured)[since:], place, int(place[-1]) + 1)
+        squares = (left / step_noise(self.proposing.features)) ** 2
+        good = np.isfinite(squares)
+        return float(squares[good].mean()) if good.any() else 0.0
+
+    def _full(self, calibration: Calibration) -> Array:
+        full = self.network.values.copy()
+        full[self.network.index(self.ids)] = list(calibration.values.values())
+        return full
 
     def state(self) -> dict[str, Any]:
-        return {**super().state(), "network": self.proposing.state()}
+        left = self._left
+        kept = None if left is None else {"time": left.time, **{name: plain(getattr(left, name)) for name in _ARRAYS}}
+        return {**super().state(), "network": self.proposing.state(), "left": kept}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         super().restore(state)
         self.proposing.restore(state["network"])
+        left = state["left"]
+        self._left = None if left is None else _Left(left["time"], *(from_plain(left[name]) for name in _ARRAYS))
+
+
+_ARRAYS = ("inputs", "state", "parameters")
+
+
+def _said(done: Calibration, window: Window, flag: str, more: int) -> Calibration:
+    """With a flag and further evaluations; the error before is the live twin's, whoever concluded."""
+    return replace(
+        done, flags=(*done.flags, flag), evaluations=done.evaluations + more, error_before_K=window.error_K
+    )  # fmt: skip

@@ -59,6 +59,19 @@ class Series:
             self._last_before(max(first, 0)),
         )  # fmt: skip
 
+    def ahead(self, count: int) -> Series:
+        """The same with as many steps to come, of which nothing is known."""
+
+        def longer(a: Array) -> Array:
+            return np.concatenate([a, np.full((count, *a.shape[1:]), np.nan)])
+
+        time = np.concatenate([self.time, self.time[-1] + STEP_S * np.arange(1, count + 1)])
+        extra = {name: longer(a) for name, a in self.extra.items()}
+        return Series(
+            time, longer(self.inputs), longer(self.measured), longer(self.spread), extra, self.hour, self.day,
+            self.earlier,
+        )  # fmt: skip
+
     def _last_before(self, step: int) -> Array:
         """Last finite inputs (c,) before a step."""
         rows = self.inputs[:step]
