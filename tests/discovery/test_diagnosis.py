@@ -8,6 +8,7 @@ import pytest
 from tests.discovery.conftest import Bench
 from twin.discovery.basis import Columns
 from twin.discovery.engine import diagnose, foresee
+from twin.discovery.ladder import EXACT_SHARE, SECOND_SHARE
 from twin.network import TwinFileError
 
 HEATED = ("heat_source", "modules", "constant")
@@ -62,6 +63,15 @@ def test_two_effects_are_both_found(bench: Bench, healthy: Columns) -> None:
     both = bench.with_values(tank_loss__hA=8.5, T_heater_C__bias_K=0.5)
     found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy)
     assert {(e.kind, e.where) for e in found.effects} == {("heat_loss", "tank"), ("sensor", "T_heater_C")}
+
+
+def test_beside_heat_that_is_there_at_once_a_lesser_effect_is_told(bench: Bench, healthy: Columns) -> None:
+    """It wins less than a further effect has to beside one that brings a form of its own."""
+    both = bench.with_values(modules_power__power=150.0, T_heater_C__bias_K=0.4)
+    found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy)
+    assert {(e.kind, e.where) for e in found.effects} == {("heat_source", "modules"), ("sensor", "T_heater_C")}
+    one, two = (rung.best_z for rung in found.ladder[:2])
+    assert EXACT_SHARE < (two / one) ** 2 < SECOND_SHARE
 
 
 def test_what_no_candidate_can_be_is_left_unexplained_at_its_place(bench: Bench, healthy: Columns) -> None:

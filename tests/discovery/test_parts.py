@@ -11,9 +11,10 @@ from twin.discovery.catalogue import catalogue, extended, sized
 from twin.discovery.contest import Contest
 from twin.discovery.formulas import Formulas, follow
 from twin.discovery.grid import centred, filled, on_grid
-from twin.discovery.laws import Book
+from twin.discovery.laws import Book, Law
 from twin.discovery.model import Model
 from twin.discovery.noise import bands, learn
+from twin.discovery.ranking import piled_up
 from twin.discovery.readings import stuck
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
@@ -169,3 +170,16 @@ def test_too_little_and_nothing_at_all_are_refused_in_a_sentence(bench: Bench) -
     long = bench.record(1.0)
     with pytest.raises(TwinFileError, match="no reading"):
         on_grid(bench.network, long.time_s, long.inputs, np.full_like(long.measured, np.nan))
+
+
+def test_a_stream_and_heat_share_a_place_unless_they_begin_together(bench: Bench) -> None:
+    known = {(c.kind, c.where, c.driver): c for c in catalogue(bench.network)}
+
+    def entry(kind: str, driver: str, hour: float) -> Entry:
+        candidate = known[kind, "radiator", driver]
+        return Entry(Law(candidate, None, None), Shape("step", 3600.0 * hour), np.empty(0), 1.0, 0.1, 100.0)
+
+    rejection, later = entry("heat_rejection", "constant", 9.0), entry("flow", "constant", 11.0)
+    assert not piled_up((rejection, later))
+    assert piled_up((rejection, entry("flow", "constant", 9.2)))
+    assert piled_up((rejection, entry("heat_source", "constant", 11.0)))

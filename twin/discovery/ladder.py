@@ -17,7 +17,7 @@ from twin.discovery.search import Entry, possible, scan, together
 from twin.discovery.validation import validate
 from twin.discovery.weighing import weigh
 
-SECOND_SHARE, EXACT_SHARE = 0.06, 0.01
+SECOND_SHARE, EXACT_SHARE = 0.06, 0.003
 """A further effect must win this share of the first one's gain, since an effect is seldom of quite the form assumed, or
 that one where the first ones have no form to be wrong in: heat or an error of reading that is there at once and
 follows what is measured."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ from twin.discovery.diagnosis import Fold, Rung
 from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit
 from twin.discovery.null import FALSE_ALARMS, Null
-from twin.discovery.search import Entry
+from twin.discovery.search import EARLY_S, Entry
 from twin.network import Array
 
 LEFT = 1.3
@@ -38,12 +39,16 @@ def piled_up(entries: tuple[Entry, ...]) -> bool:
     """Whether effects share a place: they then stand for one of a form that no candidate has.
 
     What is slow there and what is late there (a mass, a thermometer's lag) do not stand for one another, nor do a
-    stream and the heat at a place.
+    stream and the heat at a place, unless they begin together.
     """
     named = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
     places = list(zip((_MOVED_BY.get(name, name) for name in named), map(_way, entries), strict=True))
     same = [tuple(e.candidate.changes) for e in entries]
-    return len(set(places)) < len(places) or len(set(same)) < len(same)
+    at_once = any(
+        {way, other} == {"stream", "heat"} and place == beside and abs(a.shape.onset_s - b.shape.onset_s) < EARLY_S
+        for (a, (place, way)), (b, (beside, other)) in itertools.combinations(zip(entries, places, strict=True), 2)
+    )
+    return at_once or len(set(places)) < len(places) or len(set(same)) < len(same)
 
 
 def _way(entry: Entry) -> str:
