@@ -101,9 +101,15 @@ class Kernel:
             sse[part], end[part] = call.particles(out), call.particles(call.end)[:, :k]
         return sse, end
 
-    def trace(self, parameters: Array, state: Array, time: Array, inputs: Array) -> tuple[Array, Array]:
-        """Readings (P, n, m) at every sample, and full end states (P, size)."""
-        call = self._call(parameters, state, time, inputs)
+    def trace(
+        self, parameters: Array, state: Array, time: Array, inputs: Array, lanes: int | None = None
+    ) -> tuple[Array, Array]:
+        """Readings (P, n, m) at every sample, and full end states (P, size).
+
+        Args:
+            lanes: particles that run side by side, 1 or LANES; as suits P by default. Each is compiled by itself.
+        """
+        call = self._call(parameters, state, time, inputs, lanes=lanes)
         m = len(self.network.sensors)
         readings = np.empty((call.blocks, len(call.time), m, call.lanes))
         call.run(self._variant("trace", call), readings, call.end, call.future)

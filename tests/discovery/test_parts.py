@@ -123,7 +123,7 @@ def test_a_law_says_what_the_element_itself_does(bench: Bench, healthy: Columns)
         late = (c.kind, c.driver) in (("sensor", "rate_of_change"), ("actuator", "history"))
         size = c.typical if late else 0.2 * c.typical  # lateness is not proportional to the time constant
         entry = Entry(law, Shape("step", 7200.0), np.empty(0), size, 0.0, 0.0)
-        model = Model.of(network, (entry,), ())
+        model = Model.of(probe, (entry,))
         told = (contest._columns @ entry.placed(contest).ravel()).reshape(contest.b, contest.m) * size
         values, sizes = network.values[None, :], np.array([[size]])
         with_it = model.run(grid.time, grid.inputs, state[None, :], values, sizes)[0]

@@ -79,7 +79,7 @@ def test_blocks_left_out_speak_for_what_is_there_and_against_what_is_not(bench: 
         w for w in known.book.laws(grid, run) if (w.candidate.kind, w.candidate.where) == ("heat_source", "tank")
     )
     entry = Entry(law, Shape("step", 4.0 * 3600.0), np.empty(0), 150.0, 1.0, 0.0)
-    model = Model.of(bench.network, (entry,), known.probe.scaling.ids)
+    model = Model.of(known.probe, (entry,))
     assert not holds(validate(contest, model, fit(contest, model, state)))
 
 

@@ -49,7 +49,6 @@ def first_alone(finding: Finding, part: Part) -> Finding:
     """The finding with its first effect alone, where the others win too little beside it."""
     if len(finding.entries) < 2 or _fair(finding):
         return finding
-    network, ids = part.basis.probe.network, part.basis.probe.scaling.ids
     singles: dict[str, Entry] = {finding.entries[0].candidate.id: finding.entries[0]}
     for entry in part.entries:
         if len(singles) < FITTED:
@@ -57,11 +56,11 @@ def first_alone(finding: Finding, part: Part) -> Finding:
     trials: list[tuple[Fit, tuple[Entry, ...]]] = []
     for entry in singles.values():
         part.reset()
-        trials.append((fit(part.contest, Model.of(network, (entry,), ids), part.state), (entry,)))
+        trials.append((fit(part.contest, Model.of(part.basis.probe, (entry,)), part.state), (entry,)))
     order = rank(trials, part.contest, finding.start)
     best = order[0].fit
     part.reset()
-    folds = validate(part.contest, Model.of(network, best.entries, ids), best)
+    folds = validate(part.contest, Model.of(part.basis.probe, best.entries), best)
     part.reset()
     return replace(
         finding, entries=best.entries, fit=best, ranked=order, folds=folds, ladder=finding.ladder[:2],

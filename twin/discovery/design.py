@@ -18,10 +18,11 @@ from twin.discovery.fitting import Fit
 from twin.discovery.grid import Grid, centred
 from twin.discovery.model import Model
 from twin.discovery.noise import Noise
+from twin.discovery.probe import Probe
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
-from twin.gauss_newton import Prior, Scaling
-from twin.network import Array, Network
+from twin.gauss_newton import Prior
+from twin.network import Array
 
 SEGMENT_S = 1800.0
 LEAST_SEGMENTS, MOST_SEGMENTS = 4, 16
@@ -73,12 +74,10 @@ class Runner:
         state: initial temperatures (k,).
     """
 
-    def __init__(
-        self, network: Network, fitted: Fit, sizes: Array, prior: Prior, scaling: Scaling, state: Array
-    ) -> None:
+    def __init__(self, probe: Probe, fitted: Fit, sizes: Array, prior: Prior, state: Array) -> None:
         entries = tuple(from_the_start(e, s) for e, s in zip(fitted.entries, sizes.tolist(), strict=True))
-        self.entries, self._model = entries, Model.of(network, entries, scaling.ids)
-        q, k, e = len(scaling.ids), len(network.nodes), len(entries)
+        self.entries, self._model = entries, Model.of(probe, entries)
+        scaling, q, k, e = probe.scaling, probe.q, probe.k, len(entries)
         count = 1 + q + k + e
         values, all_sizes = np.tile(fitted.values, (count, 1)), np.tile(sizes, (count, 1))
         z = scaling.to_z(fitted.values[scaling.index])

@@ -151,7 +151,7 @@ def _designer(
         found = []
         for r in causes:
             sizes: Array = np.array([e.size * e.shape.mean(span - 1.0, span) for e in r.entries])
-            found.append(Runner(probe.network, r.fit, sizes, known.prior, probe.scaling, state))
+            found.append(Runner(probe, r.fit, sizes, known.prior, state))
         return found
 
     base = np.median(last.inputs, axis=0)

@@ -94,14 +94,11 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
         readings[:, :-1] += 0.5 * np.diff(readings, axis=1)
         return readings
 
-    def features(v: Array, with_slopes: bool) -> tuple[Array, Array]:
+    def features(v: Array) -> tuple[Array, Array]:
         """Whitened residual (rows,) and its slopes (rows, q + k + e)."""
         sign = np.where(v + steps > high, -steps, steps)
-        at = v + np.vstack([np.zeros(v.size), np.diag(sign)]) if with_slopes else v[None, :]
-        readings = run(at)
+        readings = run(v + np.vstack([np.zeros(v.size), np.diag(sign)]))
         residual = contest.features(np.where(present, target - readings[0], 0.0))
-        if not with_slopes:
-            return residual, np.empty((0, 0))
         change = np.moveaxis(readings[1:] - readings[0], 0, 2) / sign
         return residual, contest.features(change)
 
@@ -110,7 +107,7 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
     v[first_time:first_growth] = [entries[i].shape.onset_s / 3600.0 for i in timed]
     v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
     v = np.clip(v, low, high)
-    residual, slopes = features(v, True)
+    residual, slopes = features(v)
     total = float(residual @ residual + v @ precision @ v)
     damping = 1e-3
     for _ in range(rounds):
@@ -125,13 +122,12 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
             inner + damping * np.diag(np.maximum(np.diag(inner), 1e-9 * np.diag(inner).max())), pull[free]
         )
         trial = np.clip(v + np.clip(step, -reach, reach), low, high)
-        new, _ = features(trial, False)
+        new, new_slopes = features(trial)
         new_total = float(new @ new + trial @ precision @ trial)
         if new_total < total:
             done = total - new_total < 1e-4 * total
-            v, total = trial, new_total
+            v, total, residual, slopes = trial, new_total, new, new_slopes
             damping = max(damping / 10.0, 1e-6)
-            residual, slopes = features(v, True)
             if done:
                 break
         else:

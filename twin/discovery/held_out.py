@@ -35,7 +35,7 @@ def errors(finding: Finding, network: Network, record: Columns, grid: Grid, spli
         (finding.retuned.values, finding.retuned.state, ()),
         *(((finding.fit.values, finding.fit.state, finding.fit.entries),) if finding.fit else ()),
     ):
-        model = Model.of(network, entries, finding.contest.probe.scaling.ids)
+        model = Model.of(finding.contest.probe, entries)
         sizes = np.array([[e.size for e in entries]])
         runs.append(model.run(time, inputs, state[None, : len(network.nodes)], values[None, :], sizes)[0])
     if finding.fit is None:

@@ -40,21 +40,20 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     Args:
         second_share: of the first effect's gain, what a further one has to win at most.
     """
-    network, contest, threshold = part.basis.probe.network, part.contest, part.threshold
-    ids = part.basis.probe.scaling.ids
+    probe, contest, threshold = part.basis.probe, part.contest, part.threshold
     start_chi = contest.misfit / max(contest.count, 1)
     ladder = [Rung("as commissioned", start_chi, part.best_z)]
     part.reset()
     say("re-tuning")
-    retuned = fit(contest, Model.of(network, (), ids), part.state)
+    retuned = fit(contest, Model.of(probe, ()), part.state)
     part.reset()
     chosen: tuple[Entry, ...] = ()
     best: Fit | None = None
     ranked: tuple[Ranked, ...] = ()
     entries, first_gain = part.entries, 0.0
     while entries and entries[0].z >= threshold and len(chosen) < MOST_EFFECTS:
-        exact = all(_exact(e) for e in chosen)
-        small = min(second_share, EXACT_SHARE if exact else second_share) * first_gain
+        share = min(second_share, EXACT_SHARE) if all(_exact(e) for e in chosen) else second_share
+        small = share * first_gain
         if best is not None and entries[0].gain < small and enough(best.chi, start_chi, contest):
             break
         worth = finalists(entries, chosen)
@@ -92,7 +91,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         if not first_gain:
             first_gain = max(ladder[0].chi * contest.count - winner.total, 1.0)
         part.reset()
-        again = fit(contest, Model.of(network, chosen, ids), part.state, rounds=2)
+        again = fit(contest, Model.of(probe, chosen), part.state, rounds=2)
         given = np.stack([e.placed(contest) for e in again.entries])
         entries = varied(scan(contest, part.laws, given, part.basis.structure))
         entries.sort(key=lambda e: -e.gain)
@@ -106,7 +105,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     folds: tuple[Fold, ...] = ()
     if best is not None:
         say("leaving out blocks of time")
-        folds = validate(contest, Model.of(network, best.entries, ids), best)
+        folds = validate(contest, Model.of(probe, best.entries), best)
     part.reset()
     return Finding(
         entries=chosen,
@@ -135,8 +134,7 @@ def weighed(finding: Finding, first: Part, later: list[Part]) -> tuple[Finding, 
 
     What is said of the answer itself, its score and the blocks left out, stays that of the first record.
     """
-    network, ids = first.basis.probe.network, first.basis.probe.scaling.ids
-    weighed = weigh(finding.ranked, later, network, ids, finding.contest.grid.span_s)
+    weighed = weigh(finding.ranked, later, finding.contest.grid.span_s)
     for part in later:
         part.reset()
     order = rank(
@@ -151,7 +149,7 @@ def weighed(finding: Finding, first: Part, later: list[Part]) -> tuple[Finding, 
         if chi > max(MORE_LEFT * part.contest.expected, MORE_SHARE * part.contest.chi)
     ]
     same = best is finding.fit
-    folds = finding.folds if same else validate(first.contest, Model.of(network, best.entries, ids), best)
+    folds = finding.folds if same else validate(first.contest, Model.of(first.basis.probe, best.entries), best)
     first.reset()
     return replace(
         finding, ranked=order, fit=best, entries=best.entries, folds=folds, beside=finding.beside if same else None

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from twin.assembly import System
+from twin.codegen import LANES
 from twin.discovery.catalogue import extended
+from twin.discovery.probe import Probe
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
 from twin.elements.base import Candidate
 from twin.kernel import Kernel
 from twin.network import Array, Network
 
-PIECE_S = 600.0
-"""A growing effect is held constant for so long."""
+PIECE_S, PIECES = 600.0, 60.0
+"""A growing effect is held constant for so long, or for such a part of the time in which it grows."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """`original` with the elements of `entries`, neutral, as `network`, and the kernel that simulates it."""
+    """`original` with the elements of `entries`, neutral, as `network`, and the kernel that simulates it.
+
+    The network may hold other effects besides, which stay neutral.
+    """
 
     original: Network
     network: Network
@@ -29,20 +35,32 @@ class Model:
     kernel: Kernel
 
     @classmethod
-    def of(cls, network: Network, entries: tuple[Entry, ...], tunables: tuple[str, ...]) -> Model:
-        """Compile, or load from the cache, the network with these effects and these parameters free.
+    def of(cls, probe: Probe, entries: tuple[Entry, ...]) -> Model:
+        """The network of a probe with these effects, its tunables free; compiled once for most of what there is.
 
         Raises:
             TwinFileError: an element does not fit.
         """
-        bigger = network
+        common = probe.commons.holding(tuple(e.candidate for e in entries))
+        if common is None:
+            return cls.alone(probe, entries)
+        return cls(probe.network, common.network, entries, common.kernel)
+
+    @classmethod
+    def alone(cls, probe: Probe, entries: tuple[Entry, ...]) -> Model:
+        """The same with these effects and no others in it.
+
+        Raises:
+            TwinFileError: an element does not fit.
+        """
+        bigger = probe.network
         # In one order, so that a pair named the other way round is the same kernel.
         ordered = sorted(entries, key=lambda e: e.candidate.id)
         for entry in ordered:
             if not any(name in {e.name for e in bigger.elements} for name in entry.candidate.adds):
                 bigger = extended(bigger, entry.candidate)
-        ids = dict.fromkeys((*tunables, *(name for e in ordered for name in e.candidate.changes)))
-        return cls(network, bigger, entries, Kernel(bigger, tuple(ids)))
+        ids = dict.fromkeys((*probe.scaling.ids, *(name for e in ordered for name in e.candidate.changes)))
+        return cls(probe.network, bigger, entries, Kernel(bigger, tuple(ids)))
 
     @cached_property
     def _here(self) -> np.ndarray:
@@ -98,29 +116,40 @@ class Model:
         """
         since = time - time[0]
         each = shapes or tuple(tuple(e.shape for e in self.entries) for _ in range(len(values)))
-        borders = {0.0}
-        for shape in {s for row in each for s in row}:
-            borders.add(min(shape.onset_s, float(since[-1])))
-            if shape.name != "step":
-                borders.update(np.arange(PIECE_S * np.ceil(shape.onset_s / PIECE_S), since[-1], PIECE_S).tolist())
-        cuts = np.unique(np.searchsorted(since, sorted(borders)))
-        cuts = np.concatenate([cuts[cuts < len(time)], [len(time)]])
+        all_shapes = {s for row in each for s in row}
+        cuts = _cuts(since, all_shapes)
+        edges = np.append(since[cuts[:-1]], since[-1])
+        edges[-1] = max(edges[-1], edges[-2] + 1e-3)
+        course = {s: s.block_means(edges) for s in all_shapes}
+        sized = np.array([[course[s] for s in row] for row in each]).reshape(
+            len(values), len(self.entries), len(cuts) - 1
+        )
         readings = np.empty((len(values), len(time), len(self.network.sensors)))
         before = np.zeros((len(values), len(self.entries)))
-        for first, last in zip(cuts[:-1], cuts[1:], strict=True):
-            until = min(last + 1, len(time))
-            span = np.append(since[first:last], since[min(last, len(since) - 1)])
-            known = {s: s.mean(float(span[0]), float(span[-1])) for row in each for s in row}
-            at = np.array([[known[s] for s in row] for row in each]).reshape(len(values), len(self.entries))
+        for piece, (first, last) in enumerate(itertools.pairwise(cuts.tolist())):
+            until, at = min(last + 1, len(time)), sized[:, :, piece]
             for effect, mass, node in self._masses if first else ():
                 # A mass that comes in now has had the time to be as warm as what it stands beside.
                 begins = (before[:, effect] == 0.0) & (at[:, effect] > 0.0)
                 state[begins, mass] = state[begins, node]
             before = at
             full = self.parameters(values, sizes * at)
-            part, state = self.kernel.trace(full, state, time[first:until], inputs[first:until])
+            part, state = self.kernel.trace(full, state, time[first:until], inputs[first:until], LANES)
             readings[:, first:last] = part[:, : last - first]
         return readings
+
+
+def _cuts(since: Array, shapes: set[Shape]) -> np.ndarray:
+    """Rows (c,) at which sizes change, and the end."""
+    borders = {0.0}
+    growing = [s.growth_s for s in shapes if s.name != "step"]
+    piece = max(PIECE_S, PIECE_S * round(min(growing, default=0.0) / PIECES / PIECE_S))
+    for shape in shapes:
+        borders.add(min(shape.onset_s, float(since[-1])))
+        if shape.name != "step":
+            borders.update(np.arange(piece * np.ceil(shape.onset_s / piece), since[-1], piece).tolist())
+    cuts = np.unique(np.searchsorted(since, sorted(borders)))
+    return np.concatenate([cuts[cuts < len(since)], [len(since)]])
 
 
 def _size(network: Network, candidate: Candidate, rows: Array, sizes: Array) -> None:

@@ -59,11 +59,10 @@ class Part:
 
 def fitted(part: Part, groups: list[tuple[Entry, ...]]) -> list[tuple[Fit, tuple[Entry, ...]]]:
     """Each group of effects fitted, from the commissioned values."""
-    network, ids = part.basis.probe.network, part.basis.probe.scaling.ids
     trials = []
     for group in groups:
         part.reset()
-        trials.append((fit(part.contest, Model.of(network, group, ids), part.state), group))
+        trials.append((fit(part.contest, Model.of(part.contest.probe, group), part.state), group))
     return trials
 
 

@@ -167,7 +167,7 @@ def _stale(known: Basis, grid: Grid) -> Run:
 
 
 def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
-    model = Model.of(network, fitted.entries, finding.contest.probe.scaling.ids)
+    model = Model.of(finding.contest.probe, fitted.entries)
     sizes = np.array([[e.size for e in fitted.entries]])
     return centred(model.run(grid.time, grid.inputs, fitted.state[None, :], fitted.values[None, :], sizes)[0])
 
@@ -261,7 +261,7 @@ def _near_misses(finding: Finding) -> tuple[Alternative, ...]:
 def _bigger(finding: Finding, network: Network) -> Network:
     """The twin with its effects at full size and its re-tuned parameters."""
     assert finding.fit is not None
-    model = Model.of(network, finding.fit.entries, finding.contest.probe.scaling.ids)
+    model = Model.alone(finding.contest.probe, finding.fit.entries)
     full = np.array([[e.size * _final(e, finding) for e in finding.fit.entries]])
     vector = model.parameters(finding.fit.values[None, :], full)[0]
     own = {p.id for p in model.network.parameters.values() if not p.same_as}

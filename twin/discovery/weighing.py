@@ -16,7 +16,7 @@ from twin.discovery.fitting import Fit, fit
 from twin.discovery.laws import Law
 from twin.discovery.model import Model
 from twin.discovery.search import Entry
-from twin.network import Array, Network
+from twin.network import Array
 
 if TYPE_CHECKING:
     from twin.discovery.ranking import Ranked
@@ -47,9 +47,7 @@ class Weighed:
     chis: tuple[float, ...]
 
 
-def weigh(
-    ranked: Sequence[Ranked], parts: Sequence[Part], network: Network, ids: tuple[str, ...], span_s: float
-) -> list[Weighed]:
+def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> list[Weighed]:
     """Each hypothesis over all records; in the later ones its effects are there throughout, as they ended in the first.
 
     Args:
@@ -69,7 +67,7 @@ def weigh(
                 for e, size in zip(before, grown, strict=True)
             )
             part.reset()
-            fitted = fit(part.contest, Model.of(network, entries, ids), part.state)
+            fitted = fit(part.contest, Model.of(part.contest.probe, entries), part.state)
             sizes = zip(before, grown, fitted.entries, strict=True)
             costs.append(fitted.total + sum(_apart(e, size, later) for e, size, later in sizes))
             chis[i].append(fitted.chi)
