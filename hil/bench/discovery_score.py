@@ -38,7 +38,8 @@ class Outcome:
         class1: it is, or is indistinguishable from it by the answer's own words or by physics. in_set: the truth is
             among those that the answer does not exclude. set_size: how many these are.
         in_words: something outside the catalogue was described by several effects of the right kind at the right place,
-            as a loss that ends is by two opposite steps, or as what it is, a thermometer that stands still.
+            as a loss that ends is by two opposite steps, or as what it is, a thermometer that stands still, or not
+            told from what it is, a switch that a temperature turned.
         onset_min: error of the onset, minutes. size: relative error. errors_K: RMSE on the held-out part, re-tuned,
             with the effects, and the thermometers' noise, over all sensors.
         excess: share of the squared error above the floor that the effects took away.
@@ -114,7 +115,7 @@ def judge(
         right_place = volume(said[0][1]) in {volume(w) for _, w in labels}
     if group == "outside" and first is not None and labels[0][1] != "loop":
         right_place = volume(first["where"]) == volume(labels[0][1])
-    in_words = group == "outside" and named and _in_words(effects, hidden["labels"][0])
+    in_words = group == "outside" and named and _in_words(effects, answer["indistinguishable"], hidden["labels"][0])
     if first is not None and named and group == "one" and said[0] == labels[0]:
         right_driver = same_driver(first["driver"], hidden["labels"][0][2])
         onset = abs(first["onset_s"] - hidden["effects"][0].get("onset_s", 0.0)) / SECONDS_PER_MINUTE
@@ -130,8 +131,13 @@ def judge(
     )  # fmt: skip
 
 
-def _in_words(effects: Sequence[Mapping[str, Any]], label: tuple[str, str, str]) -> bool:
-    """Whether something that came and went is told by steps of one kind, place and driver, or a stuck one as stuck."""
+def _in_words(
+    effects: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]], label: tuple[str, str, str]
+) -> bool:
+    """Whether something that came and went is told by steps of one kind, place and driver, a stuck one as stuck, or
+    what switched on, by its place and by that it cannot be told from a switch."""
+    if len(effects) == 1 and tuple(label) in {(a["kind"], a["where"], a["driver"]) for a in others}:
+        return (effects[0]["kind"], effects[0]["where"]) == (label[0], label[1])
     if len(effects) == 1 and effects[0]["shape"] == "stuck":
         return (effects[0]["kind"], effects[0]["where"]) == (label[0], label[1])
     told = {(e["kind"], e["where"], e["driver"], e["shape"]) for e in effects}

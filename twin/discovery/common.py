@@ -8,7 +8,7 @@ kernel. The rest (delays, laws that are no straight lines) is compiled hypothesi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,12 +30,12 @@ class Common:
     kernel: Kernel
 
     @classmethod
-    def of(cls, network: Network, tunables: tuple[str, ...], fits: Callable[[Candidate], bool]) -> Common:
-        """All candidates of the catalogue that fit; parameters in `tunables` are free besides."""
+    def of(cls, network: Network, tunables: tuple[str, ...], candidates: Iterable[Candidate]) -> Common:
+        """The network with all of `candidates`; parameters in `tunables` are free besides."""
         bigger, ids = network, dict.fromkeys(tunables)
-        for candidate in filter(fits, catalogue(network)):
+        for candidate in candidates:
             missing = {k: v for k, v in candidate.adds.items() if k not in {e.name for e in bigger.elements}}
-            if missing:
+            if missing or candidate.replaces:
                 bigger = extended(bigger, replace(candidate, adds=missing))
             ids |= dict.fromkeys(candidate.changes)
         return cls(bigger, Kernel(bigger, tuple(ids)))
@@ -53,12 +53,17 @@ class Commons:
         self._network, self._tunables = network, tunables
 
     @cached_property
+    def _plain(self) -> list[Candidate]:
+        return [c for c in catalogue(self._network) if _is_plain(c)]
+
+    @cached_property
     def _quick(self) -> Common:
-        return Common.of(self._network, self._tunables, _quick)
+        return Common.of(self._network, self._tunables, (c for c in self._plain if c.driver not in _LATE))
 
     @cached_property
     def _all(self) -> Common:
-        return Common.of(self._network, self._tunables, lambda c: _quick(c) or _slow(c))
+        held = (c for c in self._plain if c.driver not in _LATE or c.kind in _SLOW)
+        return Common.of(self._network, self._tunables, held)
 
     def holding(self, candidates: tuple[Candidate, ...]) -> Common | None:
         """The quickest that holds these candidates, or None."""
@@ -67,13 +72,5 @@ class Commons:
         return self._all if self._all.holds(candidates) else None
 
 
-def _quick(candidate: Candidate) -> bool:
-    return _plain(candidate) and candidate.driver not in _LATE
-
-
-def _slow(candidate: Candidate) -> bool:
-    return _plain(candidate) and candidate.kind in _SLOW
-
-
-def _plain(candidate: Candidate) -> bool:
+def _is_plain(candidate: Candidate) -> bool:
     return not candidate.replaces and all(KINDS[str(table["kind"])].linear for table in candidate.adds.values())

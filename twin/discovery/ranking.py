@@ -39,23 +39,28 @@ def piled_up(entries: tuple[Entry, ...]) -> bool:
     """Whether effects share a place: they then stand for one of a form that no candidate has.
 
     What is slow there and what is late there (a mass, a thermometer's lag) do not stand for one another, nor do a
-    stream and the heat at a place, unless they begin together.
+    stream, the heat at a place and its thermometer's error, unless they begin together.
     """
     named = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
     places = list(zip((_MOVED_BY.get(name, name) for name in named), map(_way, entries), strict=True))
     same = [tuple(e.candidate.changes) for e in entries]
     at_once = any(
-        {way, other} == {"stream", "heat"} and place == beside and abs(a.shape.onset_s - b.shape.onset_s) < EARLY_S
+        way != other
+        and "late" not in (way, other)
+        and place == beside
+        and abs(a.shape.onset_s - b.shape.onset_s) < EARLY_S
         for (a, (place, way)), (b, (beside, other)) in itertools.combinations(zip(entries, places, strict=True), 2)
     )
     return at_once or len(set(places)) < len(places) or len(set(same)) < len(same)
 
 
 def _way(entry: Entry) -> str:
-    """What an effect is at its place: a thing of heat, of the stream or of being late."""
+    """What an effect is at its place: a thing of heat, of the stream, of the reading or of being late."""
     c = entry.candidate
     if c.driver in _LATE:
         return "late"
+    if c.kind == "sensor":
+        return "reading"
     return "stream" if c.kind == "flow" or c.where == "pump_speed" else "heat"
 
 

@@ -27,6 +27,7 @@ from twin.discovery.readings import Stuck
 from twin.discovery.search import Entry
 from twin.discovery.sites import drivers_of, signatures, sites_of, unknown
 from twin.discovery.spells import as_effect, came_and_went, described, explains
+from twin.discovery.switches import switched
 from twin.discovery.thermometers import single as single_one
 from twin.discovery.thermometers import standing
 from twin.discovery.validation import holds
@@ -116,6 +117,8 @@ def conclude(
         )
         others, alternatives = _others(finding, verdict)
         others = (*others, *twins_of(finding, groups, others))
+        switches = switched(finding, grid, start)
+        others, notes = (*others, *(a for a, _ in switches)), (*notes, *(says for _, says in switches))
         bigger = _bigger(finding, network)
         if finding.beside is not None:
             kind, where, driver = (x.replace("_", " ") for x in finding.beside.label)

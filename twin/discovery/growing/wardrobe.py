@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from twin.discovery.catalogue import catalogue, extended, sites_of
+from twin.discovery.common import Common
 from twin.discovery.growing.alike import together
 from twin.discovery.growing.resting import Resting
 from twin.discovery.laws import Law
@@ -51,16 +52,15 @@ class Wardrobe:
             at_rest: only what shows in steady states.
         """
         first = _lacking(network, tunables, period_s)
-        full = _with_all(network, first)
+        full = Common.of(network, (), first).network
         known = {name for c in first for name in c.changes}
         # A pipe that is missing may miss its wall, too.
         second = [c for c in _lacking(full, tunables, period_s) if not c.adds and not known & set(c.changes)]
         if at_rest:
             first, second = ([c for c in some if c.driver not in MOVING] for some in (first, second))
-            full = _with_all(network, first)
         candidates = (*first, *second)
-        ids = dict.fromkeys((*tunables, *(name for c in candidates for name in c.changes)))
-        return cls(network, candidates, full, Kernel(full, tuple(ids)))
+        common = Common.of(network, tunables, candidates)
+        return cls(network, candidates, common.network, common.kernel)
 
     @cached_property
     def resting(self) -> Resting:
@@ -131,12 +131,3 @@ def _noticed(candidate: Candidate) -> Candidate:
 
 def _constant(candidate: Candidate) -> float:
     return next((w for name, w in candidate.changes.items() if name.endswith(".capacity")), 0.0)
-
-
-def _with_all(network: Network, candidates: list[Candidate]) -> Network:
-    full = network
-    for candidate in candidates:
-        missing = {k: v for k, v in candidate.adds.items() if k not in {e.name for e in full.elements}}
-        if missing or candidate.replaces:
-            full = extended(full, replace(candidate, adds=missing))
-    return full

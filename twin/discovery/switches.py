@@ -1,0 +1,89 @@
+"""Heat that begins when its place is warmer than ever before: a temperature may have switched it on.
+
+No element switches, and one switching inside a record looks like something that simply begins. What tells them apart is
+how seldom a beginning drawn by lot falls on a new highest temperature.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.discovery.catalogue import sites_of
+from twin.discovery.diagnosis import Alternative
+from twin.discovery.equivalence import OPEN
+from twin.discovery.grid import Grid
+from twin.discovery.model import Model
+from twin.discovery.search import EARLY_S, Entry
+from twin.discovery.words import clock
+from twin.network import Array
+
+if TYPE_CHECKING:
+    from twin.discovery.ranking import Finding
+
+HYSTERESIS_K = 3.0
+"""As far as a place may cool below the temperature that switched before it is switched off again."""
+BEFOREHAND = 0.1
+"""Switches among sources, as odds, before any data."""
+_WITHIN_K = 0.1
+_WITHIN_S = 120.0
+
+
+def switched(finding: Finding, grid: Grid, start: float) -> tuple[tuple[Alternative, str], ...]:
+    """For each constant source that may be one that a temperature switched on: the alternative, and a sentence.
+
+    Args:
+        grid: the whole record. start: its first stamp, s.
+    """
+    if finding.fit is None:
+        return ()
+    probe = finding.contest.probe
+    places = sites_of(probe.network).places
+    out: list[tuple[Alternative, str]] = []
+    for entry in finding.fit.entries:
+        read = [j for j, s in enumerate(probe.network.sensors) if places[s.node] == entry.candidate.where]
+        if entry.label[::2] != ("heat_source", "constant") or entry.shape.name != "step" or not read:
+            continue
+        edge = _edge(entry, grid, grid.measured[:, read[0]])
+        if edge is None:
+            continue
+        weight = BEFOREHAND / (BEFOREHAND + _share_at_its_highest(_without(finding, entry, grid)[:, read[0]], grid))
+        if weight > OPEN:
+            where = entry.candidate.where.replace("_", " ")
+            says = (
+                f"the heat at {where} begins at {clock(start + entry.shape.onset_s)}, as it passes {edge:.1f} degC for "
+                f"the first time: a temperature may switch it on; to see, let {where} cool below "
+                f"{edge - HYSTERESIS_K:.0f} degC"
+            )
+            out.append((Alternative("heat_source", entry.candidate.where, "threshold", weight), says))
+    return tuple(out)
+
+
+def _edge(entry: Entry, grid: Grid, measured: Array) -> float | None:
+    """Temperature at the onset, degC, where it was never as warm before and never much cooler after; else None."""
+    since = grid.time - grid.time[0]
+    onset, spread = entry.shape.onset_s, max(_WITHIN_S, 2.0 * entry.onset_sd_s)
+    before, at, after = since < onset - spread, np.abs(since - onset) <= spread, since > onset + spread
+    if onset < EARLY_S or not all(np.isfinite(measured[part]).any() for part in (before, at, after)):
+        return None
+    edge = float(np.nanmax(measured[at]))
+    never_before = float(np.nanmax(measured[before])) <= edge + _WITHIN_K
+    return edge if never_before and float(np.nanmin(measured[after])) >= edge - HYSTERESIS_K else None
+
+
+def _share_at_its_highest(readings: Array, grid: Grid) -> float:
+    """Share of the record (after its first hour) in which a reading is as high as it ever was."""
+    late = grid.time - grid.time[0] >= EARLY_S
+    high = readings >= np.maximum.accumulate(readings) - _WITHIN_K
+    return max(float(np.mean(high[late])), 1.0 / len(readings)) if late.any() else 1.0
+
+
+def _without(finding: Finding, entry: Entry, grid: Grid) -> Array:
+    """Readings (n, m) of the answer, had this effect not been there."""
+    assert finding.fit is not None
+    fitted = finding.fit
+    model = Model.of(finding.contest.probe, fitted.entries)
+    sizes = np.array([[0.0 if e is entry else e.size for e in fitted.entries]])
+    state = fitted.state[None, :]
+    return model.run(grid.time, grid.inputs, state, fitted.values[None, :], sizes)[0]
