@@ -18,8 +18,8 @@ from twin.elements.base import Candidate
 from twin.kernel import Kernel
 from twin.network import Array, Network
 
-PIECE_S, PIECES = 600.0, 60.0
-"""A growing effect is held constant for so long, or for such a part of the time in which it grows."""
+PIECE_S, READ_PIECE_S = 600.0, 300.0
+"""A growing effect is held constant for so long; an error of reading, which nothing evens out, for less."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,8 @@ class Model:
         since = time - time[0]
         each = shapes or tuple(tuple(e.shape for e in self.entries) for _ in range(len(values)))
         all_shapes = {s for row in each for s in row}
-        cuts = _cuts(since, all_shapes)
+        read = any(e.candidate.kind == "sensor" for e in self.entries)
+        cuts = _cuts(since, all_shapes, READ_PIECE_S if read else PIECE_S)
         edges = np.append(since[cuts[:-1]], since[-1])
         edges[-1] = max(edges[-1], edges[-2] + 1e-3)
         course = {s: s.block_means(edges) for s in all_shapes}
@@ -139,11 +140,9 @@ class Model:
         return readings
 
 
-def _cuts(since: Array, shapes: set[Shape]) -> np.ndarray:
-    """Rows (c,) at which sizes change, and the end."""
+def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
+    """Rows (c,) at which sizes change, and the end; what grows does so every `piece` s."""
     borders = {0.0}
-    growing = [s.growth_s for s in shapes if s.name != "step"]
-    piece = max(PIECE_S, PIECE_S * round(min(growing, default=0.0) / PIECES / PIECE_S))
     for shape in shapes:
         borders.add(min(shape.onset_s, float(since[-1])))
         if shape.name != "step":
