@@ -59,8 +59,16 @@ def diagnose(
     say("scanning")
     bins = len(grid.time)
     split = int(bins * (1.0 - held_out))
-    train = Part.of(known, grid.part(0, split))
     whole = Part.of(known, grid)
+    other_forms = whole.sharpened()
+
+    def part(of: Grid) -> Part:
+        made = Part.of(known, of)
+        made.add(other_forms)
+        return made
+
+    whole.add(other_forms)
+    train = part(grid.part(0, split))
     notes: list[str] = []
     finding: Finding | None = None
     if not _begins_late(whole, train, split):
@@ -79,12 +87,12 @@ def diagnose(
     if later > split:
         split, finding = later, None
         notes.append(f"{why}; the fit was given the record up to {split * grid.step_s / 3600.0:.1f} h")
-        train = Part.of(known, grid.part(0, split))
+        train = part(grid.part(0, split))
     finding = finding or search(train, say, 0.0 if doubted else SECOND_SHARE)
     further: list[Part] = []
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
-        further = [Part.of(known, on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
+        further = [part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
         finding, said = weighed(finding, train, further)
         notes += said
     off = errors(finding, network, record, grid, split)

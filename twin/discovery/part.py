@@ -15,9 +15,12 @@ from twin.discovery.model import Model
 from twin.discovery.null import FALSE_ALARMS, Null, null_scores
 from twin.discovery.probe import Run
 from twin.discovery.search import Entry, refine, scan
+from twin.elements.base import Candidate
 from twin.network import Array
 
 FINALISTS = 8
+WORTH = 4.0
+"""Gain that another form of the same thing must have over the catalogue's to be looked at."""
 
 
 @dataclass
@@ -40,6 +43,34 @@ class Part:
         entries = [refine(contest, e) for e in varied(scan(contest, found, None, known.structure))]
         entries.sort(key=lambda e: -e.gain)
         return cls(known, grid, state, run, contest, found, entries)
+
+    def sharpened(self) -> tuple[Candidate, ...]:
+        """Of what comes in many forms, those that score better at each place than the catalogue's own."""
+        best: dict[str, Entry] = {}
+        for entry in self.entries:
+            if entry.candidate.near is not None and entry.gain == entry.bare_gain:
+                best.setdefault(entry.candidate.where, entry)
+        found = []
+        for first in best.values():
+            closest, top = first.candidate, first.bare_gain
+            while closest.near is not None:
+                laws = self.basis.book.laws(self.grid, self.run, closest.near())
+                better = scan(self.contest, laws)
+                if not better or better[0].bare_gain < top:
+                    break
+                closest, top = better[0].candidate, better[0].bare_gain
+            if top > first.bare_gain + WORTH:
+                found.append(closest)
+        return tuple(found)
+
+    def add(self, candidates: tuple[Candidate, ...]) -> None:
+        """Take further candidates into the search."""
+        if not candidates:
+            return
+        laws = self.basis.book.laws(self.grid, self.run, candidates)
+        self.laws = [*self.laws, *laws]
+        entries = [refine(self.contest, e) for e in varied(scan(self.contest, laws, None, self.basis.structure))]
+        self.entries = sorted([*self.entries, *entries], key=lambda e: -e.gain)
 
     @property
     def best_z(self) -> float:

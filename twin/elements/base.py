@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -177,6 +177,7 @@ class Candidate:
         replaces: element -> keys of its table that differ.
         shapes: time shapes in which it may come in.
         lumped: size that a twin of mixed volumes without pipes may seem to lack without anything being wrong.
+        near: makes other forms of the same, which are looked at where this one scores.
     """
 
     kind: str
@@ -194,6 +195,7 @@ class Candidate:
     inverse: bool = False
     shapes: tuple[str, ...] = SHAPES
     lumped: float = 0.0
+    near: Callable[[], tuple[Candidate, ...]] | None = None
 
     @property
     def id(self) -> str:

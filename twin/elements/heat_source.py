@@ -5,27 +5,35 @@
     linear         Q = gain * (column - reference)                 any column
     cubed          Q = power_100 * (column / 100)^3                the column is a speed
     daily          Q = c cos(2 pi h / 24) + s sin(2 pi h / 24)     the column is a clock
-    daylight       the same, 0 where it would be negative
+    daylight       c cos(2 pi h / 24) + s sin(2 pi h / 24) - n, 0 where that would be negative
 
 Sources: Q_j of eq. 1 of Energies 2026, 19, 2452: the heater's is its measured electrical power times the "effective
 heat input" of Table 2, the modules' the constant Q_pm of Table 1, zero in a healthy loop. Cubed: a pump's shaft
 power by the affinity laws (Karassik et al., Pump Handbook, 4th ed., sec. 2.3), which ends as heat in the water.
 Daily: first harmonic of a day, of amplitude sqrt(c^2 + s^2) with its peak at 24/(2 pi) atan2(s, c) o'clock;
-`daylight` is the sun on a surface, for which the night counts nothing.
+`daylight` is the sun on a surface, for which the night counts nothing: it lasts 24/pi acos(n / sqrt(c^2 + s^2)) h.
 
 A clock is an input column like any other: hours since midnight, named with the ending `_h`, e.g. `time_of_day_h`.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
 
 LAWS = ("proportional", "linear", "cubed", "daily", "daylight")
+CLOSER = (
+    ((-1.0, -0.5, 0.0, 0.5, 1.0), (-4.0, -2.0, 0.0, 2.0)),
+    ((-0.25, 0.0, 0.25), (-1.0, 0.0, 1.0)),
+    ((-0.1, 0.0, 0.1), (-0.5, 0.0, 0.5)),
+)
+"""Hours by which the peak, and the length of the day, of a source that follows the hour move, ever more closely."""
 _UNITS = {"pct": "%", "C": "K", "m3_h": "(m3/h)", "kg_s": "(kg/s)", "L_min": "(L/min)"}
 
 
@@ -52,10 +60,12 @@ class HeatSource(Element):
             return (ParameterSpec("power_100", "W", 0.0, -1.0e4, 1.0e4, "tunable", "heat at 100 % speed"),)
         if self.law in ("daily", "daylight"):
             source = "component of the daily swing; both zero without one"
-            return (
+            swing = (
                 ParameterSpec("cosine", "W", 0.0, -1.0e4, 1.0e4, "tunable", f"midnight {source}"),
                 ParameterSpec("sine", "W", 0.0, -1.0e4, 1.0e4, "tunable", f"six o'clock {source}"),
             )
+            night = ParameterSpec("night", "W", 0.0, -1.0e4, 1.0e4, "fixed", "0 for a day of twelve hours")
+            return swing if self.law == "daily" else (*swing, night)
         if self.law == "proportional":
             return (ParameterSpec("factor", "1", 1.0, 0.0, 8.0, "tunable", "heat that arrives over power measured"),)
         unit = self.unit()
@@ -103,12 +113,14 @@ class HeatSource(Element):
                 }
                 adds = {name: {"kind": cls.kind, "node": node, **table} for node, name in names.items()}
                 unit = "W/W" if driver == "heater_power" else "W/%" if table.get("law") == "linear" else "W"
-                found.append(
-                    Candidate(
-                        "heat_source", where, driver, "new", changes, unit, typical, 0.0, 2000.0 * typical / 20.0, says,
-                        adds=adds,
-                    )
+                source = Candidate(
+                    "heat_source", where, driver, "new", changes, unit, typical, 0.0, 2000.0 * typical / 20.0, says,
+                    adds=adds,
                 )  # fmt: skip
+                if table.get("law") == "daylight":
+                    peak_h = 12.0 / math.pi * math.atan2(sizes["sine"], sizes["cosine"])
+                    source = replace(source, near=partial(_other_days, source, peak_h, 12.0, share))
+                found.append(source)
         return tuple(found)
 
     def moved(self, sites: Sites) -> tuple[Candidate, ...]:
@@ -143,7 +155,7 @@ class HeatSource(Element):
                     (cosine, f"-({_series(square, 0)})"),
                     (sine, f"-{turn} * ({_series(square, 1)})"),
                 ),
-                heat={self.node: f"max({heat}, 0.0)" if self.law == "daylight" else heat},
+                heat={self.node: f"max({heat} - {n.par('night')}, 0.0)" if self.law == "daylight" else heat},
             )
         if self.law == "proportional":
             return Fragment(heat={self.node: f"{n.par('factor')} * {column}"})
@@ -171,11 +183,35 @@ def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], flo
             laws.append((driver, {"driver": column, "law": "cubed"}, {"power_100": 1.0}, 20.0, says))
     if sites.clock:
         for peak in range(0, 24, 2):
-            turn = math.pi * peak / 12.0
-            sizes = {"cosine": math.cos(turn), "sine": math.sin(turn)}
-            says = f"gives off up to {{value}} in the course of the day, most at about {peak} h"
-            laws.append(("time_of_day", {"driver": sites.clock, "law": "daylight"}, sizes, 20.0, says))
+            table = {"driver": sites.clock, "law": "daylight"}
+            laws.append(("time_of_day", table, _day(peak, 12.0), 20.0, _told(peak)))
     return laws
+
+
+def _day(peak_h: float, hours: float) -> dict[str, float]:
+    """Parameters of a day of so many hours, 1 W at its peak."""
+    turn, edge = math.pi * peak_h / 12.0, math.cos(math.pi * hours / 24.0) if hours != 12.0 else 0.0
+    return {n: v / (1.0 - edge) for n, v in (("cosine", math.cos(turn)), ("sine", math.sin(turn)), ("night", edge))}
+
+
+def _told(peak_h: float) -> str:
+    return f"gives off up to {{value}} in the course of the day, most at about {peak_h:g} h"
+
+
+def _other_days(source: Candidate, peak_h: float, hours: float, share: float, level: int = 0) -> tuple[Candidate, ...]:
+    """A source by daylight with other peaks, and longer or shorter days, each with closer ones about it.
+
+    Args:
+        peak_h, hours: of the day that it has. share: of the heat that enters each of its nodes.
+    """
+    found = []
+    for shift, longer in itertools.product(*CLOSER[level]):
+        other_h, length = (peak_h + shift) % 24.0, hours + longer
+        weights = _day(other_h, length)
+        changes = {name: weights[name.rsplit(".", 1)[1]] * share for name in source.changes}
+        near = partial(_other_days, source, other_h, length, share, level + 1) if level + 1 < len(CLOSER) else None
+        found.append(replace(source, changes=changes, says=_told(round(other_h, 1)), near=near))
+    return tuple(found)
 
 
 def _series(square: str, odd: int) -> str:
