@@ -15,10 +15,11 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from hil.atomic import replacing
-from hil.bench.faults_case import REACT_S, STALL_S, Result, as_document, run_case
+from hil.bench.faults_case import STALL_S, run_case
 from hil.bench.faults_kinds import KINDS
 from hil.bench.faults_rig import PERIOD_S, STALE_LIMIT_S, WATCHDOG_S
 from hil.bench.faults_tls import NoOpenSSLError
+from hil.bench.faults_verdict import REACT_S, Result, as_document
 from hil.bench.report import Cell, Table
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,9 +12,9 @@ from drivers.points import Quality
 from drivers.virtual.truth import Moment
 from hil.bench import faults_judge as judge
 from hil.bench.faults import campaign, plan, tables
-from hil.bench.faults_case import Result
 from hil.bench.faults_kinds import KINDS
 from hil.bench.faults_rig import STALE_LIMIT_S, WATCHDOG_S, rig_text
+from hil.bench.faults_verdict import Result
 
 SEED = 20_261
 COSTLY = ("calibrator crash", "viewer killed", "SIGKILL")
