@@ -23,7 +23,7 @@ from hil.bench import faults_judge as judge
 from hil.bench import processes
 from hil.bench.faults_disk import OwnDisk
 from hil.bench.faults_kinds import Kind, effect_text
-from hil.bench.faults_rig import LOAD, PERIOD_S, WATCHDOG_S, prepare, rig_text
+from hil.bench.faults_rig import LOAD, PERIOD_S, prepare, rig_text
 from hil.bench.faults_tls import Certificates, make_certificates
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -188,7 +188,7 @@ async def set_stage(kind: Kind, generator: random.Random, place: Path, onset_s: 
         can = FaultyLink(rig.can_port, can_frames)
         await stack.enter_async_context(plc)
         await stack.enter_async_context(can)
-        await prepare(rig.modbus_port, WATCHDOG_S, None if certificates is None else certificates.context())
+        await prepare(rig.modbus_port, None if certificates is None else certificates.context())
         while not (moments := read_truth(truth)) or moments[-1].fan_pct < FANS_PCT:  # noqa: ASYNC110
             await asyncio.sleep(LOOK_EVERY_S)
         ports = {"plc": plc.port, "thermocouples": can.port}

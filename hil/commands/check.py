@@ -159,6 +159,8 @@ def _rig(file: Path, _: Path, out: Console) -> None:
             cells = (block.unused, len(block.points), sum(block.read_bytes))
             table.add_row(str(block), str(block.read_code), count, *map(str, cells))
         out.print(table)
+    if rig.watchdog_s is not None:
+        out.print(f"the rig's own watchdog is set to {rig.watchdog_s:g} s when it is armed, and read back")
     for note in unsaid(rig):
         out.print(f"note: {note}", soft_wrap=True)
     out.print(f"{file}: no mistakes found", style="green")
