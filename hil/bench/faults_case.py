@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import random
 import signal
@@ -13,10 +14,11 @@ from pathlib import Path
 
 from hil.bench import faults_judge as judge
 from hil.bench import processes
-from hil.bench.faults_kinds import KINDS, Kind
+from hil.bench.faults_kinds import Kind
+from hil.bench.faults_plan import Case, case_of
 from hil.bench.faults_rig import STALE_LIMIT_S
 from hil.bench.faults_stage import Stage, last_words, set_stage, spawn
-from hil.bench.faults_verdict import REACT_S, Result, judged
+from hil.bench.faults_verdict import REACT_S, Result, Strike, judged
 
 START_S = 40.0
 END_S = 30.0
@@ -42,7 +44,7 @@ async def run_case(
         generator = random.Random(f"{seed} {kind_name} {number}")
         with tempfile.TemporaryDirectory(prefix="hil-fault-") as folder:
             try:
-                result = await _attempt(kind_name, number, generator, Path(folder), thorough, resume, attempt)
+                result = await _attempt(kind_name, number, seed, generator, Path(folder), thorough, resume, attempt)
             except Exception as error:  # a case that cannot be carried out is no reason to leave out the others
                 result = Result(kind_name, number, failures=[f"not carried out: {type(error).__name__}: {error}"])
         result.attempts = attempt
@@ -52,64 +54,87 @@ async def run_case(
 
 
 async def _attempt(
-    name: str, number: int, generator: random.Random, place: Path, thorough: bool, resume: bool, attempt: int
+    name: str, number: int, seed: int, generator: random.Random, place: Path, thorough: bool, resume: bool, attempt: int
 ) -> Result:
-    kind, result = KINDS[name], Result(name, number)
+    case, result = case_of(name, number, seed), Result(name, number)
     onset_s = generator.uniform(9.0, 12.0) + 8.0 * (attempt - 1)
-    async with set_stage(kind, generator, place, onset_s) as stage:
-        occurred_s = await _strike(stage, kind, onset_s, result)
-        if occurred_s is None:
+    async with set_stage(case, generator, place, onset_s) as stage:
+        strikes = await _strike(stage, case, onset_s, result)
+        if not strikes:
             return result
-        await _follow(stage, kind, occurred_s, result, thorough)
-        journal = await asyncio.to_thread(judged, result, kind, stage, occurred_s)
-        if resume and name == "SIGKILL" and result.heated and journal.ticks and not result.failures:
+        await _follow(stage, case, result, thorough)
+        journal = await asyncio.to_thread(judged, result, case, stage, strikes)
+        if resume and case.resumable and result.heated and journal.ticks and not result.failures:
             result.resumed = await _resumed(stage, result)
         if result.failures:
             result.reason = (result.reason + " | " + last_words(place))[:600]
     return result
 
 
-async def _strike(stage: Stage, kind: Kind, onset_s: float, result: Result) -> float | None:
-    """Let the fault occur; its wall time, or None where there was no run to strike."""
-    if kind.early:
+async def _strike(stage: Stage, case: Case, onset_s: float, result: Result) -> list[Strike]:
+    """Let the faults occur; each with its wall time. Nothing where there was no run to strike."""
+    if case.early:
         await stage.until(lambda: not stage.harness.running, stage.generator.uniform(*EARLY_S))
     elif not await stage.until(lambda: stage.heater_W > 100.0 or not stage.harness.running, START_S):
         result.failures.append("the run did not start within its time")
-        return None
-    if not stage.harness.running and not kind.early:
+        return []
+    if not stage.harness.running and not case.early:
         result.struck = False
         result.failures.append(f"the run ended before the fault: {last_words(stage.truth.parent)}")
-        return None
+        return []
     stage.waited_s = processes.waited_s(stage.pid)
-    if kind.act is None:
+    if any(kind.act is None for kind in case.kinds):
         if not await stage.until(lambda: _after(stage, onset_s) is not None, START_S):
             result.failures.append("the rig stood still")
-            return None
-        return _after(stage, onset_s)
-    if not kind.early:
+            return []
+    elif not case.early:
         await stage.until(lambda: False, stage.generator.uniform(EARLIEST_S, LATEST_S))
         stage.look()
-    occurred_s = time.time()
-    await kind.act(stage)
-    return occurred_s
+    return await _occur(stage, case, onset_s)
+
+
+async def _occur(stage: Stage, case: Case, onset_s: float) -> list[Strike]:
+    """Let the first fault occur now and the second `apart_s` later, if there is still a run then."""
+    strikes: list[Strike] = []
+    acting: list[asyncio.Task[None]] = []
+    for number, kind in enumerate(case.kinds):
+        at_s = onset_s + number * case.apart_s
+        if kind.act is None:
+            await stage.until(lambda at_s=at_s: _after(stage, at_s) is not None, START_S)  # type: ignore[misc]
+            strikes.append((kind, _after(stage, at_s) or time.time()))
+            continue
+        if number:
+            await stage.until(lambda: not stage.harness.running, case.apart_s)
+            if not stage.harness.running:
+                break
+        strikes.append((kind, time.time()))
+        acting.append(asyncio.create_task(_act(kind, stage)))
+    await asyncio.gather(*acting)
+    return strikes
+
+
+async def _act(kind: Kind, stage: Stage) -> None:
+    assert kind.act is not None
+    with contextlib.suppress(ProcessLookupError):  # the other fault has ended it meanwhile
+        await kind.act(stage)
 
 
 def _after(stage: Stage, rig_s: float) -> float | None:
     return next((moment.wall_s for moment in stage.moments() if moment.rig_s >= rig_s - 1e-6), None)
 
 
-async def _follow(stage: Stage, kind: Kind, occurred_s: float, result: Result, thorough: bool) -> None:
+async def _follow(stage: Stage, case: Case, result: Result, thorough: bool) -> None:
     """Until the heater is off and the run has ended; a run that goes on is ended by SIGTERM."""
-    harness, began = stage.harness, time.monotonic()
+    harness, began, ending = stage.harness, time.monotonic(), case.ending
 
     def over() -> bool:
-        if kind.ending == "killed":
+        if ending == "killed":
             return stage.heater_W == 0.0
         return not harness.running or harness.ended_as() != ""
 
-    if kind.ending in ("rides", "either"):
+    if ending in ("rides", "either"):
         # Long enough for any limit to run out on a fault that lasts as long as these.
-        await stage.until(over, STALE_LIMIT_S + (4.0 if kind.ending == "either" else 0.0))
+        await stage.until(over, STALE_LIMIT_S + (4.0 if ending == "either" else 0.0))
         if harness.running and harness.ended_as() == "":
             result.ended = "rode through"
             if stage.heater_W <= 0.0:
@@ -126,10 +151,10 @@ async def _follow(stage: Stage, kind: Kind, occurred_s: float, result: Result, t
         await stage.can.restore()
     if not await stage.until(over, END_S):
         result.failures.append(f"the run has not ended {time.monotonic() - began:.0f} s after the fault")
-    if kind.ending == "killed":
+    if ending == "killed":
         await stage.until(lambda: False, 0.3)
         result.ended = "killed"
-    await _leave(stage, thorough and kind.ending != "killed", result)
+    await _leave(stage, thorough and ending != "killed", result)
 
 
 async def _ended(stage: Stage, result: Result) -> None:

@@ -22,7 +22,8 @@ from drivers.virtual.truth import Moment, read_truth
 from hil.bench import faults_judge as judge
 from hil.bench import processes
 from hil.bench.faults_disk import OwnDisk
-from hil.bench.faults_kinds import Kind, effect_text
+from hil.bench.faults_kinds import effect_text
+from hil.bench.faults_plan import Case
 from hil.bench.faults_rig import LOAD, PERIOD_S, prepare, rig_text
 from hil.bench.faults_tls import Certificates, make_certificates
 
@@ -163,17 +164,19 @@ class Stage:
 
 
 @contextlib.asynccontextmanager
-async def set_stage(kind: Kind, generator: random.Random, place: Path, onset_s: float) -> AsyncIterator[Stage]:
-    """Rig, wires and a run on it, all in `place`; a fault that the rig itself has begins at `onset_s` of its time."""
+async def set_stage(case: Case, generator: random.Random, place: Path, onset_s: float) -> AsyncIterator[Stage]:
+    """Rig, wires and a run on it, all in `place`; a first fault of the rig's own begins at `onset_s` of its time."""
     async with contextlib.AsyncExitStack() as stack:
         # What takes long goes to a thread: the relays of the cases beside this one must not stand still for it.
         certificates: Certificates | None = None
-        if kind.place == "tls":
+        if "tls" in case.places:
             certificates = await asyncio.to_thread(make_certificates, place)
         effects = None
-        if kind.effect:
+        begins = zip(case.kinds, (onset_s, onset_s + case.apart_s), strict=False)
+        texts = [effect_text(kind, generator, CHANNELS, at_s) for kind, at_s in begins if kind.effect]
+        if texts:
             effects = place / "effects.toml"
-            effects.write_text(effect_text(kind, generator, CHANNELS, onset_s), encoding="utf-8")
+            effects.write_text("\n".join(texts), encoding="utf-8")
         truth = place / "truth.bin"
         rig = await start_virtual_rig(
             seed=generator.randrange(2**31),
@@ -195,18 +198,18 @@ async def set_stage(kind: Kind, generator: random.Random, place: Path, onset_s: 
         text = rig_text(ports, None if certificates is None else certificates.harness)
         (place / "rig.toml").write_text(text, encoding="utf-8")
         (place / "load.csv").write_text(LOAD.format(generator.randrange(300, 600)), encoding="utf-8")
-        disk = await asyncio.to_thread(OwnDisk, place / "disk") if kind.place == "tmpfs" else None
+        disk = await asyncio.to_thread(OwnDisk, place / "disk") if "tmpfs" in case.places else None
         if disk is not None:
             stack.callback(disk.close)
-        harness = await _start(kind, place, disk)
+        harness = await _start(case, place, disk)
         stack.push_async_callback(harness.finish)
         yield Stage(generator, rig, plc, can, harness, truth, disk)
 
 
-async def _start(kind: Kind, place: Path, disk: OwnDisk | None) -> Harness:
+async def _start(case: Case, place: Path, disk: OwnDisk | None) -> Harness:
     command = [sys.executable, "-m", "hil", "run", str(place / "load.csv"), "--rig", str(place / "rig.toml")]
-    command += ["--calibrator", "least_squares"] if kind.place == "twin" else ["--no-twin"]
-    command += ["--viewer"] if kind.place == "viewer" else ["--no-viewer"]
+    command += ["--calibrator", "least_squares"] if "twin" in case.places else ["--no-twin"]
+    command += ["--viewer"] if "viewer" in case.places else ["--no-viewer"]
     where = place
     if disk is not None:
         command, where = disk.command(command), disk.path

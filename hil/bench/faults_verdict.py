@@ -7,10 +7,13 @@ from typing import Any
 
 from drivers.virtual.truth import Moment
 from hil.bench import faults_judge as judge
-from hil.bench.faults_kinds import Kind
+from hil.bench.faults_kinds import Ending, Kind
+from hil.bench.faults_plan import Case, worst
 from hil.bench.faults_rig import PERIOD_S, STALE_LIMIT_S, WATCHDOG_S
 from hil.bench.faults_stage import Stage
 
+Strike = tuple[Kind, float]
+"""A fault and the wall time at which it occurred, s."""
 REACT_S = 1.0
 """From detection to safe."""
 TRUTH_STEP_S = 2.0 * PERIOD_S
@@ -50,17 +53,28 @@ def as_document(result: Result) -> dict[str, Any]:
     return asdict(result)
 
 
-def judged(result: Result, kind: Kind, stage: Stage, occurred_s: float) -> judge.Journal:
+def judged(result: Result, case: Case, stage: Stage, strikes: list[Strike]) -> judge.Journal:
     """Fill in `result` from what rig and harness left; the journal."""
     truth, journal = stage.moments(), judge.read_journal(stage.look())
-    _judge(result, kind, stage, journal, truth, occurred_s)
+    _judge(result, case, stage, journal, truth, strikes)
     return journal
 
 
+def _blamed(case: Case, stage: Stage, journal: judge.Journal, strikes: list[Strike]) -> tuple[Ending, float]:
+    """What has to come of the faults that struck a run which went on, and since when: the gravest one's occurrence."""
+    left = judge.ended_at(journal, strikes[0][1])
+    if left is None and "tmpfs" in case.places:
+        left = stage.told_s
+    struck = [strikes[0], *((kind, at_s) for kind, at_s in strikes[1:] if left is None or at_s <= left)]
+    ending = worst(kind.ending for kind, _ in struck)
+    return ending, min(at_s for kind, at_s in struck if kind.ending == ending)
+
+
 def _judge(
-    result: Result, kind: Kind, stage: Stage, journal: judge.Journal, truth: list[Moment], occurred_s: float
+    result: Result, case: Case, stage: Stage, journal: judge.Journal, truth: list[Moment], strikes: list[Strike]
 ) -> None:
     harness = stage.harness
+    ending, occurred_s = _blamed(case, stage, journal, strikes)
     before = [moment for moment in truth if moment.wall_s <= occurred_s]
     result.heated = bool(before) and before[-1].heater_W > 0.0
     result.stall_s = max(judge.longest_stall_s(truth, harness.started_s), stage.starved_s)
@@ -71,7 +85,7 @@ def _judge(
     result.noticed = None if noticed is None else noticed - occurred_s
     rode = result.ended == "rode through"
     result.reason = next((row[3] for row in reversed(journal.states) if row[2] in ("finishing", "faulted")), "")
-    if left is None and kind.place == "tmpfs":
+    if left is None and "tmpfs" in case.places:
         left = stage.told_s  # its journal cannot say so any more
     detected = noticed if rode else min((t for t in (left, watchdog) if t is not None), default=None)
     if not rode:
@@ -80,22 +94,22 @@ def _judge(
         result.safe = None if safe is None else safe - occurred_s
     if detected is not None:
         result.detected = detected - occurred_s
-    if journal.ticks and kind.ending == "killed":
+    if journal.ticks and ending == "killed" and "tmpfs" not in case.places:
         result.unsaved_s = max(occurred_s - journal.wall_s[-1], 0.0)
-    if "Traceback" in harness.said() and not kind.early:
+    if "Traceback" in harness.said() and not case.early:
         result.failures.append("it ended with a traceback instead of a sentence")
-    result.failures += _broken(result, kind, journal, rode)
+    result.failures += _broken(result, ending, case.early, journal, rode)
 
 
-def _broken(result: Result, kind: Kind, journal: judge.Journal, rode: bool) -> list[str]:
+def _broken(result: Result, ending: Ending, early: bool, journal: judge.Journal, rode: bool) -> list[str]:
     """Which of the musts this case broke."""
     broken = []
-    if kind.ending == "rides" and not rode:
+    if ending == "rides" and not rode:
         broken.append("the run ended of a fault that it has to ride through")
-    if kind.ending == "stops" and rode:
+    if ending == "stops" and rode:
         broken.append("the run went on")
     if result.heated and not rode:
-        limit = WATCHDOG_S + TRUTH_STEP_S if kind.ending == "killed" else STALE_LIMIT_S
+        limit = WATCHDOG_S + TRUTH_STEP_S if ending == "killed" else STALE_LIMIT_S
         if result.safe is None:
             broken.append("the heater was never cut")
         elif result.safe > limit:
@@ -104,7 +118,7 @@ def _broken(result: Result, kind: Kind, journal: judge.Journal, rode: bool) -> l
             broken.append("never detected")
         elif result.safe is not None and result.safe - result.detected > REACT_S:
             broken.append(f"safe {result.safe - result.detected:.2f} s after detection")
-    if not result.heated and not kind.early:
+    if not result.heated and not early:
         result.struck = False
         broken.append("nothing heated when the fault came")
     if not result.heated and result.safe is None and not rode:
