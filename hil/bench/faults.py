@@ -121,7 +121,11 @@ def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
         ),
     )  # fmt: skip
     about = Table(
-        "about", "What the kinds are", ("kind", "what happens"), tuple((name, KINDS[name].about) for name in names)
+        "about",
+        "What the kinds are",
+        ("kind", "what happens"),
+        tuple((name, KINDS[name].about) for name in names),
+        ("Two of them at a time: `hil bench faults --pairs 40`, `faults_pairs.md`.",),
     )
     return (happened, _musts(results), about, *_broken(results))
 
