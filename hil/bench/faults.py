@@ -94,7 +94,7 @@ def measure(
     before = _cpu_s()
     results = asyncio.run(campaign(cases, seed, jobs=jobs, keep=keep, done=done))
     spent_s = (_cpu_s() - before) / max(len(results), 1)
-    found = pair_tables(results, seed, spent_s) if two else tables(results, spent_s)
+    found = pair_tables(results, seed) if two else tables(results, spent_s)
     return found, tuple(skipped), not any(result.failures for result in results)
 
 
@@ -125,12 +125,12 @@ def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
         "What the kinds are",
         ("kind", "what happens"),
         tuple((name, KINDS[name].about) for name in names),
-        ("Two of them at a time: `hil bench faults --pairs 40`, `faults_pairs.md`.",),
+        ("Two of them at a time: `hil bench faults --pairs 80`, `faults_pairs.md`.",),
     )
     return (happened, _musts(results), about, *_broken(results))
 
 
-def pair_tables(results: list[Result], seed: int, cpu_s: float) -> tuple[Table, ...]:
+def pair_tables(results: list[Result], seed: int) -> tuple[Table, ...]:
     """What happened by pair, the musts, and every pair that broke one."""
     rows: list[tuple[Cell, ...]] = []
     for r in results:
@@ -156,7 +156,7 @@ def pair_tables(results: list[Result], seed: int, cpu_s: float) -> tuple[Table, 
             "long after the first, while that lasts.",
             "After fault: after the first of the two that has to end a run, or after the kill of the harness.",
             "By: who detected, the harness or the rig's watchdog.",
-            f"{cpu_s:.1f} CPU seconds a run, those kept from before not counted.",
+            "With the wire to the heater down only the rig can act, whoever detects: see decision 0013.",
         ),
     )  # fmt: skip
     return (happened, _musts(results), *_broken(results))
@@ -192,7 +192,10 @@ def _row(name: str, results: list[Result]) -> tuple[Cell, ...]:
 def _musts(results: list[Result]) -> Table:
     """Each must with what was found."""
     heated = [r for r in results if r.heated and r.ended != "rode through"]
-    reacted = [r for r in heated if r.safe is not None and r.detected is not None]
+    # Nobody was left to detect what a rig that began anew cut by itself.
+    told = [r for r in heated if r.ended != "killed" or r.detected is not None]
+    deaf = [r for r in told if r.wire_down]
+    reacted = [r for r in told if r.safe is not None and r.detected is not None]
     killed = [r for r in heated if r.ended == "killed" and r.by == "rig"]
     stopped = [r for r in heated if r not in killed]
     cold = [r for r in results if not r.heated]
@@ -203,7 +206,7 @@ def _musts(results: list[Result]) -> Table:
     cut = sum(r.safe <= WATCHDOG_S + 2 * PERIOD_S for r in killed if r.safe is not None)
     riding = [r for r in results if r.ended == "rode through"]
     rows: list[tuple[Cell, ...]] = [
-        (f"safe within {REACT_S:g} s of detection", f"{quick} of {len(heated)}"),
+        (f"safe within {REACT_S:g} s of detection", f"{quick} of {len(told)}"),
         (f"safe within the stale limit of {STALE_LIMIT_S:g} s of the fault", f"{timely} of {len(stopped)}"),
         (f"harness gone: cut by the rig's watchdog of {WATCHDOG_S:g} s", f"{cut} of {len(killed)}"),
         ("struck before anything heated, and nothing did", f"{sum(not r.failures for r in cold)} of {len(cold)}"),
@@ -216,6 +219,11 @@ def _musts(results: list[Result]) -> Table:
         ("age of the last durable sample at a kill, worst, s", f"{max(unsaved):.2f}" if unsaved else "-"),
         ("resumable runs resumed", f"{sum(resumed)} of {len(resumed)}" if resumed else "not tried"),
     ]
+    if deaf:
+        after = [r.safe - r.detected for r in deaf if r.safe is not None and r.detected is not None]
+        cut = sum(x <= WATCHDOG_S + 2 * PERIOD_S for x in after)
+        said = f"{cut} of {len(deaf)}, worst {max(after, default=0.0):.2f} s after detection"
+        rows.insert(1, ("of these with the wire to the heater down: cut by the rig's watchdog", said))
     again = sum(result.attempts > 1 for result in results)
     note = (
         f"{again} cases were repeated: a limit was missed while rig, harness or relays waited {STALL_S:g} s or "

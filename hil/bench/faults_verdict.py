@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -44,6 +45,8 @@ class Result:
     stall_s: float = 0.0
     attempts: int = 1
     resumed: bool | None = None
+    wire_down: bool = False
+    """Of two faults: whether the harness knew while its wire to the heater was down, so that only the rig could act."""
     struck: bool = True
     """Whether the fault came while something heated, where it had to."""
 
@@ -94,6 +97,9 @@ def _judge(
         result.safe = None if safe is None else safe - occurred_s
     if detected is not None:
         result.detected = detected - occurred_s
+        cut_by_rig = watchdog is not None and safe is not None and abs(watchdog - safe) <= TRUTH_STEP_S
+        wires = (at_s for kind, at_s in strikes if kind.wire == "plc" and kind.ending != "rides")
+        result.wire_down = len(strikes) > 1 and cut_by_rig and min(wires, default=math.inf) <= detected
     if journal.ticks and ending == "killed" and "tmpfs" not in case.places:
         result.unsaved_s = max(occurred_s - journal.wall_s[-1], 0.0)
     if "Traceback" in harness.said() and not case.early:
@@ -114,9 +120,11 @@ def _broken(result: Result, ending: Ending, early: bool, journal: judge.Journal,
             broken.append("the heater was never cut")
         elif result.safe > limit:
             broken.append(f"safe {result.safe:.2f} s after the fault, the limit is {limit:g} s")
+        react_s = WATCHDOG_S + TRUTH_STEP_S if result.wire_down else REACT_S
         if result.detected is None:
-            broken.append("never detected")
-        elif result.safe is not None and result.safe - result.detected > REACT_S:
+            # Of a harness that hangs on a rig that began anew there is nothing left to detect.
+            broken += [] if ending == "killed" and result.safe is not None else ["never detected"]
+        elif result.safe is not None and result.safe - result.detected > react_s:
             broken.append(f"safe {result.safe - result.detected:.2f} s after detection")
     if not result.heated and not early:
         result.struck = False

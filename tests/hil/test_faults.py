@@ -76,7 +76,7 @@ def test_two_faults_at_a_time_break_no_must():
     assert stopped.safe <= STALE_LIMIT_S
     assert (hung.ended, hung.by) == ("killed", "rig")
     assert hung.safe <= WATCHDOG_S + 0.2
-    table, musts = pair_tables(found, SEED, 2.0)
+    table, musts = pair_tables(found, SEED)
     assert [row[0] for row in table.rows] == list(TWO_AT_A_TIME)
     assert dict(musts.rows)["wrong values recorded as good"] == "0"
 
