@@ -71,7 +71,26 @@ def unsaid(rig: Rig) -> list[str]:
         ("no max_rate, so that a profile may jump", [p.name for p in rig.setpoints if p.max_rate is None]),
         ("no readback, so that nobody sees whether it obeys", [p.name for p in rig.setpoints if p.readback is None]),
     )
-    return [f"{what}: {', '.join(names)}" for what, names in groups if names]
+    return [f"{what}: {', '.join(names)}" for what, names in groups if names] + _unwatched(rig)
+
+
+def _unwatched(rig: Rig) -> list[str]:
+    """What is open about who cuts the heater when nobody else can."""
+    if not rig.setpoints:
+        return []
+    if rig.heartbeat is None:
+        return ["no [heartbeat], so that nothing cuts the heater when this computer dies or the link is gone"]
+    if rig.watchdog_s is None:
+        return [
+            f"heartbeat has no watchdog, so that the rig's own time-out is not set from here: see that it is at most "
+            f"abort_after_s, {rig.abort_after_s:g} s"
+        ]
+    if rig.watchdog_s > rig.abort_after_s:
+        return [
+            f"watchdog_s is {rig.watchdog_s:g} s, so that without a link the heater may be on for longer than "
+            f"abort_after_s, {rig.abort_after_s:g} s"
+        ]
+    return []
 
 
 def unit_of_count(block: Block) -> str:

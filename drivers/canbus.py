@@ -166,8 +166,11 @@ class CanReceiver:
         config = self._config
         try:
             if config.transport == "socketcand":
-                # python-can retries a refused connection for ten seconds in a busy loop: ask first
-                socket.create_connection((config.host, config.port), timeout=config.timeout_s).close()
+                # python-can retries a refused connection for ten seconds in a busy loop, and waits for ever for the
+                # greeting of whatever else listens there: ask first
+                with socket.create_connection((config.host, config.port), timeout=config.timeout_s) as probe:
+                    if not probe.recv(16).startswith(b"<"):  # "< hi >"
+                        raise LinkError(f"{self._where}: what listens there is no socketcand; correct host and port")
                 return can.Bus(
                     interface="socketcand", channel=config.channel, host=config.host, port=config.port, tcp_tune=True
                 )

@@ -267,7 +267,11 @@ class Heartbeat(_Section):
 
     `arm` is the point that lets outputs go live when 1 is written. The rig says on `status` that it has tripped by
     itself: any bit of `trip_mask`. Those of `watchdog_mask` say no more than that the heartbeat stayed away, as it does
-    after every run; any other must be acknowledged before the next one starts.
+    after every run; any other must be acknowledged before the next one starts. `counter` must advance within
+    `timeout_s`.
+
+    `watchdog` is the point, in s, that says how long the rig waits for a beat before it cuts its heater itself. Where
+    it is named the harness sets it before it arms (`Rig.watchdog_s`), and arms no rig that does not hold it.
     """
 
     point: str
@@ -276,6 +280,8 @@ class Heartbeat(_Section):
     status: str | None = None
     trip_mask: Annotated[int, Field(ge=0, le=65535)] = 0
     watchdog_mask: Annotated[int, Field(ge=0, le=65535)] = 0
+    watchdog: str | None = None
+    watchdog_s: Annotated[float, Field(gt=0)] | None = None
     timeout_s: Annotated[float, Field(gt=0)] = 10.0
 
 
@@ -302,6 +308,20 @@ class Rig(_Section):
     def setpoints(self) -> tuple[Point, ...]:
         """Points that a profile may drive, in file order."""
         return tuple(point for point in self.point if point.is_setpoint)
+
+    @property
+    def watchdog_s(self) -> float | None:
+        """Time-out that the harness gives the rig's own watchdog, s; None where it is not told how.
+
+        As the rig file says, else `abort_after_s`: with the link gone the rig need not wait longer than the harness.
+        Rounded down to what the point can hold.
+        """
+        if self.heartbeat is None or self.heartbeat.watchdog is None:
+            return None
+        wanted, point = self.heartbeat.watchdog_s or self.abort_after_s, self.get(self.heartbeat.watchdog)
+        if point.type.startswith("float"):
+            return wanted
+        return math.floor((wanted - point.offset) / point.scale + 1e-9) * point.scale + point.offset
 
     def get(self, name: str) -> Point:
         """The point called `name`; KeyError where there is none."""
@@ -417,11 +437,37 @@ def _cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
         if bus.uptime is not None and not any(p.name == bus.uptime and p.bus == name for p in rig.point):
             found.append((("bus", name, "uptime"), f"bus {name}: no point {bus.uptime!r} on this bus for uptime"))
     if rig.heartbeat is not None:
-        for key in ("point", "counter", "arm", "status"):
+        for key in ("point", "counter", "arm", "status", "watchdog"):
             named = getattr(rig.heartbeat, key)
             if named is not None and named not in names:
                 found.append((("heartbeat", key), f"heartbeat: no point {named!r}; declare it or correct {key}"))
-    return found + _interlock_checks(rig)
+    return found + _watchdog_checks(rig) + _interlock_checks(rig)
+
+
+def _watchdog_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
+    """Why the rig's watchdog cannot be given its time-out."""
+    heartbeat, place = rig.heartbeat, ("heartbeat", "watchdog")
+    if heartbeat is not None and heartbeat.watchdog is None and heartbeat.watchdog_s is not None:
+        return [(("heartbeat", "watchdog_s"), "heartbeat: watchdog_s is written to a point; name it as watchdog")]
+    point = next((p for p in rig.point if heartbeat is not None and p.name == heartbeat.watchdog), None)
+    if point is None:
+        return []
+    if point.access == "r" or point.is_setpoint or point.unit != "s":
+        return [(place, f"heartbeat: {point.name} must be in s, have access 'rw' and no limits, to hold a time-out")]
+    seconds = rig.watchdog_s or 0.0
+    if seconds < 2.0 * rig.period_s:
+        return [
+            (
+                place,
+                f"heartbeat: a watchdog of {seconds:g} s would cut the heater between two beats; "
+                f"make watchdog_s (else abort_after_s) at least two periods, {2.0 * rig.period_s:g} s",
+            )
+        ]
+    try:
+        encode((seconds - point.offset) / point.scale, point.type, point.order)
+    except CodecError as error:
+        return [(place, f"heartbeat: {seconds:g} s cannot be written to {point.name}: raw {error}; shorten watchdog_s")]
+    return []
 
 
 def misplaced(point: Point, bus: ModbusTcpBus) -> list[tuple[str, str]]:

@@ -21,7 +21,7 @@ VERBS = {
     "commission": "Fit a twin to a healthy record",
     "ctl": "Hold, pause, resume, abort or ask a live run",
     "diagnose": "Trace what a twin gets wrong to the effect that it lacks",
-    "init": "Write a rig file of a register table, Telegraf, Home Assistant or DBC",
+    "init": "Write a rig file: of what is on the rig, a register table, Telegraf, DBC ...",
     "profile": "Build and picture load profiles",
     "resume": "Go on with a run that a crash or a fault cut",
     "review": "Look at a run in Rerun: measured against twin",

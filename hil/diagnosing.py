@@ -22,6 +22,9 @@ from drivers.rigfile import file_sha256
 from hil import __version__
 from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
 from hil.record import Record, read_record
+from hil.record_time import span
+from hil.run_folder import RunFolder
+from hil.segments import longest
 from twin.discovery.basis import Columns
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.engine import diagnose
@@ -54,6 +57,8 @@ def subject_of(target: Path, twin: Path | None, out: Path | None) -> Subject:
     if target.is_dir():
         record, own = target / "record.parquet", target / "twin.toml"
         if not record.is_file():
+            if RunFolder(target).was_cut:
+                raise DiagnosingError(f"{target} was cut and has no record yet; `hil resume {target}` goes on with it")
             raise DiagnosingError(f"{target} holds no record.parquet; give a run folder of a finished run, or a record")
         chosen = twin or own
         if not chosen.is_file():
@@ -111,6 +116,31 @@ def columns_of(network: Network, record: Record, hour_at_0: float | None) -> Col
     return Columns.of(network, record.time_s, columns)
 
 
+def longest_segment(record: Record) -> Record:
+    """The longest part of a run that was cut and resumed, with a message that says so; any other record as it is.
+
+    Across a gap no twin can be followed: nobody knows what heated meanwhile, and the rig came back colder.
+    """
+    segment = record.columns.get("segment")
+    if segment is None or "profile_s" not in record.columns:  # another logger's column may be called so too
+        return record
+    rows = longest(segment)
+    if rows == slice(0, len(segment)):
+        return record
+    low, high = record.time_s[rows][[0, -1]]
+    said = (
+        f"the run was cut and resumed: diagnosed is its longest part, {span(float(low))} to {span(float(high))} of the "
+        "record, since nobody knows what the rig did in the gaps"
+    )
+    return dataclasses.replace(
+        record,
+        time_s=record.time_s[rows],
+        columns={name: values[rows] for name, values in record.columns.items()},
+        quality={name: values[rows] for name, values in record.quality.items()},
+        messages=(*record.messages, said),
+    )
+
+
 def read_columns(
     network: Network, path: Path, hour_at_0: float | None, *, at_rest: bool = False
 ) -> tuple[Columns, tuple[str, ...]]:
@@ -120,6 +150,8 @@ def read_columns(
         RecordError, TwinFileError: it cannot be read, lacks a column or is too short; the message names the file.
     """
     record = read_record(path, at_rest=at_rest)
+    if not at_rest:
+        record = longest_segment(record)
     hour = hour_at_0 if hour_at_0 is not None else start_hour(record)
     try:
         columns = columns_of(network, record, hour)

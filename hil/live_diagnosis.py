@@ -24,6 +24,7 @@ from drivers.points import ConfigurationError, Quality
 from hil.child import Child
 from hil.journal import JournalReader, JournalWriter
 from hil.journal_rows import Samples
+from hil.segments import longest
 
 if TYPE_CHECKING:
     from twin.discovery.basis import Columns
@@ -193,14 +194,17 @@ class _Worker:
         try:
             new = reader.samples(int(self._blocks[-1].tick[-1]) if self._blocks else -1)
             names = [signal.column for signal in reader.header.signals]
+            begins = [row.tick for row in reader.segments()]
         finally:
             reader.close()
         if len(new.tick):
             self._blocks.append(new)
         if not self._blocks:
             return None
-        time_s = np.concatenate([b.time_s for b in self._blocks])
-        values = np.concatenate([np.where(b.quality == Quality.GOOD, b.values, np.nan) for b in self._blocks])
+        # No twin can be followed across the gap of a run that was cut.
+        rows = longest(np.searchsorted(begins, np.concatenate([b.tick for b in self._blocks]), side="right"))
+        time_s = np.concatenate([b.time_s for b in self._blocks])[rows]
+        values = np.concatenate([np.where(b.quality == Quality.GOOD, b.values, np.nan) for b in self._blocks])[rows]
         return columns_of(self._network, Record(time_s, dict(zip(names, values.T, strict=True))), None)
 
     def _adopt(self, diagnosis: Diagnosis, found: Found) -> tuple[str, str]:

@@ -10,6 +10,8 @@ from hil.safing import write_safe
 from hil.setpoints import Setpoints
 
 ARMING_TICKS = 3
+_HELD = 0.01
+"""How far a time-out that is read back may be from what was written, of it: what a float loses on the way."""
 
 
 class Outputs:
@@ -45,10 +47,14 @@ class Outputs:
         return {self._rig.heartbeat.point: float(self._beat)}
 
     async def arm(self, advance: Callable[[], Awaitable[None]], tripped: Callable[[Snapshot], str | None]) -> None:
-        """Write safe set-points, start the heartbeat, arm the outputs; raises LinkError where the rig stays tripped."""
+        """Write safe set-points, give the rig's watchdog its time-out, start the heartbeat, arm the outputs.
+
+        Raises LinkError where the rig does not hold that time-out or stays tripped.
+        """
         await self._connection.write(self.values)
         if self._rig.heartbeat is None:
             return
+        await self._set_watchdog()
         why: str | None = None
         for _ in range(ARMING_TICKS):
             await self._connection.write(self.heartbeat())
@@ -91,7 +97,28 @@ class Outputs:
         await self._connection.write(self.values | self.heartbeat())
         self._safe_held = True
         if arm:
+            await self._set_watchdog()  # a rig that began anew has forgotten it
             await self._write_arm()
+
+    async def _set_watchdog(self) -> None:
+        """Have the rig hold the time-out of its own watchdog, read back; nothing where it is not told how."""
+        seconds = self._rig.watchdog_s
+        if seconds is None:
+            return
+        assert self._rig.heartbeat is not None and self._rig.heartbeat.watchdog is not None
+        name = self._rig.heartbeat.watchdog
+        try:
+            await self._connection.write({name: seconds})
+        except DeviceExceptionError as error:
+            raise LinkError(
+                f"not armed: the rig refuses a watchdog time-out of {seconds:g} s ({error}); correct watchdog_s"
+            ) from error
+        held = (await self._connection.read_back((name,)))[name]
+        if not abs(held - seconds) <= _HELD * seconds:
+            raise LinkError(
+                f"not armed: {name} holds {held:g} s instead of the {seconds:g} s that the rig's own watchdog is to "
+                "wait; it may be locked in the rig: have it released, or take watchdog out of the rig file"
+            )
 
     async def _write_arm(self) -> None:
         if self._rig.heartbeat is not None and self._rig.heartbeat.arm is not None:

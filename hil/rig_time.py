@@ -56,7 +56,11 @@ async def rig_and_clock(
 
 
 def _patient(rig: Rig, speed: float) -> Rig:
-    """`rig` with its staleness limits, which are in rig time, widened by a hiccup of the machine."""
+    """`rig` with the limits of staleness and of its watchdog, in rig time, widened by a hiccup of the machine."""
     hiccup_s = HICCUP_S * speed
     points = tuple(p.model_copy(update={"stale_after_s": p.stale_after_s + hiccup_s}) for p in rig.point)
-    return rig.model_copy(update={"point": points, "abort_after_s": rig.abort_after_s + hiccup_s})
+    changed: dict[str, object] = {"point": points, "abort_after_s": rig.abort_after_s + hiccup_s}
+    if rig.heartbeat is not None and rig.heartbeat.watchdog_s is not None:
+        longer = {"watchdog_s": rig.heartbeat.watchdog_s + hiccup_s}
+        changed["heartbeat"] = rig.heartbeat.model_copy(update=longer)
+    return rig.model_copy(update=changed)

@@ -88,6 +88,17 @@ class RunFolder:
             ) from error
         return document
 
+    @property
+    def was_cut(self) -> bool:
+        """Whether its run neither ended nor goes on: it was killed, or its power went."""
+        try:
+            if self.read_manifest()["exit_status"] != "running":
+                return False
+            with self.owned():
+                return True
+        except (RunFolderError, KeyError):
+            return False
+
     @contextlib.contextmanager
     def owned(self) -> Iterator[None]:
         """Hold the folder as the one run that goes on in it; raises RunFolderError where another process does.

@@ -59,3 +59,10 @@ def profile_times(states: Sequence[StateRow], tick: NDArray[np.int64], period_s:
         for value in (lambda r: r.tick, lambda r: r.profile_s, lambda r: r.target == State.RUNNING)
     )
     return np.asarray(row_s + np.where(goes, (tick - row_tick) * period_s, 0.0), dtype=np.float64)
+
+
+def longest(segment: NDArray[np.generic]) -> slice:
+    """The rows of the segment that has most; `segment (n,)` never falls."""
+    _, first, counts = np.unique(segment, return_index=True, return_counts=True)
+    k = int(np.argmax(counts)) if len(counts) else 0
+    return slice(int(first[k]), int(first[k] + counts[k])) if len(counts) else slice(0, 0)

@@ -85,7 +85,8 @@ class Supervisor:
             return "aborting: the outputs go to their safe values; the run's own terminal says when they are there"
         if self.state not in LIVE or self.soaks:
             what = "leads its rig back to where it was cut" if self.soaks else f"is {self.state}"
-            raise RefusedError(f"a run that {what} can only be aborted")
+            then = "; `hil ctl abort` leaves it safe, and `hil resume` leads it back again" if self.soaks else ""
+            raise RefusedError(f"a run that {what} can only be aborted{then}")
         return await self._desk.ask(verb, reason)
 
     def step(

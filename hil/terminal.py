@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -127,7 +127,8 @@ class Steps:
         )
         self._task: TaskID = self._progress.add_task(what, total=total, completed=int(begun), note="")
         self._total = total
-        self._began = self._last_line = time.monotonic()
+        self._seen = self._last_line = time.monotonic()
+        self._done, self._spent = begun, 0.0
         self._lines = not self._console.is_terminal
 
     def __enter__(self) -> Self:
@@ -143,10 +144,16 @@ class Steps:
         """`done` of the total are behind; `note` is shown beside the bar."""
         self._progress.update(self._task, completed=done, note=note)
         now = time.monotonic()
-        if self._lines and now - self._last_line >= LINE_EVERY_S and done > self._begun:
-            self._last_line = now
-            eta = (now - self._began) * (self._total - done) / (done - self._begun)
-            self._console.print(f"{self._what}: {100 * done / self._total:3.0f} %, ETA {eta:.0f} s  {note}")
+        if done > self._done:  # a run that soaks or waits says nothing of how long the rest takes
+            self._spent += now - self._seen
+        self._done, self._seen = done, now
+        if not self._lines or now - self._last_line < LINE_EVERY_S or (done <= self._begun and not note):
+            return
+        self._last_line = now
+        eta = ""
+        if done > self._begun:
+            eta = f", ETA {self._spent * (self._total - done) / (done - self._begun):.0f} s"
+        self._console.print(f"{self._what}: {100 * done / self._total:3.0f} %{eta}  {note}", markup=False)
 
     def say(self, text: str) -> None:
         """A line above the bar."""
@@ -200,8 +207,9 @@ class LiveRun:
         out.print()
         if result.comparison is not None:
             show_comparison(out, result.comparison, f"RMSE in K over {hours(result.duration_s)}")
+        gaps = cut_time(result.folder.read_manifest())
         out.print(
-            f"{outcome.status}: {hours(result.duration_s)} of rig time in {result.wall_s:.1f} s"
+            f"{outcome.status}: {hours(result.duration_s)} of rig time in {result.wall_s:.1f} s{gaps}"
             + (f", {outcome.overruns} late ticks" if outcome.overruns else "")
             + (f": {outcome.reason}" if outcome.reason else ""),
             highlight=False,
@@ -225,3 +233,13 @@ class LiveRun:
             out.print(
                 f"no display here; a picture: {invocation()} review {path} --screenshot review.png", soft_wrap=True
             )
+
+
+def cut_time(manifest: dict[str, Any]) -> str:
+    """What gaps and soaks had of a run's time, in brackets; nothing of a run that was never cut."""
+    segments = manifest.get("segments", [])
+    if not segments:
+        return ""
+    times = "once" if len(segments) == 1 else f"{len(segments)} times"
+    gap_s, soaked_s = (sum(segment.get(key, 0.0) for segment in segments) for key in ("gap_s", "soaked_s"))
+    return f" (cut {times}: {hours(gap_s)} without a row, {hours(soaked_s)} until the rig was back where it was)"

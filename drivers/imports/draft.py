@@ -26,12 +26,13 @@ class ImportFileError(ConfigurationError):
 
 @dataclass(slots=True)
 class DraftPoint:
-    """One point as it will be written: the rig file's keys, and where it came from."""
+    """One point as it will be written: the rig file's keys, where it came from, and what is said behind a key."""
 
     name: str
     line: int
     keys: dict[str, Any]
     comment: str = ""
+    remarks: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -45,11 +46,18 @@ class DraftBus:
 
 @dataclass(slots=True)
 class Draft:
-    """A rig file to be. `notes` are what could not be taken over, for the user's eyes and the file's head."""
+    """A rig file to be. `notes` are what could not be taken over, for the user's eyes and the file's head.
+
+    `head` stands in for what an import writes at the top, `rig` are further keys of `[rig]` with a remark each, and
+    `sections` are written as they are, before the points.
+    """
 
     source: Path
     buses: list[DraftBus]
     notes: list[str] = field(default_factory=list)
+    head: str = ""
+    rig: dict[str, tuple[Any, str]] = field(default_factory=dict)
+    sections: list[str] = field(default_factory=list)
 
 
 def read_text(path: Path) -> str:
@@ -182,25 +190,36 @@ _HEAD = """\
 
 def write(draft: Draft, name: str, *, period_s: float = 1.0) -> str:
     """The rig file's text."""
-    lines = [_HEAD.format(source=_plain(draft.source.name))]
+    lines = [draft.head or _HEAD.format(source=_plain(draft.source.name))]
     if draft.notes:
         lines += ["# To look at:", *(f"#   {_plain(note)}" for note in draft.notes), ""]
     lines += ["[rig]", f"name = {_toml(name)}", f"period_s = {_toml(period_s)}"]
+    lines += [_line(key, value, remark) for key, (value, remark) in draft.rig.items()]
     for bus in draft.buses:
         lines += ["", f"[bus.{bus.name}]", *(f"{key} = {_toml(value)}" for key, value in bus.keys.items())]
+    for section in draft.sections:
+        lines += ["", section]
     for bus in draft.buses:
         lines += ["", f"# {bus.name} " + "-" * (100 - len(bus.name))]
         for point in bus.points:
             lines += ["", "[[point]]", f"name = {_toml(point.name)}"]
             if point.comment:
                 lines.append(f"# {_plain(point.comment)}")
-            lines += _keys(point.keys)
+            lines += _keys(point)
     return "\n".join(lines) + "\n"
 
 
-def _keys(keys: dict[str, Any]) -> Iterable[str]:
+def _line(key: str, value: Any, remark: str) -> str:
+    text = f"{key} = {_toml(value)}"
+    return f"{text:<24} # {_plain(remark)}" if remark else text
+
+
+def _keys(point: DraftPoint) -> Iterable[str]:
+    keys = point.keys
     for key, value in keys.items():
-        yield f"{key} = {_toml(value)}"
+        yield _line(key, value, point.remarks.get(key, ""))
+    if "limits" in keys or keys.get("kind") == "status":
+        return
     if keys.get("table") in ("holding", "input", None) and "plausible" not in keys and "labels" not in keys:
         yield "# plausible = [low, high]"
     if keys.get("access") in ("w", "rw"):

@@ -1,5 +1,6 @@
 """`hil bench faults`: seeded faults of every kind on the virtual rig, and what became of heater, samples and values.
 
+With `--pairs` two of them at a time, the second while the first lasts. The musts are the same.
 Each case is `hil run` in a process of its own against a virtual rig of its own, in real time at ten hertz. What was
 true is told by the rig (`drivers.virtual.truth`), never by the harness. Finished cases are kept and not run again.
 """
@@ -15,20 +16,16 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from hil.atomic import replacing
-from hil.bench.faults_case import REACT_S, STALL_S, Result, as_document, run_case
+from hil.bench.faults_case import STALL_S, run_case
 from hil.bench.faults_kinds import KINDS
+from hil.bench.faults_plan import AND, case_of, pairs, singles
 from hil.bench.faults_rig import PERIOD_S, STALE_LIMIT_S, WATCHDOG_S
 from hil.bench.faults_tls import NoOpenSSLError
+from hil.bench.faults_verdict import REACT_S, Result, as_document
 from hil.bench.report import Cell, Table
 
 ROOT = Path(__file__).resolve().parents[2]
 _SOURCES = ("hil/*.py", "hil/bench/faults*.py", "drivers/*.py", "drivers/virtual/*.py", "profiles/rigs/*")
-
-
-def plan(runs: int, kinds: Sequence[str] = ()) -> list[tuple[str, int]]:
-    """Kind and number of each case: all kinds in turn until there are `runs`."""
-    names = list(kinds) or list(KINDS)
-    return [(names[k % len(names)], k // len(names)) for k in range(runs)]
 
 
 async def campaign(
@@ -52,7 +49,8 @@ async def campaign(
             result = None if path is None else _kept(path)
             if result is None:
                 # The first of each kind is followed to its record and report, the others are spared that.
-                result = await run_case(kind, number, seed, thorough=number == 0, resume=resume)
+                thorough = number == 0 and AND not in kind
+                result = await run_case(kind, number, seed, thorough=thorough, resume=resume)
                 if path is not None:
                     with replacing(path) as temporary:
                         temporary.write_text(json.dumps(as_document(result), indent=1), encoding="utf-8")
@@ -70,16 +68,22 @@ def measure(
     *,
     kinds: Sequence[str] = (),
     jobs: int = 2,
+    two: bool = False,
 ) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
-    """The campaign's tables, what was left out, and whether every must was kept. `progress`: share done, last case."""
+    """The campaign's tables, what was left out, and whether every must was kept. `progress`: share done, last case.
+
+    `two`: `runs` pairs of faults.
+    """
     keep = work / f"{_fingerprint()}_{seed}"
     keep.mkdir(parents=True, exist_ok=True)
-    cases, skipped = plan(runs, kinds), []
+    skipped: list[str] = []
+    names = list(kinds) or list(KINDS)
     try:
         _need_openssl()
     except NoOpenSSLError as error:
-        cases = [case for case in cases if KINDS[case[0]].place != "tls"]
+        names = [name for name in names if KINDS[name].place != "tls"]
         skipped.append(f"faults beneath TLS: {error}")
+    cases = pairs(runs, seed, names) if two else singles(runs, names)
     finished: list[Result] = []
 
     def done(result: Result) -> None:
@@ -90,7 +94,8 @@ def measure(
     before = _cpu_s()
     results = asyncio.run(campaign(cases, seed, jobs=jobs, keep=keep, done=done))
     spent_s = (_cpu_s() - before) / max(len(results), 1)
-    return tables(results, spent_s), tuple(skipped), not any(result.failures for result in results)
+    found = pair_tables(results, seed) if two else tables(results, spent_s)
+    return found, tuple(skipped), not any(result.failures for result in results)
 
 
 def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
@@ -116,13 +121,50 @@ def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
         ),
     )  # fmt: skip
     about = Table(
-        "about", "What the kinds are", ("kind", "what happens"), tuple((name, KINDS[name].about) for name in names)
+        "about",
+        "What the kinds are",
+        ("kind", "what happens"),
+        tuple((name, KINDS[name].about) for name in names),
+        ("Two of them at a time: `hil bench faults --pairs 80`, `faults_pairs.md`.",),
     )
+    return (happened, _musts(results), about, *_broken(results))
+
+
+def pair_tables(results: list[Result], seed: int) -> tuple[Table, ...]:
+    """What happened by pair, the musts, and every pair that broke one."""
+    rows: list[tuple[Cell, ...]] = []
+    for r in results:
+        ended = r.heated and r.safe is not None and r.detected is not None and r.ended != "rode through"
+        resumed = None if r.resumed is None else "yes" if r.resumed else "no"
+        rows.append(
+            (
+                r.kind, case_of(r.kind, r.number, seed).apart_s, r.ended, r.by or None,
+                max((r.safe or 0.0) - (r.detected or 0.0), 0.0) if ended else None, r.safe if ended else None,
+                r.acknowledged, r.lost, len(r.wrong), resumed,
+            )
+        )  # fmt: skip
+    happened = Table(
+        "pairs",
+        f"{len(results)} pairs of faults on the virtual rig",
+        (
+            "first + second", "apart s", "ended", "by", "safe after detection s", "safe after fault s", "samples",
+            "lost", "wrong", "resumed",
+        ),
+        tuple(rows),
+        (
+            "Drawn so that every kind comes about equally often, but for two faults of one wire. The second strikes so "
+            "long after the first, while that lasts.",
+            "After fault: after the first of the two that has to end a run, or after the kill of the harness.",
+            "By: who detected, the harness or the rig's watchdog.",
+            "With the wire to the heater down only the rig can act, whoever detects: see decision 0013.",
+        ),
+    )  # fmt: skip
+    return (happened, _musts(results), *_broken(results))
+
+
+def _broken(results: list[Result]) -> tuple[Table, ...]:
     broken = tuple((f"{r.kind} {r.number}", "; ".join(r.failures)) for r in results if r.failures)
-    found = [happened, _musts(results), about]
-    if broken:
-        found.append(Table("broken", "Cases that broke a must", ("case", "what"), broken))
-    return tuple(found)
+    return (Table("broken", "Cases that broke a must", ("case", "what"), broken),) if broken else ()
 
 
 def _row(name: str, results: list[Result]) -> tuple[Cell, ...]:
@@ -150,9 +192,12 @@ def _row(name: str, results: list[Result]) -> tuple[Cell, ...]:
 def _musts(results: list[Result]) -> Table:
     """Each must with what was found."""
     heated = [r for r in results if r.heated and r.ended != "rode through"]
-    reacted = [r for r in heated if r.safe is not None and r.detected is not None]
-    killed = [r for r in heated if r.ended == "killed"]
-    stopped = [r for r in heated if r.ended != "killed"]
+    # Nobody was left to detect what a rig that began anew cut by itself.
+    told = [r for r in heated if r.ended != "killed" or r.detected is not None]
+    deaf = [r for r in told if r.wire_down]
+    reacted = [r for r in told if r.safe is not None and r.detected is not None]
+    killed = [r for r in heated if r.ended == "killed" and r.by == "rig"]
+    stopped = [r for r in heated if r not in killed]
     cold = [r for r in results if not r.heated]
     resumed = [r.resumed for r in results if r.resumed is not None]
     unsaved = [r.unsaved_s for r in results if r.unsaved_s is not None]
@@ -161,7 +206,7 @@ def _musts(results: list[Result]) -> Table:
     cut = sum(r.safe <= WATCHDOG_S + 2 * PERIOD_S for r in killed if r.safe is not None)
     riding = [r for r in results if r.ended == "rode through"]
     rows: list[tuple[Cell, ...]] = [
-        (f"safe within {REACT_S:g} s of detection", f"{quick} of {len(heated)}"),
+        (f"safe within {REACT_S:g} s of detection", f"{quick} of {len(told)}"),
         (f"safe within the stale limit of {STALE_LIMIT_S:g} s of the fault", f"{timely} of {len(stopped)}"),
         (f"harness gone: cut by the rig's watchdog of {WATCHDOG_S:g} s", f"{cut} of {len(killed)}"),
         ("struck before anything heated, and nothing did", f"{sum(not r.failures for r in cold)} of {len(cold)}"),
@@ -174,6 +219,11 @@ def _musts(results: list[Result]) -> Table:
         ("age of the last durable sample at a kill, worst, s", f"{max(unsaved):.2f}" if unsaved else "-"),
         ("resumable runs resumed", f"{sum(resumed)} of {len(resumed)}" if resumed else "not tried"),
     ]
+    if deaf:
+        after = [r.safe - r.detected for r in deaf if r.safe is not None and r.detected is not None]
+        cut = sum(x <= WATCHDOG_S + 2 * PERIOD_S for x in after)
+        said = f"{cut} of {len(deaf)}, worst {max(after, default=0.0):.2f} s after detection"
+        rows.insert(1, ("of these with the wire to the heater down: cut by the rig's watchdog", said))
     again = sum(result.attempts > 1 for result in results)
     note = (
         f"{again} cases were repeated: a limit was missed while rig, harness or relays waited {STALL_S:g} s or "

@@ -42,7 +42,8 @@ class Kind:
     """`act` is None where the rig itself has the fault, by `effect`, a TOML table without onset.
 
     `early`: it may come at any instant, also before anything is moved. `place`: `tmpfs` for a disk of its own,
-    `tls` for Modbus over TLS, `twin` with a calibrator, `viewer` with a viewer.
+    `tls` for Modbus over TLS, `twin` with a calibrator, `viewer` with a viewer. `wire` is what it acts on, `plc` or
+    `can`, where it acts on one.
     """
 
     about: str
@@ -51,6 +52,7 @@ class Kind:
     effect: str = ""
     early: bool = False
     place: str = ""
+    wire: str = ""
 
 
 def _lasting(change: Callable[[random.Random], replies.Change], wire: str = "plc") -> Act:
@@ -146,49 +148,54 @@ async def _viewer_killed(stage: Stage) -> None:
 _TC = 'kind = "sensor"\nwhere = "{channel}"\n'
 _ACTUATOR = 'kind = "actuator"\nwhere = "{}"\ngain = 0.0\n'
 KINDS: dict[str, Kind] = {
-    "link drop": Kind("Modbus connection reset, port closed", "stops", _drop),
-    "link drop, brief": Kind("the same for 0.05 to 0.3 s", "rides", _drop_briefly),
-    "half-open link": Kind("Modbus connections stay open, nothing passes", "stops", _half_open),
+    "link drop": Kind("Modbus connection reset, port closed", "stops", _drop, wire="plc"),
+    "link drop, brief": Kind("the same for 0.05 to 0.3 s", "rides", _drop_briefly, wire="plc"),
+    "half-open link": Kind("Modbus connections stay open, nothing passes", "stops", _half_open, wire="plc"),
     "late replies": Kind(
-        "every reply 0.4 to 2 s late", "stops", _lasting(lambda g: replies.late(g, 1.0, 0.4, 2.0))
+        "every reply 0.4 to 2 s late", "stops", _lasting(lambda g: replies.late(g, 1.0, 0.4, 2.0)), wire="plc",
     ),
     "late replies, brief": Kind(
-        "some replies 0.1 to 0.6 s late, for up to 0.5 s", "either", _brief(lambda g: replies.late(g, 0.3, 0.1, 0.6))
+        "some replies 0.1 to 0.6 s late, for up to 0.5 s", "either", _brief(lambda g: replies.late(g, 0.3, 0.1, 0.6)),
+        wire="plc",
     ),
     "garbled replies": Kind(
         "other bits in header, function or count of every reply", "stops",
-        _lasting(lambda g: replies.garbled_header(g, 1.0)),
+        _lasting(lambda g: replies.garbled_header(g, 1.0)), wire="plc",
     ),
     "garbled replies, brief": Kind(
-        "the same of every other reply for up to 0.5 s", "either", _brief(lambda g: replies.garbled_header(g, 0.5))
+        "the same of every other reply for up to 0.5 s", "either", _brief(lambda g: replies.garbled_header(g, 0.5)),
+        wire="plc",
     ),
     "garbled over TLS": Kind(
         "other bits anywhere in every TLS record", "stops", _lasting(lambda g: replies.garbled_anywhere(g, 1.0)),
-        place="tls",
+        place="tls", wire="plc",
     ),
     "garbled over TLS, brief": Kind(
         "the same of a third of them for up to 0.5 s", "either", _brief(lambda g: replies.garbled_anywhere(g, 0.34)),
-        place="tls",
+        place="tls", wire="plc",
     ),
     "cut-off replies": Kind(
-        "the end of every reply is missing", "stops", _lasting(lambda g: replies.cut_off(g, 1.0))
+        "the end of every reply is missing", "stops", _lasting(lambda g: replies.cut_off(g, 1.0)), wire="plc",
     ),
     "too few registers": Kind(
-        "well-formed replies with too few registers", "stops", _lasting(lambda g: replies.too_few_registers(g, 1.0))
+        "well-formed replies with too few registers", "stops", _lasting(lambda g: replies.too_few_registers(g, 1.0)),
+        wire="plc",
     ),
-    "wrong function": Kind("replies to another function", "stops", _lasting(lambda g: replies.wrong_function(g, 1.0))),
+    "wrong function": Kind(
+        "replies to another function", "stops", _lasting(lambda g: replies.wrong_function(g, 1.0)), wire="plc",
+    ),
     "replies in pieces": Kind(
-        "single bytes: no fault, to be put together", "rides", _brief(lambda g: replies.split_up(g, 1.0))
+        "single bytes: no fault, to be put together", "rides", _brief(lambda g: replies.split_up(g, 1.0)), wire="plc",
     ),
-    "server restart": Kind("Modbus port gone for 0.3 to 4 s", "either", _server_restart),
-    "CAN link drop": Kind("connection to the CAN daemon reset, port closed", "stops", _can_drop),
-    "CAN link drop, brief": Kind("connection to the CAN daemon reset once", "either", _can_drop_briefly),
-    "CAN silent": Kind("no frames any more, connection open", "stops", _can_silent),
-    "CAN bus-off": Kind("error frame of bus-off, then silence", "stops", _bus_off),
-    "CAN error frames": Kind("error frames among good ones", "rides", _error_frames),
+    "server restart": Kind("Modbus port gone for 0.3 to 4 s", "either", _server_restart, wire="plc"),
+    "CAN link drop": Kind("connection to the CAN daemon reset, port closed", "stops", _can_drop, wire="can"),
+    "CAN link drop, brief": Kind("connection to the CAN daemon reset once", "either", _can_drop_briefly, wire="can"),
+    "CAN silent": Kind("no frames any more, connection open", "stops", _can_silent, wire="can"),
+    "CAN bus-off": Kind("error frame of bus-off, then silence", "stops", _bus_off, wire="can"),
+    "CAN error frames": Kind("error frames among good ones", "rides", _error_frames, wire="can"),
     "CAN text garbled": Kind(
         "characters missing in a third of the daemon's lines, for up to 0.5 s", "either",
-        _brief(lambda g: replies.without_a_digit(g, 0.34), "can"),
+        _brief(lambda g: replies.without_a_digit(g, 0.34), "can"), wire="can",
     ),
     "thermocouple stuck": Kind("repeats its last value", "stops", effect=_TC + "stuck = true\n"),
     "thermocouple open": Kind("reads the code of an open circuit", "stops", effect=_TC + "open_circuit = true\n"),

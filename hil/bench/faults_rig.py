@@ -20,7 +20,7 @@ ABORT_AFTER_S = 1.5
 STALE_LIMIT_S = 3.0
 """From an occurrence to safe: staleness, the wait before a trip, and half a second for ticks, write and read-back."""
 WATCHDOG_S = 2.0
-_PUMP, _FAN, _WATCHDOG = 1, 2, 4
+_PUMP, _FAN = 1, 2
 LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,{0},100,100\n600,{0},100,100\n"
 
 _INTERLOCKS = """
@@ -61,6 +61,7 @@ def rig_text(ports: dict[str, int], tls: dict[str, Path] | None = None) -> str:
         head = f"{before}[bus.{bus}]\n{_set(after, 'port', port)}"
     plc, can = head.split("[bus.thermocouples]\n")
     plc = _set(plc, "timeout_s", WATCHDOG_S, after="[heartbeat]")
+    plc = plc.replace("[heartbeat]\n", f"[heartbeat]\nwatchdog_s = {WATCHDOG_S}\n")
     plc = _set(plc, "timeout_s", 0.25, after="[bus.plc]")
     if tls is not None:
         files = "".join(f'{name} = "{path}"\n' for name, path in tls.items())
@@ -91,11 +92,10 @@ def _set(text: str, key: str, value: float, after: str = "") -> str:
     return text[:at] + changed
 
 
-async def prepare(port: int, seconds: float, tls: ssl.SSLContext | None = None) -> None:
-    """Tell a virtual rig how long it may be without a heartbeat, as whoever commissions a PLC does, and leave pump and
-    fans at full speed, as the run before has done."""
+async def prepare(port: int, tls: ssl.SSLContext | None = None) -> None:
+    """Leave pump and fans at full speed, as the run before has done."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=tls)
-    for register, value in ((_PUMP, 1000), (_FAN, 1000), (_WATCHDOG, round(seconds * 10))):
+    for register, value in ((_PUMP, 1000), (_FAN, 1000)):
         writer.write(struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, register, value))
         await reader.readexactly(12)
     writer.close()

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from drivers.rig import RigConnection
 from drivers.rigfile import load_rig
 from drivers.virtual.rig import start_virtual_rig
+from hil.bench import processes
 from hil.bench.report import Cell, Table
 from hil.clock import MonotonicClock
 from hil.control import ControlError, ask
@@ -152,7 +153,7 @@ def _watched(size: Size, seed: int, runs: Path, kill_s: float | None) -> tuple[P
             status = None if folder is None else _status(folder)
             if status is not None and status["state"] == "running":
                 profile_s = float(status["profile_s"])
-                memory.append(_Memory(profile_s, _resident_MB(process.pid), _children_MB(process.pid)))
+                memory.append(_Memory(profile_s, processes.resident_MB(process.pid), _calibrators_MB(process.pid)))
                 if kill_s is not None and profile_s >= kill_s:
                     process.kill()
             time.sleep(0.2)
@@ -173,28 +174,9 @@ def _status(socket: Path) -> dict[str, Any] | None:
     return found
 
 
-def _resident_MB(pid: int) -> float:
-    try:
-        lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return 0.0
-    return next((float(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmRSS")), 0.0)
-
-
-def _children_MB(pid: int) -> float:
-    try:
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()
-    except OSError:
-        return 0.0
-    named = [child for child in children if b"multiprocessing" in _command_line(child)]
-    return sum(_resident_MB(int(child)) for child in named)
-
-
-def _command_line(pid: str) -> bytes:
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes()
-    except OSError:
-        return b""
+def _calibrators_MB(pid: int) -> float:
+    named = [child for child in processes.children(pid) if b"multiprocessing" in processes.command(child)]
+    return sum(processes.resident_MB(child) for child in named)
 
 
 def _memory_table(memory: list[_Memory], size: Size, wall_s: float) -> Table:

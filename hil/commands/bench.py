@@ -354,6 +354,7 @@ def structure_command(seed: int, out: Path | None, as_json: bool) -> None:
 
 @command.command("faults")
 @click.option("--runs", default=200, show_default=True, type=click.IntRange(1), help="Number of faults, of all kinds.")
+@click.option("--pairs", type=click.IntRange(1), help="Instead: so many pairs of faults, the second while one lasts.")
 @click.option("--kind", "kinds", multiple=True, help="This kind alone; may be repeated.")
 @click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Cases at a time, a rig each.")
 @click.option(
@@ -364,7 +365,14 @@ def structure_command(seed: int, out: Path | None, as_json: bool) -> None:
 @OUT
 @JSON
 def faults_command(
-    runs: int, kinds: tuple[str, ...], jobs: int, work: Path, seed: int, out: Path | None, as_json: bool
+    runs: int,
+    pairs: int | None,
+    kinds: tuple[str, ...],
+    jobs: int,
+    work: Path,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
     """Faults of wires, rig and harness at random instants: is the heater off in time, is anything lost or wrong?
 
@@ -374,6 +382,7 @@ def faults_command(
     Example:
       hil bench faults --runs 32
       hil bench faults --kind "rig reboot" --runs 5
+      hil bench faults --pairs 40
     """
     from hil.bench import faults
     from hil.bench.faults_kinds import KINDS
@@ -383,8 +392,9 @@ def faults_command(
     if unknown:
         raise click.UsageError(f"no kind {unknown[0]!r}; there are {', '.join(map(repr, KINDS))}")
     with Steps("faults", 1.0, quiet=as_json) as steps:
-        tables, skipped, kept = faults.measure(runs, seed, work, steps.update, kinds=kinds, jobs=jobs)
-    _finish("faults", seed, tables, skipped, out, as_json)
+        two, count = pairs is not None, pairs or runs
+        tables, skipped, kept = faults.measure(count, seed, work, steps.update, kinds=kinds, jobs=jobs, two=two)
+    _finish("faults_pairs" if two else "faults", seed, tables, skipped, out, as_json)
     if not kept:
         sys.exit(1)
 

@@ -26,14 +26,26 @@ _TRANSPORTS = {"modbus_tcp": "Modbus/TCP", "modbus_tls": "Modbus/TCP Security"}
 @click.argument("file", type=INPUT_FILE)
 @click.option("--rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig that a profile is meant for.")
 @click.option("--catalogue", is_flag=True, help="Of a twin: which effects no record of its rig could tell apart.")
-@click.option("--json", "as_json", is_flag=True, help="Of a rig file: its read plan as JSON, for a script.")
+@click.option("--json", "as_json", is_flag=True, help="Of a rig file: read plan, or what --online saw, as JSON.")
+@click.option("--online", is_flag=True, help="Of a rig file: connect to all buses and show what comes. Writes nothing.")
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0.0),
+    help="Of --online: for so long; default: until Ctrl-C, and of an output that is no terminal one look.",
+)
 @click.option("--picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw a twin's network: .svg or .png.")
-def command(file: Path, rig: Path, catalogue: bool, as_json: bool, picture: Path | None) -> None:
+def command(
+    file: Path, rig: Path, catalogue: bool, as_json: bool, online: bool, seconds: float | None, picture: Path | None
+) -> None:
     """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
+
+    --online exits with 1 where a bus is down or a point is not good at the end of the look.
 
     \b
     Example:
       hil check profiles/rigs/virtual.toml
+      hil check my_rig.toml --online
+      hil check my_rig.toml --online --seconds 10 --json
       hil check my_rig.toml --json
       hil check my_load.csv --rig my_rig.toml
       hil check profiles/twins/loop_six.toml --picture network.svg
@@ -46,6 +58,13 @@ def command(file: Path, rig: Path, catalogue: bool, as_json: bool, picture: Path
         raise click.UsageError(f"--picture draws twins, and {file} is none")
     if catalogue and checker is not _twin:
         raise click.UsageError(f"--catalogue lists what a twin may lack, and {file} is none")
+    if online:
+        if checker is not _rig:
+            raise click.UsageError(f"--online connects to the rig of a rig file, and {file} is none")
+        _online(file, seconds, None if as_json else console())
+        return
+    if seconds is not None:
+        raise click.UsageError("--seconds belongs to --online")
     if as_json:
         if checker is not _rig:
             raise click.UsageError(f"--json tells the read plan of a rig file, and {file} is none")
@@ -159,9 +178,32 @@ def _rig(file: Path, _: Path, out: Console) -> None:
             cells = (block.unused, len(block.points), sum(block.read_bytes))
             table.add_row(str(block), str(block.read_code), count, *map(str, cells))
         out.print(table)
+    if rig.watchdog_s is not None:
+        out.print(f"the rig's own watchdog is set to {rig.watchdog_s:g} s when it is armed, and read back")
     for note in unsaid(rig):
         out.print(f"note: {note}", soft_wrap=True)
     out.print(f"{file}: no mistakes found", style="green")
+
+
+def _online(file: Path, seconds: float | None, out: Console | None) -> None:
+    import asyncio
+    import sys
+
+    from hil.errors import FOUND
+    from hil.online import look
+
+    found = asyncio.run(look(_checked(file)[0], seconds, out))
+    if out is None:
+        click.echo(json.dumps(found, indent=1))
+    elif found["faults"]:
+        count = len(found["faults"])
+        out.print(f"{file}: {count} fault{'s' if count > 1 else ''} on the rig", style="red")
+        for sentence in found["faults"]:
+            out.print(f"  {sentence}", markup=False, soft_wrap=True)
+    else:
+        out.print(f"{file}: all buses answer and all {len(found['points'])} points are good", style="green")
+    if found["faults"]:
+        sys.exit(FOUND)
 
 
 def _rig_as_json(file: Path) -> str:

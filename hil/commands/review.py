@@ -50,9 +50,9 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
         follow_review(folder.journal)
         return
     if rebuild or not folder.review.is_file() or _older(folder):
-        click.echo(
-            f"writing {folder.review}" + ("" if finished else " (the run goes on: what there is so far)"), err=True
-        )
+        cut = f" (the run was cut: what there is of it; `hil resume {run}` goes on with it)"
+        so_far = "" if finished else cut if folder.was_cut else " (the run goes on: what there is so far)"
+        click.echo(f"writing {folder.review}{so_far}", err=True)
         write_review(folder.journal, folder.review)
     _show(run, folder.review, tab, screenshot)
 

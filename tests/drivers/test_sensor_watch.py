@@ -52,6 +52,23 @@ def test_what_is_not_good_as_such_stays_what_it_is_and_is_nothing_to_compare_wit
     assert sensor.judge(20.1, GOOD, 5.0) == GOOD
 
 
+def test_after_a_silence_an_instrument_has_to_move_before_it_is_believed():
+    sensor = watch(stuck_after_s=2.0, stale_after_s=1.0)
+    assert [sensor.judge(v, GOOD, t) for v, t in ((20.0, 0.0), (20.1, 0.1), (20.2, 0.2))] == [GOOD] * 3
+    # It moved in the silence, and got stuck in it too: nothing is good again, and at last it is a fault.
+    stuck = [sensor.judge(20.5, GOOD, 1.5 + 0.1 * k) for k in range(25)]
+    assert stuck == [Quality.STALE] * 20 + [FAULT] * 5
+    assert sensor.judge(20.6, GOOD, 4.0) == GOOD
+    assert sensor.judge(20.6, GOOD, 4.9) == GOOD
+
+
+@pytest.mark.parametrize("period_s", [0.5, 5.0, 60.0])
+def test_what_is_read_seldom_is_no_silence(period_s):
+    sensor = watch(stuck_after_s=10.0 * period_s, stale_after_s=1.0)
+    values = [20.0, 20.0, 20.1, 20.1, 20.1, 20.2]
+    assert [sensor.judge(value, GOOD, k * period_s) for k, value in enumerate(values)] == [GOOD] * 6
+
+
 def test_only_points_that_ask_for_it_are_watched():
     plain = Point(name="T", bus="b", unit="degC", message="M", signal="S")
     asks = plain.model_copy(update={"stuck_after_s": 2.0})

@@ -11,10 +11,11 @@ import pytest
 from drivers.points import Quality
 from drivers.virtual.truth import Moment
 from hil.bench import faults_judge as judge
-from hil.bench.faults import campaign, plan, tables
-from hil.bench.faults_case import Result
+from hil.bench.faults import campaign, pair_tables, tables
 from hil.bench.faults_kinds import KINDS
+from hil.bench.faults_plan import AND, case_of, pairs, singles
 from hil.bench.faults_rig import STALE_LIMIT_S, WATCHDOG_S, rig_text
+from hil.bench.faults_verdict import Result
 
 SEED = 20_261
 COSTLY = ("calibrator crash", "viewer killed", "SIGKILL")
@@ -25,7 +26,7 @@ HUNG, KILLED = ("loop hangs", 0), ("SIGKILL", 3)
 def cases() -> list[tuple[str, int]]:
     names = [name for name in KINDS if name not in COSTLY]
     names = [name for name in names if KINDS[name].place != "tls" or shutil.which("openssl")]
-    return [(kind, number + 1) for kind, number in plan(28, names)] + [HUNG, KILLED]
+    return [(kind, number + 1) for kind, number in singles(28, names)] + [HUNG, KILLED]
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +60,47 @@ def test_a_loop_that_hangs_or_was_killed_is_cut_by_the_rigs_own_watchdog(results
     assert gone.lost == 0
     assert gone.unsaved_s is not None
     assert gone.unsaved_s < 1.0
+
+
+TWO_AT_A_TIME = ("thermocouple stuck + link drop", "pump stop + disk full", "late replies, brief + loop hangs")
+
+
+@pytest.mark.timeout(300)
+def test_two_faults_at_a_time_break_no_must():
+    found = asyncio.run(campaign([(name, 0) for name in TWO_AT_A_TIME], SEED, jobs=3, resume=False))
+    broken = [f"{r.kind}: {'; '.join(r.failures)} [{r.reason}]" for r in found if r.failures]
+    assert not broken, "\n".join(broken)
+    assert all(r.heated and r.safe is not None and r.acknowledged for r in found)
+    stuck, stopped, hung = found
+    assert stuck.safe <= STALE_LIMIT_S
+    assert stopped.safe <= STALE_LIMIT_S
+    assert (hung.ended, hung.by) == ("killed", "rig")
+    assert hung.safe <= WATCHDOG_S + 0.2
+    table, musts = pair_tables(found, SEED)
+    assert [row[0] for row in table.rows] == list(TWO_AT_A_TIME)
+    assert dict(musts.rows)["wrong values recorded as good"] == "0"
+
+
+def test_pairs_are_of_different_wires_and_every_kind_is_among_forty():
+    drawn = [name.split(AND) for name, _ in pairs(40, 0)]
+    assert drawn == [name.split(AND) for name, _ in pairs(40, 0)] != [n.split(AND) for n, _ in pairs(40, 1)]
+    assert len({frozenset(pair) for pair in drawn}) == 40
+    assert {kind for pair in drawn for kind in pair} == set(KINDS)
+    for first, second in drawn:
+        assert KINDS[first].wire == "" or KINDS[first].wire != KINDS[second].wire
+        assert first != "SIGKILL"
+    assert len(pairs(10_000, 0)) == 33 * 32 // 2 - 14 * 13 // 2 - 6 * 5 // 2  # but for those of one wire
+
+
+def test_what_comes_of_two_faults_is_what_comes_of_the_graver():
+    assert case_of("link drop, brief + thermocouple stuck", 0, 0).ending == "stops"
+    assert case_of("server restart + loop hangs", 0, 0).ending == "killed"
+    assert case_of("calibrator crash + viewer killed", 0, 0).ending == "rides"
+    assert case_of("garbled replies, brief + SIGKILL", 0, 0).resumable
+    assert not case_of("pump stop + SIGKILL", 0, 0).resumable
+    assert 0.0 < case_of("SIGTERM + pump stop", 0, 0).apart_s < 1.0
+    assert not case_of("SIGTERM + pump stop", 0, 0).early
+    assert case_of("SIGTERM", 0, 0).early
 
 
 def test_the_tables_count_what_happened(results):
@@ -132,7 +174,7 @@ def test_safe_is_from_when_on_nothing_heats_any_more():
 
 
 def test_every_kind_is_among_two_hundred_runs_at_least_six_times():
-    names = [kind for kind, _ in plan(200)]
+    names = [kind for kind, _ in singles(200)]
     assert set(names) == set(KINDS)
     assert min(names.count(name) for name in KINDS) >= 6
 

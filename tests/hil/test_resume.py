@@ -16,10 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.diagnosing import read_columns
 from hil.journal import JournalReader
 from hil.record import Record, read_record
 from hil.review.rerun_io import read_words
 from hil.run_folder import RunFolder, RunFolderError
+from hil.terminal import cut_time
+from twin.twinfile import load
 
 PROJECT = Path(__file__).resolve().parents[2]
 HIL = [sys.executable, "-m", "hil"]
@@ -232,6 +235,35 @@ def test_a_run_that_was_killed_while_its_report_was_written_gets_it(story, tmp_p
     record, whole = read_record(folder.record), read_record(story.whole.record)
     assert np.array_equal(record.columns["T_tank_C"], whole.columns["T_tank_C"])
     assert folder.report.is_file()
+
+
+def test_a_run_that_was_cut_is_told_from_one_that_goes_on(story):
+    cut = RunFolder(story.folder.path.parents[1] / "as it was cut")
+    assert cut.was_cut
+    assert not story.folder.was_cut
+    with cut.owned():
+        assert not cut.was_cut
+    refused = hil("diagnose", cut.path, "--dry")
+    assert refused.returncode == 2
+    assert f"was cut and has no record yet; `hil resume {cut.path}` goes on with it" in refused.stderr
+    assert f"the run was cut: what there is of it; `hil resume {cut.path}`" in hil("review", cut.path).stderr
+
+
+def test_a_resumed_run_is_diagnosed_on_its_longest_part_and_says_what_the_gap_cost(story):
+    network = load(story.folder.twin)
+    columns, messages = read_columns(network, story.folder.record, None)
+    record = read_record(story.folder.record)
+    segment = record.columns["segment"]
+    longer = 1 if np.sum(segment == 1) >= np.sum(segment == 2) else 2
+    assert np.array_equal(columns.time_s, record.time_s[segment == longer])
+    assert any(message.startswith("the run was cut and resumed: diagnosed is its longest part") for message in messages)
+    whole, messages = read_columns(network, story.whole.record, None)
+    assert len(whole.time_s) == 8401
+    assert not any("cut" in message for message in messages)
+    said = cut_time(story.folder.read_manifest())
+    assert said.startswith(" (cut once: ")
+    assert said.endswith("until the rig was back where it was)")
+    assert cut_time(story.whole.read_manifest()) == ""
 
 
 def test_a_soak_that_takes_too_long_ends_safe_and_can_be_tried_again(story, tmp_path):

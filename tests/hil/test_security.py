@@ -185,7 +185,7 @@ def test_a_card_cannot_name_members_outside_its_folder(tmp_path):
 async def test_a_run_over_tls_leaves_no_key_in_its_folder(tmp_path):
     made = make_certificates(tmp_path)
     async with await start_virtual_rig(period_s=0.1, tls=made.rig) as rig:
-        await prepare(rig.modbus_port, 10.0, made.context())
+        await prepare(rig.modbus_port, made.context())
         (tmp_path / "rig.toml").write_text(
             rig_text({"plc": rig.modbus_port, "thermocouples": rig.can_port}, made.harness).replace(
                 'kind = "heater_power"', 'kind = "sensor"\npoint = "T_tank"\n#'

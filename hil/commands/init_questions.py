@@ -1,0 +1,85 @@
+"""What `hil init` asks where nobody has told it what is on the rig; each answer is checked before the next question."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.imports.described import PLACES, Actuator, Described, Place, place_of, temperatures_of
+from drivers.points import ConfigurationError
+
+_KINDS = (("heater", "W", 1000.0), ("pump", "%", 100.0), ("fan", "%", 100.0))
+
+
+def ask(name: str, period_s: float) -> Described:
+    """A rig as a person at the terminal describes it."""
+    click.echo("What is on the rig? Enter takes what is in [brackets]; Ctrl-C writes nothing.")
+    rig = Described(click.prompt("Name of the rig", default=name), period_s)
+    host = click.prompt("Host of its Modbus/TCP server (- for none)", default="127.0.0.1")
+    if host != "-":
+        port = click.prompt("  TCP port", default=502, type=click.IntRange(1, 65535))
+        unit = click.prompt("  device id", default=1, type=click.IntRange(0, 255))
+        rig.modbus = {"transport": "modbus_tcp", "host": host, "port": port, "device_id": unit}
+    channel = click.prompt("CAN interface of its thermocouples, such as can0 (- for none)", default="-")
+    if channel != "-":
+        dbc = click.prompt("  DBC file that describes its frames", type=click.Path(exists=True, dir_okay=False))
+        rig.can = {"transport": "socketcan", "channel": channel, "dbc": dbc}
+    click.echo(f"A place is {PLACES}: counted from zero with its table, or Modicon's number; *0.1 is what a count is.")
+    for kind, unit_of, most in _KINDS:
+        for number in range(1, click.prompt(f"How many {kind}s?", default=1, type=click.IntRange(0, 99)) + 1):
+            which = kind if number == 1 else f"{kind} {number}"
+            written = _place(f"  {which}: set-point ({unit_of}) is written to")
+            assert written is not None
+            read = _place(f"  {which}: what it really gets is read from (- for nowhere)", optional=True)
+            highest = click.prompt(
+                f"  {which}: at most, {unit_of}", default=most, type=click.FloatRange(0, min_open=True)
+            )
+            rig.actuators.append(Actuator(kind, written, read, highest))  # type: ignore[arg-type]
+    rig.flow = _place("Flow, L/min, is read from (- for nowhere)", optional=True)
+    if rig.can is not None and click.confirm("Take every temperature of the DBC as a thermocouple?", default=True):
+        rig.thermocouples = _checked(temperatures_of)(rig.can["dbc"])
+    while True:
+        name = click.prompt("Another thermocouple, by name, such as T_tank (- for no more)", default="-")
+        if name == "-":
+            break
+        at = _place(f"  {name}, degC, is read from")
+        assert at is not None
+        rig.thermocouples[name] = at
+    rig.trip_C = click.prompt("Temperature that ends a run, degC", default=75.0, type=float)
+    beat = _place("Register that the rig watches for a heartbeat (- for none)", optional=True)
+    if beat is not None:
+        rig.heartbeat["point"] = beat
+        for key, what in (
+            ("counter", "counter of the rig that must advance"),
+            ("arm", "register that lets outputs go live when 1 is written"),
+            ("watchdog", "time-out of the rig's own watchdog, s (such as holding:4*0.1)"),
+        ):
+            found = _place(f"  {what} (- for none)", optional=True)
+            if found is not None:
+                rig.heartbeat[key] = found
+    return rig
+
+
+def _place(question: str, *, optional: bool = False) -> Place | None:
+    read = _checked(place_of)
+
+    def value(text: str) -> Place | None:
+        return None if optional and text == "-" else read(text)
+
+    found: Place | None = click.prompt(question, default="-" if optional else None, value_proc=value)
+    return found
+
+
+def _checked(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """`function`, whose mistakes click shows before it asks again."""
+
+    def value(text: Any) -> Any:
+        try:
+            return function(Path(text) if function is temperatures_of else text)
+        except ConfigurationError as error:
+            raise click.UsageError(str(error)) from None
+
+    return value

@@ -1,0 +1,155 @@
+"""`hil init` without a file: what is said, or answered, becomes a rig file that `hil check` accepts."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from drivers.rigfile import Rig, load_rig
+from drivers.virtual.rig import start_virtual_rig
+from hil.commands.check import command as check
+from hil.commands.init import command as init
+
+DBC = Path(__file__).resolve().parents[2] / "profiles" / "rigs" / "thermocouples.dbc"
+ON_MODBUS = (
+    "--heater", "set=holding:0*0.1,read=input:0:float32:CDAB", "--pump", "set=40002*0.1,read=30005*0.1",
+    "--fan", "holding:2*0.1,read=input:5*0.1", "--flow", "input:2:float32:CDAB",
+    "--heartbeat", "point=holding:3,counter=input:11,arm=holding:5,watchdog=holding:4*0.1",
+)  # fmt: skip
+
+
+def made(*options: object, typed: str | None = None) -> Result:
+    return CliRunner().invoke(init, [str(option) for option in options], input=typed)
+
+
+def accepted(path: Path) -> Rig:
+    done = CliRunner().invoke(check, [str(path)])
+    assert done.exit_code == 0, done.output
+    assert "no mistakes found" in done.output
+    return load_rig(path)
+
+
+async def test_what_is_said_is_a_rig_file_that_finds_everything_on_the_rig(tmp_path):
+    out = tmp_path / "mine.toml"
+    async with await start_virtual_rig(period_s=0.2) as virtual:
+        can = ("--dbc", DBC, "--socketcand", f"127.0.0.1:{virtual.can_port}", "--channel", "vcan0")
+        done = await asyncio.to_thread(made, *ON_MODBUS, *can, "--port", virtual.modbus_port, "--out", out)
+        assert done.exit_code == 0, done.output
+        assert "20 points on plc, can; next: hil check" in done.output
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "hil", "check", str(out), "--online", "--json", stdout=asyncio.subprocess.PIPE
+        )
+        said, _ = await asyncio.wait_for(process.communicate(), 60)
+    found = json.loads(said)
+    assert (process.returncode, found["faults"]) == (0, [])
+    assert {point["name"]: point["value"] for point in found["points"]}["watchdog_timeout"] == 10.0
+    rig = accepted(out)
+    assert [point.name for point in rig.setpoints] == ["heater_power_set", "pump_speed_set", "fan_speed_set"]
+    heater, pump = rig.get("heater_power_set"), rig.get("pump_speed_set")
+    assert (heater.limits, heater.safe_value, heater.readback, heater.scale) == (
+        (0.0, 1000.0),
+        0.0,
+        "heater_power",
+        0.1,
+    )
+    assert (pump.table, pump.address, pump.safe_value, pump.safe_order) == ("holding", 1, 100.0, 1)
+    assert rig.get("heater_power").role == "heater_power"
+    assert {point.alarm for point in rig.point if point.unit == "degC"} == {(-5.0, 75.0)}
+    assert rig.watchdog_s == 5.0
+    assert [spec.kind for spec in rig.interlock] == ["no_flow"]
+    text = out.read_text(encoding="utf-8")
+    assert text.count("# guessed") > 10
+
+
+def test_thermocouples_on_modbus_and_several_of_a_kind(tmp_path):
+    out = tmp_path / "rig.toml"
+    done = made(
+        "--heater", "holding:0", "--heater", "set=holding:1,max=300", "--pump", "holding:2", "--trip-at", "60",
+        "--thermocouple", "T_tank=input:20:int16*0.01", "--thermocouple", "T_in=30022:int16*0.01", "--out", out,
+        "--period", "2", "--name", "bench 4",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    rig = accepted(out)
+    assert (rig.name, rig.period_s, rig.abort_after_s) == ("bench 4", 2.0, 10.0)
+    assert [point.name for point in rig.setpoints] == ["heater_power_set", "heater_power_2_set", "pump_speed_set"]
+    assert rig.get("heater_power_2_set").limits == (0.0, 300.0)
+    assert (rig.get("T_in").table, rig.get("T_in").address, rig.get("T_in").alarm) == ("input", 21, (-5.0, 60.0))
+    assert "# No [heartbeat]: when this computer dies" in out.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--heater", "foo"], "'foo' is no place of a value; write it like holding:0"),
+        (["--heater", "holding:70000"], "addresses go from 0 to 65535"),
+        (["--heater", "40000"], "Modicon's numbers from 40001"),
+        (["--heater", "holding:0:float31"], "type float31 is not known"),
+        (["--heater", "set=holding:0,most=3"], "'most=3' in 'set=holding:0,most=3' is not understood"),
+        (["--heater", "read=input:0"], "does not say where the heater is written"),
+        (["--heater", "holding:0,max=-5"], "must be above 0"),
+        (["--heater", "holding:0", "--pump", "holding:0"], "holding register 0 is heater_power_set's already"),
+        (["--heater", "set=holding:0,max=100000"], "100000 does not fit in uint16"),
+        (["--heater", "input:0"], "input registers cannot be written"),
+        (["--thermocouple", "input:3"], "write NAME=PLACE"),
+        (["--thermocouple", "T_tank=TC_C.T_tank"], "T_tank is on CAN, which needs a DBC"),
+        (
+            ["--heartbeat", "holding:3,watchdog=holding:4*10"],
+            "a watchdog of 0 s would cut the heater between two beats",
+        ),
+        (["--socketcand", "here", "--dbc", str(DBC)], "is no host:port"),
+        (["--from", str(DBC), "--heater", "holding:0"], "--from takes the rig from a file"),
+        ([], "say what is on the rig"),
+    ],
+)
+def test_what_cannot_be_understood_is_one_sentence_and_nothing_is_written(tmp_path, options, words):
+    done = made(*options, "--out", tmp_path / "rig.toml")
+    said = done.output + str(done.exception)
+    assert done.exit_code in (1, 2), said  # 1: ours, which the command turns into a sentence and 2
+    assert words in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_written_over_unasked(tmp_path):
+    out = tmp_path / "rig.toml"
+    out.write_text("mine", encoding="utf-8")
+    refused = made("--heater", "holding:0", "--out", out)
+    assert (refused.exit_code, out.read_text(encoding="utf-8")) == (2, "mine")
+    assert "is there already" in refused.output
+    assert made("--heater", "holding:0", "--out", out, "--force").exit_code == 0
+    assert len(accepted(out).point) == 1
+
+
+ANSWERS = [
+    "my bench", "192.168.1.20", "1502", "3", "can0", str(DBC),
+    "1", "holding:x", "holding:0*0.1", "input:0:float32:CDAB", "2000",  # a slip is asked again
+    "1", "40002*0.1", "-", "",
+    "0",
+    "-", "y", "T_room", "input:6:int16*0.01", "-", "", "-",
+]  # fmt: skip
+
+
+def test_who_says_nothing_is_asked(tmp_path, monkeypatch):
+    monkeypatch.setattr("hil.commands.init._somebody_is_there", lambda: True)
+    out = tmp_path / "rig.toml"
+    done = made("--out", out, typed="\n".join(ANSWERS) + "\n")
+    assert done.exit_code == 0, done.output
+    assert "'holding:x' is no place of a value" in done.output
+    rig = accepted(out)
+    plc = rig.bus["plc"]
+    assert (rig.name, plc.host, plc.port, plc.device_id) == ("my bench", "192.168.1.20", 1502, 3)  # type: ignore[union-attr]
+    assert rig.get("heater_power_set").limits == (0.0, 2000.0)
+    assert rig.get("pump_speed_set").readback is None
+    assert len([point for point in rig.point if point.unit == "degC"]) == 10
+    assert rig.heartbeat is None
+
+
+def test_who_gives_up_leaves_nothing_behind(tmp_path, monkeypatch):
+    monkeypatch.setattr("hil.commands.init._somebody_is_there", lambda: True)
+    done = made("--out", tmp_path / "rig.toml", typed="my bench\n")
+    assert done.exit_code == 1
+    assert list(tmp_path.iterdir()) == []
