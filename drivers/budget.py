@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from drivers.bus_sections import CanBus, ModbusTcpBus
 from drivers.plan import BIT_TABLES, Block, plan_reads
-from drivers.rigfile import CanBus, ModbusTcpBus, Point, Rig
+from drivers.rig_model import Point, Rig
 
 MBAP_BYTES = 7
 """Header of a Modbus/TCP frame (Modbus messaging on TCP/IP implementation guide V1.0b, 3.1.3)."""
@@ -56,8 +57,8 @@ def overloads(rig: Rig, polled: Sequence[Polling]) -> list[tuple[tuple[str, ...]
             found.append(
                 (
                     ("bus", one.bus, "serial_baud"),
-                    f"bus {one.bus}: {len(one.blocks)} reads take {one.line_s:.2f} s of a line at {baud} bit/s and the "
-                    f"period is {rig.period_s:g} s; poll fewer points, raise period_s or the speed of the line",
+                    f"bus {one.bus}: a tick's reads take {one.line_s:.2f} s of a line at {baud} bit/s and the period is "
+                    f"{rig.period_s:g} s; poll fewer points, raise period_s or the speed of the line",
                 )
             )
     return found
@@ -75,8 +76,13 @@ def unsaid(rig: Rig) -> list[str]:
 
 
 def unit_of_count(block: Block) -> str:
-    """What a block counts: bits or registers."""
-    return "bits" if block.table in BIT_TABLES else "registers"
+    """What a block counts: bit or register."""
+    return "bit" if block.table in BIT_TABLES else "register"
+
+
+def counted(count: int, what: str) -> str:
+    """`1 read`, `2 reads`."""
+    return f"{count} {what}" + ("" if count == 1 else "s")
 
 
 def too_short(rig: Rig, name: str, cycle_s: dict[str, float]) -> list[tuple[tuple[str | int, ...], str]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.points import Quality
-from drivers.rigfile import Point
+from drivers.rig_model import Point
 
 Clock = Callable[[], float]
 

@@ -22,8 +22,9 @@ import can
 import cantools.database
 
 from drivers.bus import Clock, Readings, judge
+from drivers.bus_sections import CanBus
 from drivers.points import ConfigurationError, LinkError, Quality
-from drivers.rigfile import CanBus, Point
+from drivers.rig_model import Point
 from drivers.sensor_watch import watches
 from drivers.units import canonical_unit
 

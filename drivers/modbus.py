@@ -19,6 +19,7 @@ from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.transport import CommParams, CommType
 
 from drivers.bus import Clock, Readings, judge
+from drivers.bus_sections import ModbusTcpBus, ModbusTlsBus
 from drivers.codec import CodecError, decode, decode_text, encode
 from drivers.plan import BIT_TABLES, Block, ReadPlan, plan_reads, plan_writes
 from drivers.points import (
@@ -31,7 +32,7 @@ from drivers.points import (
     Quality,
 )
 from drivers.replies import FrameGuard
-from drivers.rigfile import ModbusTcpBus, ModbusTlsBus, Point
+from drivers.rig_model import Point
 from drivers.sensor_watch import watches
 from drivers.tls import client_context, why_refused
 

@@ -7,10 +7,11 @@ import math
 from collections.abc import Mapping
 
 from drivers.bus import Bus, Clock
+from drivers.bus_sections import CanBus
 from drivers.canbus import CanReceiver
 from drivers.modbus import ModbusBus
 from drivers.points import DriverError, LinkError, Signal, Snapshot
-from drivers.rigfile import CanBus, Point, Rig
+from drivers.rig_model import Point, Rig
 
 
 class RigConnection:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from drivers.points import Quality
-from drivers.rigfile import Point
+from drivers.rig_model import Point
 
 SHORTEST_S = 1.0
 """Readings may come fast, and noise does not shrink with their distance: a change is allowed that of a second."""

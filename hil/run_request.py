@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 from drivers.interlock_specs import ResidualSpec
 from drivers.points import ConfigurationError
-from drivers.rigfile import Rig, load_rig
+from drivers.rig_model import Rig
+from drivers.rigfile import load_rig
 from hil.adoption import NetworkMode
 from hil.profile import Profile, SetpointLimit, read_profile, validate
 from hil.setpoints import setpoint_columns

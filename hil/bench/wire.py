@@ -13,9 +13,10 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 
+from drivers.bus_sections import ModbusTcpBus
 from drivers.modbus import ModbusBus
 from drivers.points import Quality
-from drivers.rigfile import ModbusTcpBus, Point
+from drivers.rig_model import Point
 
 REGISTERS = 12
 POINTS = tuple(

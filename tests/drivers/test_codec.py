@@ -23,7 +23,7 @@ from drivers.codec import (
     raw_bounds,
 )
 from drivers.points import Quality
-from drivers.rigfile import Point
+from drivers.rig_model import Point
 
 ORDERS = ["ABCD", "CDAB", "BADC", "DCBA"]
 RANGES = {
