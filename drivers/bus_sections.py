@@ -31,17 +31,18 @@ class Hole(Section):
         return self
 
 
-class ModbusTcpBus(Section):
-    """A Modbus/TCP server and the device behind it. `uptime` names the point that carries the device's own clock.
+class ModbusBusSection(Section):
+    """A Modbus device, however it is reached. Sections of the same line, or the same host and port, share that wire.
 
-    `serial_baud` is the speed in bit/s of the line behind a gateway: what is polled must fit on it (`hil check`).
+    `timeout_s` is what the device may take to answer, without the time that bytes take on a slow line; `gap_s` the
+    silence that it wants before a request, where that is longer than the protocol's. `uptime` names the point that
+    carries the device's own clock. `serial_baud` is the speed in bit/s of the serial line, or of that behind a gateway:
+    what is polled must fit on it (`hil check`).
     """
 
-    transport: Literal["modbus_tcp"]
-    host: str = "127.0.0.1"
-    port: Annotated[int, Field(ge=1, le=65535)] = 502
     device_id: Annotated[int, Field(ge=0, le=255)] = 1
     timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.5
+    gap_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     max_read: Annotated[int, Field(ge=1, le=125)] = 125
     max_write: Annotated[int, Field(ge=1, le=123)] = 123
     max_gap: Annotated[int, Field(ge=0, le=124)] = 8
@@ -50,6 +51,39 @@ class ModbusTcpBus(Section):
     hole: tuple[Hole, ...] = ()
     serial_baud: Annotated[int, Field(ge=300, le=4_000_000)] | None = None
     uptime: str | None = None
+
+    @property
+    def place(self) -> str:
+        """Protocol and address, as a person reads them."""
+        raise NotImplementedError
+
+    @property
+    def wire(self) -> tuple[object, ...]:
+        """What tells this wire from another: sections in which it is the same share one."""
+        raise NotImplementedError
+
+    @property
+    def where(self) -> str:
+        """Protocol, address and device."""
+        return f"{self.place}, device {self.device_id}"
+
+
+class ModbusTcpBus(ModbusBusSection):
+    """A Modbus/TCP server and the device behind it."""
+
+    transport: Literal["modbus_tcp"]
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=1, le=65535)] = 502
+
+    @property
+    def place(self) -> str:
+        """Protocol, host and port."""
+        return f"Modbus/TCP {self.host}:{self.port}"
+
+    @property
+    def wire(self) -> tuple[object, ...]:
+        """Host and port."""
+        return (self.host, self.port)
 
 
 class ModbusTlsBus(ModbusTcpBus):
@@ -65,15 +99,76 @@ class ModbusTlsBus(ModbusTcpBus):
     certificate: Path
     key: Path
 
+    @property
+    def place(self) -> str:
+        """Protocol, host and port."""
+        return f"Modbus/TCP Security {self.host}:{self.port}"
+
+
+class ModbusRtuTcpBus(ModbusTcpBus):
+    """A serial line behind a converter that passes RTU frames over TCP as they are."""
+
+    transport: Literal["modbus_rtu_tcp"]  # type: ignore[assignment]
+    device_id: Annotated[int, Field(ge=1, le=247)] = 1
+
+    @property
+    def place(self) -> str:
+        """Protocol, host and port."""
+        return f"Modbus RTU over TCP {self.host}:{self.port}"
+
+
+class ModbusRtuBus(ModbusBusSection):
+    """A serial line of this machine (Modbus over serial line V1.02: even parity unless the device has another)."""
+
+    transport: Literal["modbus_rtu"]
+    serial_port: str
+    serial_baud: Annotated[int, Field(ge=300, le=4_000_000)] = 19200
+    parity: Literal["none", "even", "odd"] = "even"
+    stop_bits: Literal[1, 2] = 1
+    device_id: Annotated[int, Field(ge=1, le=247)] = 1
+
+    @property
+    def place(self) -> str:
+        """Protocol, line, speed and character."""
+        character = f"8{self.parity[0].upper()}{self.stop_bits}"
+        return f"Modbus RTU {self.serial_port}, {self.serial_baud} bit/s {character}"
+
+    @property
+    def wire(self) -> tuple[object, ...]:
+        """The serial port."""
+        return (self.serial_port,)
+
 
 class CanBus(Section):
-    """A CAN bus reached through python-can, its frames described by a DBC file beside the rig file."""
+    """A CAN bus reached through python-can, its frames described by a DBC file beside the rig file.
 
-    transport: Literal["socketcand", "socketcan"]
+    `channel` is the interface (socketcan), the daemon's bus (socketcand), the serial port of the adapter (slcan) or any
+    name (virtual, within one process). `bitrate` in bit/s is set by slcan alone: elsewhere it is the system's.
+    """
+
+    transport: Literal["socketcand", "socketcan", "slcan", "virtual"]
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=1, le=65535)] = 29536
     channel: str = "can0"
+    bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] | None = None
     dbc: Path
     dbc_encoding: str = "utf-8"
     timeout_s: Annotated[float, Field(gt=0, le=10)] = 1.0
     uptime: str | None = None
+
+    @property
+    def place(self) -> str:
+        """Interface and channel."""
+        daemon = f"{self.host}:{self.port}/" if self.transport == "socketcand" else ""
+        return f"{self.transport} {daemon}{self.channel}"
+
+
+def is_rtu(bus: ModbusBusSection) -> bool:
+    """Whether requests go out in RTU frames, which carry no number that a reply could be known by."""
+    return isinstance(bus, ModbusRtuBus | ModbusRtuTcpBus)
+
+
+AnyBus = ModbusTcpBus | ModbusTlsBus | ModbusRtuTcpBus | ModbusRtuBus | CanBus
+TRANSPORTS = (
+    "modbus_tcp", "modbus_tls", "modbus_rtu_tcp", "modbus_rtu", "socketcand", "socketcan", "slcan", "virtual",
+)  # fmt: skip

@@ -109,8 +109,7 @@ class CanReceiver:
         self.reconnects = 0
         self._config = config
         self._clock = clock
-        place = f"{config.host}:{config.port}/" if config.transport == "socketcand" else ""
-        self._where = f"{name} ({config.transport} {place}{config.channel})"
+        self._where = f"{name} ({config.place})"
         self._latest = [_Latest() for _ in points]
         self._watches = watches(points)
         self._uptime = next((i for i, p in enumerate(points) if p.name == config.uptime), None)
@@ -172,7 +171,9 @@ class CanReceiver:
                 return can.Bus(
                     interface="socketcand", channel=config.channel, host=config.host, port=config.port, tcp_tune=True
                 )
-            return can.Bus(interface="socketcan", channel=config.channel)
+            if config.transport == "slcan":
+                return can.Bus(interface="slcan", channel=config.channel, bitrate=config.bitrate, sleep_after_open=0.1)
+            return can.Bus(interface=config.transport, channel=config.channel)
         except (OSError, can.CanError, ValueError, TimeoutError) as error:
             raise LinkError(f"{self._where} cannot be opened: {error}; is the rig on?") from error
 

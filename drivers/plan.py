@@ -166,6 +166,8 @@ class ReadPlan:
 
     def refuse(self, block: Block, now_s: float) -> list[Block]:
         """Exception 02 to `block`: its parts, to be asked for now; none where it cannot be split."""
+        if block not in self.blocks:  # the plan was forgotten since it was asked for
+            return []
         parts = split(block)
         at = self.blocks.index(block)
         if len(parts) == 1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from drivers.bus_sections import CanBus, ModbusTcpBus
+from drivers.bus_sections import CanBus, ModbusBusSection
 from drivers.interlock_specs import HeaterPowerSpec
 from drivers.rig_model import Point, Rig
 
@@ -61,6 +61,7 @@ def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
     for name, bus in rig.bus.items():
         if bus.uptime is not None and not any(p.name == bus.uptime and p.bus == name for p in rig.point):
             found.append((("bus", name, "uptime"), f"bus {name}: no point {bus.uptime!r} on this bus for uptime"))
+    found += _wire_checks(rig)
     if rig.heartbeat is not None:
         for key in ("point", "counter", "arm", "status"):
             named = getattr(rig.heartbeat, key)
@@ -69,7 +70,30 @@ def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
     return found + _interlock_checks(rig)
 
 
-def misplaced(point: Point, bus: ModbusTcpBus) -> list[tuple[str, str]]:
+def _wire_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
+    """Sections that share a wire and do not agree on it."""
+    found: list[tuple[tuple[Any, ...], str]] = []
+    first: dict[tuple[object, ...], tuple[str, ModbusBusSection]] = {}
+    devices: dict[tuple[object, ...], str] = {}
+    for name, bus in rig.bus.items():
+        if isinstance(bus, CanBus):
+            continue
+        other, shared = first.setdefault(bus.wire, (name, bus))
+        for key in ("transport", "serial_baud", "parity", "stop_bits"):
+            ours, theirs = getattr(bus, key, None), getattr(shared, key, None)
+            if ours != theirs:
+                what = f"bus {name} has {key} {ours!r} and bus {other}, on the same wire, {theirs!r}; correct one"
+                found.append((("bus", name, key), what))
+        twin = devices.setdefault((*bus.wire, bus.device_id), name)
+        if twin != name:
+            what = (
+                f"bus {name} is device {bus.device_id} on the wire of bus {twin}, as that is; make one section of both"
+            )
+            found.append((("bus", name, "device_id"), what))
+    return found
+
+
+def misplaced(point: Point, bus: ModbusBusSection) -> list[tuple[str, str]]:
     """Key and mistake of a Modbus point that its bus cannot carry."""
     first = point.address or 0
     last = first + point.width - 1

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from drivers.bus_sections import CanBus, ModbusTcpBus, ModbusTlsBus, Section, Table
+from drivers.bus_sections import AnyBus, Section, Table
 from drivers.codec import UNSIGNED, WIDTH, ByteOrder, CodecError, RegisterType, encode, raw_bounds, raw_sentinels
 from drivers.interlock_specs import InterlockSpec
 from drivers.points import Signal
@@ -217,7 +217,7 @@ class Rig(Section):
     suspend_at_most_s: Annotated[float, Field(ge=0)] = 0.0
     twin: Path | None = None
     heartbeat: Heartbeat | None = None
-    bus: dict[str, Annotated[ModbusTcpBus | ModbusTlsBus | CanBus, Field(discriminator="transport")]]
+    bus: dict[str, Annotated[AnyBus, Field(discriminator="transport")]]
     point: tuple[Point, ...]
     interlock: tuple[InterlockSpec, ...] = ()
 
@@ -239,5 +239,8 @@ class Rig(Section):
 
     def with_ports(self, ports: dict[str, int]) -> Rig:
         """The same rig with other TCP ports, by bus name."""
-        buses = {name: bus.model_copy(update={"port": ports.get(name, bus.port)}) for name, bus in self.bus.items()}
+        buses = {
+            name: bus.model_copy(update={"port": ports[name]}) if name in ports else bus
+            for name, bus in self.bus.items()
+        }
         return self.model_copy(update={"bus": buses})

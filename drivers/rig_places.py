@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from drivers.bus_sections import TRANSPORTS
 from drivers.interlock_specs import KINDS
 
 _KEY = re.compile(r"^\s*(?:\"([^\"]+)\"|([A-Za-z0-9_\-]+))\s*=")
@@ -44,7 +45,7 @@ def line_of(text: str, place: Sequence[Any]) -> int:
     return start + 1
 
 
-_TAGS = ("modbus_tcp", "modbus_tls", "socketcand", "socketcan", *KINDS)
+_TAGS = (*TRANSPORTS, *KINDS)
 """Which member of a union was meant: pydantic puts it into the place of a mistake."""
 _REMEDY = {
     "missing": "is missing; add it",

@@ -13,8 +13,10 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 
-from drivers.bus_sections import ModbusTcpBus
+from drivers.bus_sections import ModbusBusSection, ModbusTcpBus
 from drivers.modbus import ModbusBus
+from drivers.modbus_link import ModbusLink
+from drivers.modbus_wire import Lost, Received, Wire
 from drivers.points import Quality
 from drivers.rig_model import Point
 
@@ -31,47 +33,27 @@ HARMLESS = ("none", "twice", "in segments")
 """What a client must put up with: these replies are right, and must be used."""
 
 
-class _Wire(asyncio.Transport):
-    """A connection in memory: what is written is answered by `answer`, in as many segments as it returns."""
+class _MemoryWire:
+    """A wire in memory: what is sent is answered by `answer`, in as many segments as it returns."""
 
-    def __init__(self, answer: Callable[[bytes], list[bytes]], receive: Callable[[bytes], None]) -> None:
-        super().__init__()
+    def __init__(self, answer: Callable[[bytes], list[bytes]], received: Received) -> None:
         self._answer = answer
-        self._receive = receive
-        self._closed = False
+        self._received = received
+        self._open = True
 
-    def write(self, data: bytes | bytearray | memoryview) -> None:
-        for segment in self._answer(bytes(data)):
+    def send(self, data: bytes) -> None:
+        for segment in self._answer(data):
             asyncio.get_running_loop().call_soon(self._deliver, segment)
 
     def _deliver(self, segment: bytes) -> None:
-        if not self._closed:
-            self._receive(segment)
+        if self._open:
+            self._received(segment)
+
+    def take(self, seconds: float) -> bytes:
+        return b""
 
     def close(self) -> None:
-        self._closed = True
-
-    def abort(self) -> None:
-        self._closed = True
-
-    def is_closing(self) -> bool:
-        return self._closed
-
-
-class _MemoryBus(ModbusBus):
-    """The driver as it is, but for the socket."""
-
-    answer: Callable[[bytes], list[bytes]]
-
-    async def _open(self) -> None:
-        self._drop()
-        client = self._new_client()
-        context = client.ctx
-        context.connection_made(_Wire(self.answer, lambda data: context.data_received(data)))
-        self._client = client
-
-    def _lost(self) -> None:
-        """Opened again by who reads: a task of its own would race with the next read, which has no time between."""
+        self._open = False
 
 
 def truth(address: int, epoch: int) -> int:
@@ -170,8 +152,7 @@ async def mutate_modbus(count: int, seed: int, *, timeout_s: float = 0.004) -> d
         mutator.kind = Mutator.KINDS[number % len(Mutator.KINDS)]
         mutator.epoch = number
         bus = patient if mutator.kind in HARMLESS else hasty
-        if bus._client is None:
-            await bus._open()
+        await bus.link.open("memory")
         bus._plan.forget()
         readings = await bus.read()
         tally = found[mutator.kind]
@@ -186,7 +167,11 @@ async def mutate_modbus(count: int, seed: int, *, timeout_s: float = 0.004) -> d
     return {kind: (t[0], t[1], t[2], t[3]) for kind, t in found.items()}
 
 
-def _memory_bus(mutator: Mutator, timeout_s: float) -> _MemoryBus:
-    bus = _MemoryBus("b", ModbusTcpBus(transport="modbus_tcp", port=1, timeout_s=timeout_s), POINTS, lambda: 0.0)
-    bus.answer = mutator.answer
-    return bus
+def _memory_bus(mutator: Mutator, timeout_s: float) -> ModbusBus:
+    """The driver as it is, but for the socket."""
+    config = ModbusTcpBus(transport="modbus_tcp", port=1, timeout_s=timeout_s)
+
+    async def opened(_: ModbusBusSection, tls: object, received: Received, lost: Lost) -> Wire:
+        return _MemoryWire(mutator.answer, received)
+
+    return ModbusBus("b", config, POINTS, lambda: 0.0, ModbusLink(config, opener=opened))

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from drivers.canbus import CanReceiver
     from drivers.rig_model import Rig
 
-_TRANSPORTS = {"modbus_tcp": "Modbus/TCP", "modbus_tls": "Modbus/TCP Security"}
-
 
 @click.command()
 @click.argument("file", type=INPUT_FILE)
@@ -141,16 +139,13 @@ def _rig(file: Path, _: Path, out: Console) -> None:
             receiver = receivers[name]
             often = ", ".join(f"{message} every {cycle:g} s" for message, cycle in receiver.cycle_s.items())
             signals = counted(len(receiver.points), "signal")
-            out.print(
-                f"{name}: {bus.transport} {bus.channel}, {signals} found in {bus.dbc.name}"
-                + (f" ({often})" if often else "")
-            )
+            out.print(f"{name}: {bus.place}, {signals} found in {bus.dbc.name}" + (f" ({often})" if often else ""))
             continue
         cost = polled[name]
         line = "" if cost.line_s is None else f", {cost.line_s:.3f} s of the line at {bus.serial_baud} bit/s"
         reads = counted(len(cost.blocks), "read")
         table = Table(
-            title=f"{name}: {_TRANSPORTS[bus.transport]} {bus.host}:{bus.port}, device {bus.device_id}",
+            title=f"{name}: {bus.where}",
             title_justify="left",
             caption=f"{reads} and {cost.bytes_per_tick} bytes every {rig.period_s:g} s{line}",
             caption_justify="left",

@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from drivers.budget import polling, silence_s, unsaid
+from drivers.budget import polling, unsaid
 from drivers.bus_sections import ModbusTcpBus
 from drivers.points import ConfigurationError
 from drivers.rig_model import Point
 from drivers.rigfile import load_rig
+from drivers.serial_line import silence_s
 from hil.commands.check import command
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -80,7 +80,7 @@ class Naive(FrameGuard):
 
 
 async def test_without_the_guard_a_late_reply_of_transaction_0_is_taken_for_the_answer(monkeypatch):
-    monkeypatch.setattr("drivers.modbus.FrameGuard", Naive)
+    monkeypatch.setattr("drivers.modbus_frames.FrameGuard", Naive)
     found = await mutate_modbus(170, 1)
     assert found["the reply before as transaction 0"][3] > 0
     assert found["trailing bytes"][1] > 0

@@ -202,8 +202,8 @@ async def test_a_reply_that_pymodbus_cannot_decode_is_a_lost_link_and_no_traceba
                 assert readings.values == [0.0]
             link.change = None
             await asyncio.sleep(0.01)
-            bus._drop()
-            await bus._open()
+            bus.link.drop()
+            await bus.link.open("b")
         await bus.close()
     assert bad >= 25
     assert not [record for record in caplog.records if record.name == "asyncio"]
