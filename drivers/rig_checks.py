@@ -86,9 +86,7 @@ def _wire_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
                 found.append((("bus", name, key), what))
         twin = devices.setdefault((*bus.wire, bus.device_id), name)
         if twin != name:
-            what = (
-                f"bus {name} is device {bus.device_id} on the wire of bus {twin}, as that is; make one section of both"
-            )
+            what = f"bus {name} and bus {twin} are the same device on the same wire; make one section of both"
             found.append((("bus", name, "device_id"), what))
     return found
 
