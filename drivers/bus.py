@@ -11,6 +11,7 @@ from drivers.points import Quality
 from drivers.rig_model import Point
 
 Clock = Callable[[], float]
+_GOOD, _OUT_OF_RANGE, _SENSOR_FAULT = int(Quality.GOOD), int(Quality.OUT_OF_RANGE), int(Quality.SENSOR_FAULT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,18 +53,18 @@ def judge(point: Point, raw: float) -> tuple[float, int]:
     """
     value = raw * point.scale + point.offset
     quality = quality_of(point, value, raw)
-    return (math.nan if quality == Quality.SENSOR_FAULT else value), quality
+    return (math.nan if quality == _SENSOR_FAULT else value), quality
 
 
 def quality_of(point: Point, value: float, raw: float) -> int:
     """GOOD, SENSOR_FAULT (not finite, or one of the point's `invalid`, raw or scaled) or OUT_OF_RANGE."""
     if not math.isfinite(value) or raw in point.sentinels:
-        return Quality.SENSOR_FAULT
+        return _SENSOR_FAULT
     for sentinel in point.invalid:
         if abs(value - sentinel) <= 1e-9 * max(1.0, abs(sentinel)):
-            return Quality.SENSOR_FAULT
+            return _SENSOR_FAULT
     if point.label_of is not None and raw not in point.label_of:
-        return Quality.OUT_OF_RANGE
+        return _OUT_OF_RANGE
     if point.plausible is not None and not point.plausible[0] <= value <= point.plausible[1]:
-        return Quality.OUT_OF_RANGE
-    return Quality.GOOD
+        return _OUT_OF_RANGE
+    return _GOOD

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 from typing import Literal, get_args
 
 from drivers.points import DriverError
@@ -78,6 +79,24 @@ def decode(
     """
     number = decode_exact(registers, kind, order)
     return float(number if bits is None else field_of(number, *bits))
+
+
+@lru_cache(maxsize=256)
+def decoder(
+    kind: str, order: ByteOrder = "ABCD", bits: tuple[int, int] | None = None
+) -> Callable[[Sequence[int], int], float]:
+    """`decode` made once for a type: takes the registers of a reply, 0..65535 each, and where in them the value is."""
+    width = WIDTH[kind]
+    if bits is not None or kind == "bool":
+        return lambda registers, at: decode(registers[at : at + width], kind, order, bits)
+    if kind == "uint16" and order in ("ABCD", "CDAB"):
+        return lambda registers, at: float(registers[at])
+    pack = struct.Struct(f"{'<' if order in ('BADC', 'DCBA') else '>'}{width}H").pack
+    unpack = struct.Struct(">" + _FORMAT[kind]).unpack
+    if width == 1:
+        return lambda registers, at: float(unpack(pack(registers[at]))[0])
+    step = -1 if order in ("CDAB", "DCBA") else 1
+    return lambda registers, at: float(unpack(pack(*registers[at : at + width][::step]))[0])
 
 
 def field_of(number: int | float, lowest: int, highest: int) -> int:

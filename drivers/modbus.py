@@ -5,21 +5,13 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from drivers.bus import Clock, Readings, judge
 from drivers.bus_sections import ModbusBusSection
-from drivers.codec import CodecError, decode, decode_text, encode
+from drivers.codec import CodecError, decode, decode_text, decoder, encode
 from drivers.modbus_link import RECONNECT_EVERY_S, ModbusLink
-from drivers.modbus_pdu import (
-    BUSY,
-    GATEWAY_SILENCE,
-    NO_SUCH_ADDRESS,
-    check_written,
-    raw_of,
-    read_request,
-    write_request,
-)
+from drivers.modbus_pdu import BUSY, GATEWAY_SILENCE, NO_SUCH_ADDRESS, Read, check_written, write_request
 from drivers.modbus_step import Steps
 from drivers.plan import Block, ReadPlan, plan_reads, plan_writes
 from drivers.points import (
@@ -34,6 +26,7 @@ from drivers.points import Quality as Q
 from drivers.rig_model import Point
 from drivers.sensor_watch import watches
 
+_Slot = tuple[int, Point, int, Callable[[Sequence[int], int], float]]
 _BUSY_RETRIES = 2
 _BUSY_WAIT_S = 0.05
 _MUTE_AFTER = 2
@@ -68,8 +61,8 @@ class ModbusBus:
         self._where = f"{name} ({config.where})"
         self._plan = ReadPlan(self._planned(self.points))
         self._order = order = {point.name: index for index, point in enumerate(self.points)}
-        self._slots: dict[Block, list[tuple[int, Point, int]]] = {}
-        self._requests: dict[Block, bytes] = {}
+        self._slots: dict[Block, list[_Slot]] = {}
+        self._reads: dict[Block, Read] = {}
         self._watches = watches(self.points)
         self._uptime = order.get(config.uptime) if config.uptime is not None else None
         self._write_plans: dict[tuple[str, ...], list[Block]] = {}
@@ -118,7 +111,7 @@ class ModbusBus:
             for point in block.points:
                 self.texts[point.name] = self._text(point, registers, block)
 
-    def _text(self, point: Point, registers: list[int], block: Block) -> str:
+    def _text(self, point: Point, registers: Sequence[int], block: Block) -> str:
         at = (point.address or 0) - block.address
         try:
             text = decode_text(registers[at : at + point.width], point.order)
@@ -141,11 +134,14 @@ class ModbusBus:
             holes=config.hole,
         )
 
-    def _slots_of(self, block: Block) -> list[tuple[int, Point, int]]:
-        """Where the readings of a block go: index among the polled points, point, offset in the reply."""
+    def _slots_of(self, block: Block) -> list[_Slot]:
+        """Where the readings of a block go: index among the polled points, point, offset in the reply, decoder."""
         slots = self._slots.get(block)
         if slots is None:
-            slots = [(self._order[p.name], p, (p.address or 0) - block.address) for p in block.points]
+            slots = [
+                (self._order[p.name], p, (p.address or 0) - block.address, decoder(p.type, p.order, p.bits))
+                for p in block.points
+            ]
             self._slots[block] = slots
         return slots
 
@@ -153,7 +149,7 @@ class ModbusBus:
         """After the link was lost another device may answer."""
         self._plan.forget()
         self._slots.clear()
-        self._requests.clear()
+        self._reads.clear()
 
     async def read(self) -> Readings:
         """All polled points; LINK_FAULT for those of a block that failed, and a reconnection is set going."""
@@ -173,9 +169,8 @@ class ModbusBus:
                     pending = self._plan.refuse(block, self._clock()) + pending
                 continue
             now = self._clock()
-            for index, point, at in self._slots_of(block):
-                raw = decode(registers[at : at + point.width], point.type, point.order, point.bits)
-                values[index], quality[index] = judge(point, raw)
+            for index, point, at, decoded in self._slots_of(block):
+                values[index], quality[index] = judge(point, decoded(registers, at))
                 watch = self._watches[index]
                 if watch is not None:
                     quality[index] = watch.judge(values[index], quality[index], now)
@@ -228,20 +223,20 @@ class ModbusBus:
         """Stop reconnecting and close the wire, for all that share it."""
         await self.link.close()
 
-    async def _request(self, block: Block) -> list[int]:
+    async def _request(self, block: Block) -> Sequence[int]:
         """The registers of a block, or its bits as 0 and 1; raises DriverError."""
-        request = self._requests.get(block)
-        if request is None:
-            request = self._requests[block] = read_request(block)
+        read = self._reads.get(block)
+        if read is None:
+            read = self._reads[block] = Read(block)
         for tries_left in reversed(range(_BUSY_RETRIES + 1)):
             try:
-                return raw_of(block, await self._ask(request), self._where)
+                return read.raw_of(await self._ask(read.request), self._where)
             except DeviceExceptionError as error:
                 if error.code == GATEWAY_SILENCE:
-                    self._steps.doubt(request)
+                    self._steps.doubt(read.request)
                 await self._busy(error, tries_left)
             except ProtocolError:
-                self._steps.doubt(request)
+                self._steps.doubt(read.request)
                 raise
         raise AssertionError("the last try returns or raises")
 
@@ -254,21 +249,16 @@ class ModbusBus:
 
     async def _ask(self, request: bytes) -> bytes:
         """The reply to a request of a device that is in step; raises LinkError, or ProtocolError of a garbled line."""
+        steps = self._steps
         if self._silences and asyncio.get_running_loop().time() < self._again_at:
             raise LinkError(f"{self._where}: gives no answer; asked again every {RECONNECT_EVERY_S:g} s")
-        if self._steps.lost:
-            await self._show_step()
-        reply = await self._exchange(request)
-        self._silences = 0
-        return reply
-
-    async def _show_step(self) -> None:
-        """Ask for what no reply that is still on its way could be taken for; raises DriverError where that fails."""
-        probe = self._steps.probe(self._plan.planned)
-        if probe is None:
-            return
-        raw_of(probe, await self._exchange(read_request(probe)), self._where)
-        self._steps.found()
+        if steps.open:
+            probe = steps.probe(self._plan.planned)
+            if probe is not None:
+                read = Read(probe)
+                read.raw_of(await self._exchange(read.request), self._where)
+                steps.found()
+        return await self._exchange(request)
 
     async def _exchange(self, request: bytes) -> bytes:
         config = self._config
@@ -282,4 +272,5 @@ class ModbusBus:
                 self._again_at = asyncio.get_running_loop().time() + RECONNECT_EVERY_S
             raise
         self._steps.answered()
+        self._silences = 0
         return reply

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ssl
+import time
 from collections.abc import Awaitable, Callable
 
 from drivers.bus_sections import ModbusBusSection, ModbusRtuBus, ModbusTlsBus, is_rtu
@@ -20,9 +21,9 @@ from drivers.serial_line import BITS_PER_BYTE, silence_s
 from drivers.tls import client_context, why_refused
 
 RECONNECT_EVERY_S = 1.0
-AT_ONCE_S = 200e-6
+AT_ONCE_S = 1e-3
 """How long a reply is waited for without the event loop, where the one before came within that time."""
-_YIELD_EVERY_S = 2e-3
+_YIELD_EVERY_S = 5e-3
 _QUIET_S = 0.05
 _QUIET_AT_MOST_S = 0.5
 
@@ -84,7 +85,7 @@ class ModbusLink:
             why = f"no answer within {timeout_s:g} s" if isinstance(error, TimeoutError) else str(error)
             what = "serial_port" if isinstance(self.config, ModbusRtuBus) else "host and port"
             raise LinkError(f"{where} cannot be reached: {why}; is the rig on, and {what} right?") from error
-        self._quiet_since = asyncio.get_running_loop().time()
+        self._quiet_since = time.monotonic()
         self._unquiet = False
         self._at_once = True
 
@@ -122,9 +123,9 @@ class ModbusLink:
                 raise LinkError(f"{where}: the connection is lost; reconnecting every {RECONNECT_EVERY_S:g} s")
             if self._unquiet:
                 await self._fall_silent()
-            loop = asyncio.get_running_loop()
+            now = time.monotonic  # the loop's clock, without the way to it
             if self._gap_s > 0.0:
-                wait_s = self._quiet_since + self._gap_s - loop.time()
+                wait_s = self._quiet_since + self._gap_s - now()
                 if wait_s > 0.0:
                     await asyncio.sleep(wait_s)
             self._reply = self._refused = None
@@ -133,27 +134,26 @@ class ModbusLink:
             frame = self._frames.frame(device, pdu)
             try:
                 wire.send(frame)
-                began = loop.time()
+                began = now()
                 if self._at_once:
                     data = wire.take(AT_ONCE_S)
                     if data:
                         self._received(data)
                 if self._reply is None and self._refused is None:
                     await self._wait(timeout_s + self._line_s(frame, pdu))
-                ended = loop.time()
+                ended = now()
                 self._at_once = ended - began < AT_ONCE_S
             except OSError as error:
                 self._broken(str(error))
-                ended = loop.time()
+                ended = now()
             finally:
                 self._waiting = None
-                self._quiet_since = loop.time()
+                self._quiet_since = now()
             if self._reply is not None:
-                self._unquiet = False
                 self.unanswered = 0
                 if ended - self._yielded > _YIELD_EVERY_S:
                     await asyncio.sleep(0)  # replies that come at once would otherwise never let another task run
-                    self._yielded = loop.time()
+                    self._yielded = now()
                 return self._reply
             self.unanswered += 1
             raise self._failure(where, timeout_s)
@@ -175,7 +175,7 @@ class ModbusLink:
         finally:
             timer.cancel()
             self._waiter = None
-        self._yielded = loop.time()
+        self._yielded = time.monotonic()
 
     def _wake(self) -> None:
         if self._waiter is not None and not self._waiter.done():
@@ -204,17 +204,16 @@ class ModbusLink:
 
     async def _fall_silent(self) -> None:
         """Wait until nothing has arrived for a while: what does is the end of what went before."""
-        loop = asyncio.get_running_loop()
-        end = loop.time() + _QUIET_AT_MOST_S
+        end = time.monotonic() + _QUIET_AT_MOST_S
         quiet_s = max(_QUIET_S, self._gap_s)
-        left_s = self._quiet_since + quiet_s - loop.time()
-        while left_s > 0.0 and loop.time() < end:
+        left_s = self._quiet_since + quiet_s - time.monotonic()
+        while left_s > 0.0 and time.monotonic() < end:
             await asyncio.sleep(left_s)
-            left_s = self._quiet_since + quiet_s - loop.time()
+            left_s = self._quiet_since + quiet_s - time.monotonic()
 
     def _received(self, data: bytes) -> None:
-        self._quiet_since = asyncio.get_running_loop().time()
         if self._waiting is None:
+            self._quiet_since = time.monotonic()
             if self.is_rtu:
                 self._unquiet = True  # someone speaks who was not asked
                 return
@@ -230,6 +229,8 @@ class ModbusLink:
             self._refused = str(error)
             if not self.is_rtu:
                 self.drop()  # where the next frame of the stream begins is not known any more
+        if self._reply is not None:
+            self._unquiet = False
         if self._reply is not None or self._refused is not None:
             self._wake()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from typing import NoReturn
 
 from drivers.plan import BIT_TABLES, Block
 from drivers.points import DeviceExceptionError, ProtocolError
@@ -25,9 +26,33 @@ _EXCEPTIONS = {
 }
 
 
-def read_request(block: Block) -> bytes:
-    """Request that reads a block (6.1 to 6.4)."""
-    return struct.pack(">BHH", block.read_code, block.address, block.count)
+class Read:
+    """The request that reads a block (6.1 to 6.4), and what its reply must be."""
+
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        self.request = struct.pack(">BHH", block.read_code, block.address, block.count)
+        self._is_bits = block.table in BIT_TABLES
+        size = -(-block.count // 8) if self._is_bits else 2 * block.count
+        self._head = bytes((block.read_code, size))
+        self._size = 2 + size
+        self._unpack = struct.Struct(f"{size}B" if self._is_bits else f">{block.count}H").unpack_from
+
+    def raw_of(self, reply: bytes, where: str) -> Sequence[int]:
+        """Registers of the block, or its bits as 0 and 1; raises ProtocolError where the reply is not the block's."""
+        if reply[:2] != self._head or len(reply) < self._size:
+            self._refuse(reply, where)
+        raw = self._unpack(reply, 2)
+        return [raw[at >> 3] >> (at & 7) & 1 for at in range(self.block.count)] if self._is_bits else raw
+
+    def _refuse(self, reply: bytes, where: str) -> NoReturn:
+        block = self.block
+        _check_function(block.read_code, block, reply, where)
+        got = f"{8 * reply[1]} bits" if self._is_bits else f"{reply[1] // 2} registers"
+        raise ProtocolError(
+            f"{where} answered {got} where {block.count} were asked ({block.table} {block.address}); "
+            "the reply is not used"
+        )
 
 
 def write_request(block: Block, raw: Sequence[int]) -> bytes:
@@ -41,23 +66,6 @@ def write_request(block: Block, raw: Sequence[int]) -> bytes:
         packed = sum(bool(bit) << at for at, bit in enumerate(raw)).to_bytes(-(-len(raw) // 8), "little")
         return struct.pack(">BHHB", code, block.address, len(raw), len(packed)) + packed
     return struct.pack(f">BHHB{len(raw)}H", code, block.address, len(raw), 2 * len(raw), *raw)
-
-
-def raw_of(block: Block, reply: bytes, where: str) -> list[int]:
-    """Registers of a read block, or its bits as 0 and 1; raises ProtocolError where the reply is not the block's."""
-    _check_function(block.read_code, block, reply, where)
-    size = reply[1]
-    is_bits = block.table in BIT_TABLES
-    if size != (-(-block.count // 8) if is_bits else 2 * block.count) or len(reply) < 2 + size:
-        got = f"{8 * size} bits" if is_bits else f"{size // 2} registers"
-        raise ProtocolError(
-            f"{where} answered {got} where {block.count} were asked ({block.table} {block.address}); "
-            "the reply is not used"
-        )
-    if is_bits:
-        packed = int.from_bytes(reply[2 : 2 + size], "little")
-        return [packed >> at & 1 for at in range(block.count)]
-    return list(struct.unpack_from(f">{block.count}H", reply, 2))
 
 
 def check_written(block: Block, raw: Sequence[int], request: bytes, reply: bytes, where: str) -> None:

@@ -17,35 +17,33 @@ _Shape = tuple[int, int]
 
 
 class Steps:
-    """Requests that are still open; none ever is where the replies are `numbered`, and known by that."""
+    """Requests that are still `open`; none ever is where the replies are `numbered`, and known by that.
+
+    While any is open, a probe must come first.
+    """
 
     def __init__(self, *, numbered: bool) -> None:
         self._numbered = numbered
-        self._open: list[_Shape] = []
-
-    @property
-    def lost(self) -> bool:
-        """Whether a request was not answered, so that a probe must come first."""
-        return bool(self._open)
+        self.open: list[_Shape] = []
 
     def asked(self, request: bytes) -> None:
         """A request goes out."""
         if not self._numbered:
-            self._open.append(_shape(request))
+            self.open.append(_shape(request))
 
     def answered(self) -> None:
         """It was answered, by a device that was in step."""
-        if len(self._open) == 1:
-            self._open.clear()
+        if len(self.open) == 1:
+            self.open.clear()
 
     def doubt(self, request: bytes) -> None:
         """What came was an answer in form, but not to this: a gateway's word for silence, or another length."""
-        if not self._open:
+        if not self.open:
             self.asked(request)
 
     def found(self) -> None:
         """The probe was answered."""
-        self._open.clear()
+        self.open.clear()
 
     def probe(self, planned: Sequence[Block]) -> Block | None:
         """Whole points from the beginning of a planned block, of a reply that no open request has.
@@ -57,9 +55,9 @@ class Steps:
             for number, point in enumerate(block.points, 1):
                 end = max(end, (point.address or 0) + point.width - block.address)
                 part = replace(block, count=end, points=block.points[:number])
-                if (block.read_code, _size(block.table in BIT_TABLES, end)) not in self._open:
+                if (block.read_code, _size(block.table in BIT_TABLES, end)) not in self.open:
                     return part
-        self._open.clear()
+        self.open.clear()
         return None
 
 

@@ -49,20 +49,20 @@ class DescriptorWire:
         self._lost = lost
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._descriptor, self._readable)
+        self._poll = select.poll()
+        self._poll.register(self._descriptor, select.POLLIN)
         self._open = True
 
     def send(self, data: bytes) -> None:
         """Send a frame, which is small: a wire that does not take it at once has not taken many before."""
+        if not self._open:  # the number of a closed descriptor may be another file's by now
+            raise OSError("the wire is closed")
         if os.write(self._descriptor, data) != len(data):
             raise OSError("the wire takes nothing any more")
 
     def take(self, seconds: float) -> bytes:
-        """What arrives within `seconds`."""
-        try:
-            ready, _, _ = select.select((self._descriptor,), (), (), seconds)
-        except ValueError:  # a descriptor beyond what select() knows
-            return b""
-        return self._read() if ready else b""
+        """What arrives within `seconds`, which are whole milliseconds."""
+        return self._read() if self._open and self._poll.poll(1000.0 * seconds) else b""
 
     def close(self) -> None:
         """Close; harmless when repeated."""

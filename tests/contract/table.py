@@ -18,8 +18,8 @@ _SUITES = {
 }
 
 _NOTES = {
-    "test_modbus_contract": "What the device holds changes before every read. A value that is good and not what it held, "
-    "or not good and yet a number, fails the test.",
+    "test_modbus_contract": "What the device holds changes before every read. A value that is good and not what it "
+    "held, or not good and yet a number, fails the test.",
     "test_naive": "Passed: the trap is there. Plain pymodbus, python-can and cantools, on the same devices and wires.",
 }
 

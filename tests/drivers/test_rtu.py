@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.modbus_pdu import read_request
+from drivers.modbus_pdu import Read
 from drivers.modbus_step import Steps
 from drivers.plan import plan_reads
 from drivers.points import ProtocolError
@@ -80,7 +80,7 @@ def test_the_question_that_shows_the_step_has_a_length_that_nothing_open_has(add
     )
     steps, seen = Steps(numbered=False), []
     for number in range(misses):
-        request = read_request(planned[number % len(planned)])
+        request = Read(planned[number % len(planned)]).request
         steps.asked(request)
         seen.append(request[3:5])
     probe = steps.probe(planned)
@@ -90,14 +90,14 @@ def test_the_question_that_shows_the_step_has_a_length_that_nothing_open_has(add
         return
     assert struct.pack(">H", probe.count) not in seen
     assert probe.count % 2 == 0 and any(b.address == probe.address and probe.count <= b.count for b in planned)
-    steps.asked(read_request(probe))
+    steps.asked(Read(probe).request)
     steps.answered()
-    assert steps.lost
+    assert steps.open
     steps.found()
-    assert not steps.lost
+    assert not steps.open
 
 
 def test_replies_that_carry_a_number_need_no_such_question():
     steps = Steps(numbered=True)
     steps.asked(REQUEST)
-    assert not steps.lost
+    assert not steps.open
