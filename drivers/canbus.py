@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import can
 
-from drivers.bus import Clock, Readings, judge
+from drivers.bus import Clock, Readings, judge_of
 from drivers.bus_sections import CanBus
 from drivers.dbc import bind
 from drivers.points import ConfigurationError, LinkError, Quality
@@ -57,6 +57,7 @@ class CanReceiver:
         self._where = f"{name} ({config.place})"
         self._latest = [_Latest() for _ in points]
         self._watches = watches(points)
+        self._judges = [judge_of(point) for point in points]
         self._uptime = next((i for i, p in enumerate(points) if p.name == config.uptime), None)
         self._lock = threading.Lock()
         self._stop = threading.Event()
@@ -220,12 +221,12 @@ class CanReceiver:
         wake: asyncio.Future[None] | None = None
         with self._lock:
             self._fault = None
-            for index, point, signal in found.wanted:
+            for index, signal in found.wanted:
                 raw = decoded.get(signal.name)
                 if raw is None:  # multiplexed, and not in this frame
                     continue
                 latest = self._latest[index]
-                latest.value, latest.quality = judge(point, raw)
+                latest.value, latest.quality = self._judges[index](raw)
                 if latest.quality == Quality.GOOD and not signal.admits(raw):
                     latest.quality = Quality.OUT_OF_RANGE
                 watch = self._watches[index]

@@ -110,18 +110,36 @@ def encode(value: float, kind: str, order: ByteOrder = "ABCD") -> list[int]:
     """Registers of the raw number `value`, rounded for integers; raises CodecError where it does not fit."""
     if kind not in WIDTH:
         raise CodecError(f"{kind} is no type of number")
+    return encoder(kind, order)(value)
+
+
+@lru_cache(maxsize=64)
+def encoder(kind: str, order: ByteOrder = "ABCD") -> Callable[[float], list[int]]:
+    """`encode` made once for a type."""
+    if kind == "bool":
+        return lambda value: _arranged([_bit(value)], order)
+    pack, unpack = struct.Struct(">" + _FORMAT[kind]).pack, struct.Struct(f">{WIDTH[kind]}H").unpack
+    is_float, is_plain = kind.startswith("float"), order == "ABCD"
+
+    def encoded(value: float) -> list[int]:
+        if not math.isfinite(value):
+            raise CodecError(f"{value} cannot be written")
+        try:
+            raw = pack(value if is_float else round(value))
+        except (struct.error, OverflowError) as error:
+            raise CodecError(f"{value:g} does not fit in {kind}") from error
+        words = list(unpack(raw))
+        return words if is_plain else _arranged(words, order)
+
+    return encoded
+
+
+def _bit(value: float) -> int:
     if not math.isfinite(value):
         raise CodecError(f"{value} cannot be written")
-    if kind == "bool":
-        if value not in (0, 1):
-            raise CodecError(f"{value:g} does not fit in bool; write 0 or 1")
-        return _arranged([int(value)], order)
-    try:
-        number: float | int = value if kind.startswith("float") else round(value)
-        raw = struct.pack(">" + _FORMAT[kind], number)
-    except (struct.error, OverflowError) as error:
-        raise CodecError(f"{value:g} does not fit in {kind}") from error
-    return _arranged(struct.unpack(f">{WIDTH[kind]}H", raw), order)
+    if value not in (0, 1):
+        raise CodecError(f"{value:g} does not fit in bool; write 0 or 1")
+    return int(value)
 
 
 def decode_text(registers: Sequence[int], order: ByteOrder = "ABCD") -> str:

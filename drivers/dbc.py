@@ -46,13 +46,13 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """A message and what points want of it: index and point with each signal. `length` in bytes, `cycle_s` in s."""
+    """A message and what points want of it: index of the point with each signal. `length` in bytes, `cycle_s` in s."""
 
     name: str
     length: int
     cycle_s: float | None
     message: Any
-    wanted: list[tuple[int, Point, Wanted]]
+    wanted: list[tuple[int, Wanted]]
 
     def decode(self, data: bytes) -> dict[str, float] | None:
         """Values by signal, of those that are in this frame; None where it cannot be decoded."""
@@ -128,5 +128,5 @@ def bind(path: Path, encoding: str, points: Sequence[Point]) -> dict[tuple[int, 
         half = abs(float(signal.scale)) / 2
         low = -math.inf if signal.minimum is None else float(signal.minimum) - half
         high = math.inf if signal.maximum is None else float(signal.maximum) + half
-        entry.wanted.append((index, point, Wanted(signal.name, low, high)))
+        entry.wanted.append((index, Wanted(signal.name, low, high)))
     return bound

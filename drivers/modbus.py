@@ -7,9 +7,9 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from drivers.bus import Clock, Readings, judge
+from drivers.bus import Clock, Judge, Readings, judge, judge_of
 from drivers.bus_sections import ModbusBusSection
-from drivers.codec import CodecError, decode, decode_text, decoder, encode
+from drivers.codec import CodecError, decode, decode_text, decoder, encoder
 from drivers.modbus_link import RECONNECT_EVERY_S, ModbusLink
 from drivers.modbus_pdu import BUSY, GATEWAY_SILENCE, NO_SUCH_ADDRESS, Read, check_written, write_request
 from drivers.modbus_step import Steps
@@ -26,7 +26,8 @@ from drivers.points import Quality as Q
 from drivers.rig_model import Point
 from drivers.sensor_watch import watches
 
-_Slot = tuple[int, Point, int, Callable[[Sequence[int], int], float]]
+_Slot = tuple[int, int, Callable[[Sequence[int], int], float], Judge]
+_Put = tuple[str, float, float, Callable[[float], list[int]]]
 _BUSY_RETRIES = 2
 _BUSY_WAIT_S = 0.05
 _MUTE_AFTER = 2
@@ -65,7 +66,7 @@ class ModbusBus:
         self._reads: dict[Block, Read] = {}
         self._watches = watches(self.points)
         self._uptime = order.get(config.uptime) if config.uptime is not None else None
-        self._write_plans: dict[tuple[str, ...], list[Block]] = {}
+        self._write_plans: dict[tuple[str, ...], list[tuple[Block, list[_Put]]]] = {}
         self._steps = Steps(numbered=not self.link.is_rtu and config.serial_baud is None)
         self._silences = 0
         self._again_at = 0.0
@@ -135,11 +136,11 @@ class ModbusBus:
         )
 
     def _slots_of(self, block: Block) -> list[_Slot]:
-        """Where the readings of a block go: index among the polled points, point, offset in the reply, decoder."""
+        """Where the readings of a block go: index among the polled points, offset in the reply, decoder and judge."""
         slots = self._slots.get(block)
         if slots is None:
             slots = [
-                (self._order[p.name], p, (p.address or 0) - block.address, decoder(p.type, p.order, p.bits))
+                (self._order[p.name], (p.address or 0) - block.address, decoder(p.type, p.order, p.bits), judge_of(p))
                 for p in block.points
             ]
             self._slots[block] = slots
@@ -169,8 +170,8 @@ class ModbusBus:
                     pending = self._plan.refuse(block, self._clock()) + pending
                 continue
             now = self._clock()
-            for index, point, at, decoded in self._slots_of(block):
-                values[index], quality[index] = judge(point, decoded(registers, at))
+            for index, at, decoded, judged in self._slots_of(block):
+                values[index], quality[index] = judged(decoded(registers, at))
                 watch = self._watches[index]
                 if watch is not None:
                     quality[index] = watch.judge(values[index], quality[index], now)
@@ -187,19 +188,20 @@ class ModbusBus:
         names = tuple(values)
         plan = self._write_plans.get(names)
         if plan is None:
-            plan = plan_writes(
+            blocks = plan_writes(
                 (self._all[name] for name in names),
                 max_write=self._config.max_write,
                 max_write_bits=self._config.max_write_bits,
             )
+            plan = [(b, [(p.name, p.offset, p.scale, encoder(p.type, p.order)) for p in b.points]) for b in blocks]
             self._write_plans[names] = plan
-        for block in plan:
+        for block, puts in plan:
             raw: list[int] = []
-            for point in block.points:
+            for name, offset, scale, encoded in puts:
                 try:
-                    raw += encode((values[point.name] - point.offset) / point.scale, point.type, point.order)
+                    raw += encoded((values[name] - offset) / scale)
                 except ValueError as error:
-                    raise ConfigurationError(f"{point.name}: {error}; correct its type or scale") from error
+                    raise ConfigurationError(f"{name}: {error}; correct its type or scale") from error
             request = write_request(block, raw)
             for tries_left in reversed(range(_BUSY_RETRIES + 1)):
                 try:

@@ -22,7 +22,11 @@ from drivers.tls import client_context, why_refused
 
 RECONNECT_EVERY_S = 1.0
 AT_ONCE_S = 1e-3
-"""How long a reply is waited for without the event loop, where the one before came within that time."""
+"""A reply within this time comes at once: the next is waited for without the event loop, which costs more than that."""
+_PATIENCE_S = 10e-3
+"""How long, before the loop takes over. A shorter time-out makes the kernel set a timer, which costs more."""
+_LATE_AT_MOST = 3
+"""Replies in a row that did not come at once, after which none is waited for so until one does again."""
 _YIELD_EVERY_S = 5e-3
 _QUIET_S = 0.05
 _QUIET_AT_MOST_S = 0.5
@@ -60,7 +64,7 @@ class ModbusLink:
         self._waiter: asyncio.Future[None] | None = None
         self._quiet_since = 0.0
         self._unquiet = False
-        self._at_once = True
+        self._late = 0
         self._yielded = 0.0
 
     @property
@@ -87,7 +91,7 @@ class ModbusLink:
             raise LinkError(f"{where} cannot be reached: {why}; is the rig on, and {what} right?") from error
         self._quiet_since = time.monotonic()
         self._unquiet = False
-        self._at_once = True
+        self._late = 0
 
     async def explain(self, where: str) -> None:
         """Raise the reason why TLS was refused, where that is why there is no connection."""
@@ -135,14 +139,14 @@ class ModbusLink:
             try:
                 wire.send(frame)
                 began = now()
-                if self._at_once:
-                    data = wire.take(AT_ONCE_S)
+                if self._late < _LATE_AT_MOST:
+                    data = wire.take(_PATIENCE_S)
                     if data:
                         self._received(data)
                 if self._reply is None and self._refused is None:
                     await self._wait(timeout_s + self._line_s(frame, pdu))
                 ended = now()
-                self._at_once = ended - began < AT_ONCE_S
+                self._late = 0 if ended - began < AT_ONCE_S else self._late + 1
             except OSError as error:
                 self._broken(str(error))
                 ended = now()

@@ -13,7 +13,7 @@ import socket
 import statistics
 import struct
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,6 +30,7 @@ COUNT = 12
 REQUEST = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, COUNT)
 REPLY_BYTES = 9 + 2 * COUNT
 STEPS_OF_FORTY_HOURS = 144_000
+LOCKSTEP_PARTS = 20
 AIM_SHARE = 0.9
 AIM_S = 15.0
 
@@ -208,28 +209,54 @@ async def _lockstep(rig: VirtualRig, size: Size, progress: Progress) -> Table:
     """What the bus alone costs of a replay in lockstep: a read of all points and a write of four registers a step."""
     bus = ModbusBus("plc", ModbusTcpBus(transport="modbus_tcp", port=rig.modbus_port), _points(), time.monotonic)
     await bus.connect()
-    began, cpu = time.perf_counter(), time.process_time()
+    part = max(1, size.steps // LOCKSTEP_PARTS)
+    spent = {"ours": 0.0, "raw": 0.0}
+    cpu_s, steps = 0.0, 0
     try:
-        for step in range(size.steps):
-            await bus.read()
-            await bus.write(
-                {
-                    "heater_power_set": step % 900,
-                    "pump_speed_set": 80.0,
-                    "fan_speed_set": 50.0,
-                    "heartbeat": step % 60_000,
-                }
-            )
-            if step % 1000 == 0:
-                progress(step / size.steps)
+        with _raw_step(rig) as raw_step:
+            while steps < size.steps:
+                began, cpu = time.perf_counter(), time.process_time()
+                for step in range(steps, min(steps + part, size.steps)):
+                    await bus.read()
+                    setpoints = {"heater_power_set": step % 900, "pump_speed_set": 80.0, "fan_speed_set": 50.0}
+                    await bus.write({**setpoints, "heartbeat": step % 60_000})
+                spent["ours"] += time.perf_counter() - began
+                cpu_s += time.process_time() - cpu
+                steps = min(steps + part, size.steps)
+                began = time.perf_counter()
+                for _ in range(part // 10):
+                    raw_step()
+                spent["raw"] += (time.perf_counter() - began) * part / max(part // 10, 1)
+                progress(steps / size.steps)
     finally:
         await bus.close()
-    wall_s, cpu_s = time.perf_counter() - began, time.process_time() - cpu
     forty = STEPS_OF_FORTY_HOURS / size.steps
     return Table(
         "lockstep",
-        "Bus time of forty hours in lockstep",
-        ("of", "steps", "s", "CPU s of ours", "s of 144,000", "aim s"),
-        (("a read and a write a step", size.steps, wall_s, cpu_s, wall_s * forty, AIM_S),),
-        ("All points are read, decoded and judged, and four registers written and confirmed, one after the other.",),
+        "Bus time of forty hours in lockstep: 144,000 reads and writes, one after the other",
+        ("client", "s", "CPU s", "aim s"),
+        (
+            ("ours", spent["ours"] * forty, cpu_s * forty, AIM_S),
+            ("raw socket, nothing decoded or checked", spent["raw"] * forty, None, None),
+        ),
+        (
+            f"Ours: {size.steps:,} steps measured. All points are read, decoded and judged, four registers written and "
+            "confirmed.",
+            "Raw: the same bytes for a tenth of the steps, in turns with ours. Nobody gets below that on this machine.",
+        ),
     )
+
+
+@contextlib.contextmanager
+def _raw_step(rig: VirtualRig) -> Iterator[Callable[[], None]]:
+    """A read and a write on a plain blocking socket."""
+    write = struct.pack(">HHHBBHHB4H", 1, 0, 15, 1, 16, 0, 4, 8, 100, 800, 500, 1)
+    with socket.create_connection((rig.host, rig.modbus_port)) as wire:
+        wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+        def step() -> None:
+            for request in (REQUEST, write):
+                wire.sendall(request)
+                wire.recv(300)
+
+        yield step
