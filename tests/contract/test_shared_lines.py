@@ -169,3 +169,16 @@ def test_what_all_devices_of_a_line_ask_for_must_fit_on_it(tmp_path):
     assert all((one.line_s or 0.0) < rig.period_s for one in polled)
     said = [what for _, what in overloads(rig, polled)]
     assert len(said) == 3 and "bus d1 (with d2, d3): a tick's reads take 1." in said[0]
+
+
+def test_a_serial_line_is_shown_with_its_speed_and_what_a_tick_takes_of_it(tmp_path):
+    from click.testing import CliRunner
+
+    from hil.commands.check import command
+
+    where = 'transport = "modbus_rtu"\nserial_port = "/dev/ttyUSB0"\nserial_baud = 9600\nparity = "none"\nstop_bits = 2'
+    done = CliRunner().invoke(command, [str(rig_file(tmp_path, where))])
+    assert done.exit_code == 0, done.output
+    assert "d2: Modbus RTU /dev/ttyUSB0, 9600 bit/s 8N2, device 2" in done.output
+    # 8 bytes asked and 13 answered
+    assert "1 read and 21 bytes every 1 s, 0.032 s of the line at 9600 bit/s" in done.output
