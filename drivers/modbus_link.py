@@ -90,7 +90,7 @@ class ModbusLink:
             what = "serial_port" if isinstance(self.config, ModbusRtuBus) else "host and port"
             raise LinkError(f"{where} cannot be reached: {why}; is the rig on, and {what} right?") from error
         self._quiet_since = time.monotonic()
-        self._unquiet = False
+        self._unquiet = self.is_rtu  # adapters give noise when they are opened, and converters what was late before
         self._late = 0
 
     async def explain(self, where: str) -> None:

@@ -92,6 +92,12 @@ def prepare(request: RunRequest) -> Prepared:
             f"{request.rig}: bus {secured[0]} wants TLS, which --virtual does not start; serve the rig with "
             "`hil rig --tls-certificate ...` and take --virtual out"
         )
+    unlike = [name for name, bus in rig.bus.items() if bus.transport not in ("modbus_tcp", "socketcand")]
+    if request.virtual and unlike:
+        raise ConfigurationError(
+            f"{request.rig}: bus {unlike[0]} is {rig.bus[unlike[0]].place}, which --virtual does not start; serve the "
+            "rig with `hil rig --rtu-port` or `--serial` and take --virtual out"
+        )
     if request.effects is not None and not request.virtual:
         raise ConfigurationError(
             "--with switches on effects in the virtual rig; give --virtual too, or take --with out"

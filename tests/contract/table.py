@@ -13,6 +13,7 @@ _SUITES = {
     "test_can_contract": "CAN: the same frames on every interface",
     "test_same_rig_file": "One rig file on the virtual rig: only the bus section differs",
     "test_shared_lines": "Several devices on one wire",
+    "test_gateway": "A gateway that is a reply behind",
     "test_naive": "Traps: what the libraries by themselves do",
     "test_interop": "Strangers: programs and libraries that we did not write",
 }
