@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from drivers.bus_sections import CanBus, ModbusBusSection, is_rtu
 from drivers.plan import BIT_TABLES, Block, plan_reads
-from drivers.rigfile import CanBus, ModbusTcpBus, Point, Rig
+from drivers.rig_model import Point, Rig
+from drivers.serial_line import BITS_PER_BYTE, silence_s
 
 MBAP_BYTES = 7
 """Header of a Modbus/TCP frame (Modbus messaging on TCP/IP implementation guide V1.0b, 3.1.3)."""
 _RTU_BYTES = 3  # address and CRC
-_BITS_PER_BYTE = 11  # start, eight, parity or a second stop bit, stop (Modbus over serial line V1.02, 2.5.1)
-_SILENCE_ABOVE_19200_S = 1.75e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +25,7 @@ class Polling:
     line_s: float | None
 
 
-def silence_s(baud: int) -> float:
-    """The gap between two frames on a serial line (Modbus over serial line V1.02, 2.5.1.1), in s."""
-    return 3.5 * _BITS_PER_BYTE / baud if baud <= 19200 else _SILENCE_ABOVE_19200_S
-
-
-def polling(name: str, bus: ModbusTcpBus, points: Sequence[Point]) -> Polling:
+def polling(name: str, bus: ModbusBusSection, points: Sequence[Point]) -> Polling:
     """The read plan of a Modbus bus and what it costs."""
     blocks = plan_reads(
         (point for point in points if point.bus == name and point.is_polled),
@@ -43,21 +38,28 @@ def polling(name: str, bus: ModbusTcpBus, points: Sequence[Point]) -> Polling:
     line_s = None
     if bus.serial_baud is not None:
         frames = sum(pdu) + 2 * _RTU_BYTES * len(pdu)
-        line_s = frames * _BITS_PER_BYTE / bus.serial_baud + 2 * len(pdu) * silence_s(bus.serial_baud)
-    return Polling(name, tuple(blocks), sum(pdu) + 2 * MBAP_BYTES * len(pdu), line_s)
+        line_s = frames * BITS_PER_BYTE / bus.serial_baud + 2 * len(pdu) * silence_s(bus.serial_baud)
+    around = _RTU_BYTES if is_rtu(bus) else MBAP_BYTES
+    return Polling(name, tuple(blocks), sum(pdu) + 2 * around * len(pdu), line_s)
 
 
 def overloads(rig: Rig, polled: Sequence[Polling]) -> list[tuple[tuple[str, ...], str]]:
     """Buses on which a tick's polling does not fit into the period, with their place in the rig file."""
     found: list[tuple[tuple[str, ...], str]] = []
     for one in polled:
-        if one.line_s is not None and one.line_s > rig.period_s:
-            baud = getattr(rig.bus[one.bus], "serial_baud", None)
+        bus = rig.bus[one.bus]
+        if one.line_s is None or isinstance(bus, CanBus):
+            continue
+        sharing = [other for other in polled if getattr(rig.bus[other.bus], "wire", None) == bus.wire]
+        line_s = sum(other.line_s or 0.0 for other in sharing)
+        if line_s > rig.period_s:
+            others = ", ".join(other.bus for other in sharing if other is not one)
             found.append(
                 (
                     ("bus", one.bus, "serial_baud"),
-                    f"bus {one.bus}: {len(one.blocks)} reads take {one.line_s:.2f} s of a line at {baud} bit/s and the "
-                    f"period is {rig.period_s:g} s; poll fewer points, raise period_s or the speed of the line",
+                    f"bus {one.bus}{f' (with {others})' if others else ''}: a tick's reads take {line_s:.2f} s of a "
+                    f"line at {bus.serial_baud} bit/s and the period is {rig.period_s:g} s; poll fewer points, raise "
+                    "period_s or the speed of the line",
                 )
             )
     return found
@@ -94,8 +96,13 @@ def _unwatched(rig: Rig) -> list[str]:
 
 
 def unit_of_count(block: Block) -> str:
-    """What a block counts: bits or registers."""
-    return "bits" if block.table in BIT_TABLES else "registers"
+    """What a block counts: bit or register."""
+    return "bit" if block.table in BIT_TABLES else "register"
+
+
+def counted(count: int, what: str) -> str:
+    """`1 read`, `2 reads`."""
+    return f"{count} {what}" + ("" if count == 1 else "s")
 
 
 def too_short(rig: Rig, name: str, cycle_s: dict[str, float]) -> list[tuple[tuple[str | int, ...], str]]:

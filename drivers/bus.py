@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.points import Quality
-from drivers.rigfile import Point
+from drivers.rig_model import Point
 
 Clock = Callable[[], float]
+_GOOD, _OUT_OF_RANGE, _SENSOR_FAULT = int(Quality.GOOD), int(Quality.OUT_OF_RANGE), int(Quality.SENSOR_FAULT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,25 +46,33 @@ class Bus(Protocol):
         """Close the bus; never raises."""
 
 
-def judge(point: Point, raw: float) -> tuple[float, int]:
-    """Engineering value of a raw number, and its quality by the point's sentinels, labels and plausible range.
+Judge = Callable[[float], tuple[float, int]]
 
-    What the device gives instead of a value is none: of a SENSOR_FAULT the value is NaN.
+
+def judge_of(point: Point) -> Judge:
+    """What turns a raw number of `point` into its engineering value and quality; made once, since it is asked often.
+
+    Quality is SENSOR_FAULT (not finite, or one of the point's `invalid`, raw or scaled), OUT_OF_RANGE (no label, or not
+    plausible) or GOOD. What the device gives instead of a value is none: of a SENSOR_FAULT the value is NaN.
     """
-    value = raw * point.scale + point.offset
-    quality = quality_of(point, value, raw)
-    return (math.nan if quality == Quality.SENSOR_FAULT else value), quality
+    scale, offset, sentinels, labels = point.scale, point.offset, point.sentinels, point.label_of
+    scaled = tuple((sentinel, 1e-9 * max(1.0, abs(sentinel))) for sentinel in point.invalid)
+    low, high = (-math.inf, math.inf) if point.plausible is None else point.plausible
+
+    def judged(raw: float) -> tuple[float, int]:
+        value = raw * scale + offset
+        if not math.isfinite(value) or raw in sentinels:
+            return math.nan, _SENSOR_FAULT
+        for sentinel, tolerance in scaled:
+            if abs(value - sentinel) <= tolerance:
+                return math.nan, _SENSOR_FAULT
+        if (labels is not None and raw not in labels) or not low <= value <= high:
+            return value, _OUT_OF_RANGE
+        return value, _GOOD
+
+    return judged
 
 
-def quality_of(point: Point, value: float, raw: float) -> int:
-    """GOOD, SENSOR_FAULT (not finite, or one of the point's `invalid`, raw or scaled) or OUT_OF_RANGE."""
-    if not math.isfinite(value) or raw in point.sentinels:
-        return Quality.SENSOR_FAULT
-    for sentinel in point.invalid:
-        if abs(value - sentinel) <= 1e-9 * max(1.0, abs(sentinel)):
-            return Quality.SENSOR_FAULT
-    if point.label_of is not None and raw not in point.label_of:
-        return Quality.OUT_OF_RANGE
-    if point.plausible is not None and not point.plausible[0] <= value <= point.plausible[1]:
-        return Quality.OUT_OF_RANGE
-    return Quality.GOOD
+def judge(point: Point, raw: float) -> tuple[float, int]:
+    """Engineering value and quality of a single raw number."""
+    return judge_of(point)(raw)

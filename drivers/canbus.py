@@ -1,4 +1,4 @@
-"""CAN through python-can and cantools: the one module that imports them.
+"""CAN through python-can: the one module that imports it.
 
 A thread of ours receives: python-can's own notifier thread dies silently on a bus error, and its socketcand bus
 returns "nothing yet" at once and for ever when the server has gone. The thread decodes each frame by the DBC, keeps
@@ -15,17 +15,15 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import can
-import cantools.database
 
-from drivers.bus import Clock, Readings, judge
+from drivers.bus import Clock, Readings, judge_of
+from drivers.bus_sections import CanBus
+from drivers.dbc import bind
 from drivers.points import ConfigurationError, LinkError, Quality
-from drivers.rigfile import CanBus, Point
+from drivers.rig_model import Point
 from drivers.sensor_watch import watches
-from drivers.units import canonical_unit
 
 logging.getLogger("can").setLevel(logging.CRITICAL)  # what it reports, this module raises
 
@@ -43,58 +41,6 @@ class _Latest:
     arrival_s: float = -math.inf
 
 
-@dataclass(frozen=True, slots=True)
-class DbcSignal:
-    """One signal as a DBC file describes it; `minimum` and `maximum` in `unit`, `cycle_s` in s."""
-
-    message: str
-    frame_id: int
-    name: str
-    unit: str
-    minimum: float | None
-    maximum: float | None
-    choices: dict[int, str] | None
-    cycle_s: float | None
-    multiplexed: bool
-    comment: str
-
-
-def _load_dbc(path: Path, encoding: str) -> Any:
-    try:
-        return cantools.database.load_file(path, encoding=encoding)
-    except FileNotFoundError:
-        raise ConfigurationError(f"{path}: there is no such DBC file; correct the path") from None
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(
-            f"{path}: is not {encoding} text ({error.reason}); give its encoding, cp1252 for most older files"
-        ) from None
-    except Exception as error:  # cantools raises parse errors of several unrelated types
-        raise ConfigurationError(f"{path}: is not a DBC file that can be used ({error})") from error
-
-
-def describe_dbc(path: Path, encoding: str = "utf-8") -> list[DbcSignal]:
-    """Every signal of a DBC file, in the order of the file; raises ConfigurationError."""
-    found: list[DbcSignal] = []
-    for message in _load_dbc(path, encoding).messages:
-        for signal in message.signals:
-            choices = {int(key): str(text) for key, text in (signal.choices or {}).items()}
-            found.append(
-                DbcSignal(
-                    message.name,
-                    message.frame_id,
-                    signal.name,
-                    signal.unit or "",
-                    signal.minimum,
-                    signal.maximum,
-                    choices or None,
-                    message.cycle_time / 1000.0 if message.cycle_time else None,
-                    bool(signal.multiplexer_ids),
-                    signal.comment or "",
-                )
-            )
-    return found
-
-
 class CanReceiver:
     """The thermocouple side of a rig: points that arrive by themselves in CAN frames."""
 
@@ -108,10 +54,10 @@ class CanReceiver:
         self.reconnects = 0
         self._config = config
         self._clock = clock
-        place = f"{config.host}:{config.port}/" if config.transport == "socketcand" else ""
-        self._where = f"{name} ({config.transport} {place}{config.channel})"
+        self._where = f"{name} ({config.place})"
         self._latest = [_Latest() for _ in points]
         self._watches = watches(points)
+        self._judges = [judge_of(point) for point in points]
         self._uptime = next((i for i, p in enumerate(points) if p.name == config.uptime), None)
         self._lock = threading.Lock()
         self._stop = threading.Event()
@@ -120,39 +66,12 @@ class CanReceiver:
         self._bus: can.BusABC | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._waiter: tuple[float, asyncio.Future[None]] | None = None
-        self._messages = self._bind()
-
-    def _bind(self) -> dict[tuple[int, bool], tuple[Any, list[tuple[int, Point, str]]]]:
-        """Match points with the DBC's messages and signals; raises ConfigurationError."""
-        path = self._config.dbc
-        database = _load_dbc(path, self._config.dbc_encoding)
-        bound: dict[tuple[int, bool], tuple[Any, list[tuple[int, Point, str]]]] = {}
-        for index, point in enumerate(self.points):
-            try:
-                message = database.get_message_by_name(point.message)
-            except KeyError:
-                names = ", ".join(m.name for m in database.messages)
-                raise ConfigurationError(
-                    f"{path}: no message {point.message!r} for point {point.name}; there is {names}"
-                ) from None
-            signal = next((s for s in message.signals if s.name == point.signal), None)
-            if signal is None:
-                names = ", ".join(s.name for s in message.signals)
-                raise ConfigurationError(
-                    f"{path}: message {message.name} has no signal {point.signal!r} for {point.name}; it has {names}"
-                )
-            if signal.unit and canonical_unit(signal.unit) != point.unit:
-                raise ConfigurationError(
-                    f"{path}: signal {signal.name} is in {signal.unit}, point {point.name} in {point.unit}; correct one"
-                )
-            key = (message.frame_id, message.is_extended_frame)
-            bound.setdefault(key, (message, []))[1].append((index, point, signal.name))
-        return bound
+        self._messages = bind(config.dbc, config.dbc_encoding, points)
 
     @property
     def cycle_s(self) -> dict[str, float]:
         """How often the DBC says that each wanted message comes, in s; messages without a cycle time are left out."""
-        return {m.name: m.cycle_time / 1000.0 for m, _ in self._messages.values() if m.cycle_time}
+        return {bound.name: bound.cycle_s for bound in self._messages.values() if bound.cycle_s is not None}
 
     async def connect(self) -> None:
         """Open the bus and start receiving; raises LinkError when no bound frame comes within the deadline."""
@@ -174,7 +93,9 @@ class CanReceiver:
                 return can.Bus(
                     interface="socketcand", channel=config.channel, host=config.host, port=config.port, tcp_tune=True
                 )
-            return can.Bus(interface="socketcan", channel=config.channel)
+            if config.transport == "slcan":
+                return can.Bus(interface="slcan", channel=config.channel, bitrate=config.bitrate, sleep_after_open=0.1)
+            return can.Bus(interface=config.transport, channel=config.channel)
         except (OSError, can.CanError, ValueError, TimeoutError) as error:
             raise LinkError(f"{self._where} cannot be opened: {error}; is the rig on?") from error
 
@@ -290,21 +211,27 @@ class CanReceiver:
         if found is None:
             self.unknown_frames += 1
             return
-        message, wanted = found
-        try:
-            decoded = message.decode(bytes(frame.data), decode_choices=False, scaling=True)
-        except Exception:  # cantools raises DecodeError, but bad DBCs leak others; a frame is then not used
+        decoded = found.decode(bytes(frame.data)) if len(frame.data) == frame.dlc == found.length else None
+        if decoded is None:
             self.bad_frames += 1
+            with self._lock:
+                self._fault = (
+                    f"{self._where}: {found.name} came with {frame.dlc} bytes and is not used; {self._config.dbc.name} "
+                    f"has it with {found.length}"
+                )
             return
         arrival = self._clock()
         wake: asyncio.Future[None] | None = None
         with self._lock:
             self._fault = None
-            for index, point, signal in wanted:
-                if signal not in decoded:  # multiplexed, and not in this frame
+            for index, signal in found.wanted:
+                raw = decoded.get(signal.name)
+                if raw is None:  # multiplexed, and not in this frame
                     continue
                 latest = self._latest[index]
-                latest.value, latest.quality = judge(point, float(decoded[signal]))
+                latest.value, latest.quality = self._judges[index](raw)
+                if latest.quality == Quality.GOOD and not signal.admits(raw):
+                    latest.quality = Quality.OUT_OF_RANGE
                 watch = self._watches[index]
                 if watch is not None:
                     latest.quality = watch.judge(latest.value, latest.quality, arrival)

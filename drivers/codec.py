@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 from typing import Literal, get_args
 
 from drivers.points import DriverError
@@ -80,6 +81,24 @@ def decode(
     return float(number if bits is None else field_of(number, *bits))
 
 
+@lru_cache(maxsize=256)
+def decoder(
+    kind: str, order: ByteOrder = "ABCD", bits: tuple[int, int] | None = None
+) -> Callable[[Sequence[int], int], float]:
+    """`decode` made once for a type: takes the registers of a reply, 0..65535 each, and where in them the value is."""
+    width = WIDTH[kind]
+    if bits is not None or kind == "bool":
+        return lambda registers, at: decode(registers[at : at + width], kind, order, bits)
+    if kind == "uint16" and order in ("ABCD", "CDAB"):
+        return lambda registers, at: float(registers[at])
+    pack = struct.Struct(f"{'<' if order in ('BADC', 'DCBA') else '>'}{width}H").pack
+    unpack = struct.Struct(">" + _FORMAT[kind]).unpack
+    if width == 1:
+        return lambda registers, at: float(unpack(pack(registers[at]))[0])
+    step = -1 if order in ("CDAB", "DCBA") else 1
+    return lambda registers, at: float(unpack(pack(*registers[at : at + width][::step]))[0])
+
+
 def field_of(number: int | float, lowest: int, highest: int) -> int:
     """The unsigned number in bits `lowest` to `highest` of an integer; raises CodecError of anything else."""
     if not isinstance(number, int) or number < 0 or not 0 <= lowest <= highest:
@@ -91,18 +110,36 @@ def encode(value: float, kind: str, order: ByteOrder = "ABCD") -> list[int]:
     """Registers of the raw number `value`, rounded for integers; raises CodecError where it does not fit."""
     if kind not in WIDTH:
         raise CodecError(f"{kind} is no type of number")
+    return encoder(kind, order)(value)
+
+
+@lru_cache(maxsize=64)
+def encoder(kind: str, order: ByteOrder = "ABCD") -> Callable[[float], list[int]]:
+    """`encode` made once for a type."""
+    if kind == "bool":
+        return lambda value: _arranged([_bit(value)], order)
+    pack, unpack = struct.Struct(">" + _FORMAT[kind]).pack, struct.Struct(f">{WIDTH[kind]}H").unpack
+    is_float, is_plain = kind.startswith("float"), order == "ABCD"
+
+    def encoded(value: float) -> list[int]:
+        if not math.isfinite(value):
+            raise CodecError(f"{value} cannot be written")
+        try:
+            raw = pack(value if is_float else round(value))
+        except (struct.error, OverflowError) as error:
+            raise CodecError(f"{value:g} does not fit in {kind}") from error
+        words = list(unpack(raw))
+        return words if is_plain else _arranged(words, order)
+
+    return encoded
+
+
+def _bit(value: float) -> int:
     if not math.isfinite(value):
         raise CodecError(f"{value} cannot be written")
-    if kind == "bool":
-        if value not in (0, 1):
-            raise CodecError(f"{value:g} does not fit in bool; write 0 or 1")
-        return _arranged([int(value)], order)
-    try:
-        number: float | int = value if kind.startswith("float") else round(value)
-        raw = struct.pack(">" + _FORMAT[kind], number)
-    except (struct.error, OverflowError) as error:
-        raise CodecError(f"{value:g} does not fit in {kind}") from error
-    return _arranged(struct.unpack(f">{WIDTH[kind]}H", raw), order)
+    if value not in (0, 1):
+        raise CodecError(f"{value:g} does not fit in bool; write 0 or 1")
+    return int(value)
 
 
 def decode_text(registers: Sequence[int], order: ByteOrder = "ABCD") -> str:

@@ -1,7 +1,7 @@
 """Which registers and bits to ask for in one request: pure planning, no I/O.
 
 Requests are made of whole points: a value is never split, and a hole that the rig file declares never crossed. Limits
-are the protocol's (Modbus application protocol V1.1b3, 6.1 to 6.4, 6.11, 6.12 and 6.17) or the device's, if narrower.
+are the protocol's (Modbus application protocol V1.1b3, 6.1 to 6.4, 6.11 and 6.12) or the device's, if narrower.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Protocol
 
-from drivers.rigfile import Point
+from drivers.rig_model import Point
 
 BIT_TABLES = ("coil", "discrete")
 READ_CODE = {"coil": 1, "discrete": 2, "holding": 3, "input": 4}
@@ -19,8 +19,6 @@ MAX_READ = 125
 MAX_WRITE = 123
 MAX_READ_BITS = 2000
 MAX_WRITE_BITS = 1968
-MAX_EXCHANGE_WRITE = 121
-"""Registers that function 23 writes at most, beside 125 read (6.17)."""
 _BITS_PER_REGISTER = 16
 
 
@@ -76,14 +74,6 @@ class Block:
         return f"{self.table} {self.address}" + (f" to {last}" if last > self.address else "")
 
 
-@dataclass(frozen=True, slots=True)
-class Exchange:
-    """One request of function 23 (6.17): `write` is written first, then `read` is read, in one go."""
-
-    write: Block
-    read: Block
-
-
 def plan_reads(
     points: Iterable[Point],
     *,
@@ -101,15 +91,6 @@ def plan_writes(
 ) -> list[Block]:
     """Fewest write requests for `points`: only registers that touch are joined, so none is written unasked."""
     return _plan(points, max_write, max_write_bits, 0, ())
-
-
-def plan_exchange(writes: Iterable[Point], reads: Iterable[Point], *, max_read: int = MAX_READ) -> Exchange | None:
-    """Writes and reads of holding registers in one request of function 23; None where they take more than one."""
-    written = plan_writes(writes, max_write=MAX_EXCHANGE_WRITE)
-    read = plan_reads(reads, max_read=max_read)
-    if len(written) != 1 or len(read) != 1 or {written[0].table, read[0].table} != {"holding"}:
-        return None
-    return Exchange(written[0], read[0])
 
 
 def _start(point: Point) -> int:
@@ -185,6 +166,8 @@ class ReadPlan:
 
     def refuse(self, block: Block, now_s: float) -> list[Block]:
         """Exception 02 to `block`: its parts, to be asked for now; none where it cannot be split."""
+        if block not in self.blocks:  # the plan was forgotten since it was asked for
+            return []
         parts = split(block)
         at = self.blocks.index(block)
         if len(parts) == 1:

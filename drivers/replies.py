@@ -28,7 +28,7 @@ class FrameGuard:
 
         After an error nothing more can be read from this connection: where the next frame begins is not known.
         """
-        self._buffer += data
+        self._buffer = self._buffer + data if self._buffer else data
         passed: list[bytes] = []
         while len(self._buffer) >= _HEADER.size:
             tid, protocol, length, sender = _HEADER.unpack_from(self._buffer)

@@ -6,11 +6,20 @@ import asyncio
 import math
 from collections.abc import Mapping
 
-from drivers.bus import Bus, Clock
+from drivers.bus import Bus, Clock, Readings
+from drivers.bus_sections import CanBus
 from drivers.canbus import CanReceiver
 from drivers.modbus import ModbusBus
+from drivers.modbus_link import ModbusLink
 from drivers.points import DriverError, LinkError, Signal, Snapshot
-from drivers.rigfile import CanBus, Point, Rig
+from drivers.rig_model import Point, Rig
+
+
+async def _read_in_turn(sharing: list[ModbusBus]) -> dict[str, Readings]:
+    """Readings of devices on one wire; those that gave no answer come last, for what they cost the others."""
+    if len(sharing) > 1:
+        sharing = sorted(sharing, key=lambda bus: bus.is_mute)
+    return {bus.name: await bus.read() for bus in sharing}
 
 
 class RigConnection:
@@ -20,6 +29,7 @@ class RigConnection:
         self.rig = rig
         self._buses: dict[str, Bus] = {}
         self._receivers: list[CanReceiver] = []
+        self._wires: dict[tuple[object, ...], list[ModbusBus]] = {}
         for name, config in rig.bus.items():
             points = tuple(point for point in rig.point if point.bus == name)
             if isinstance(config, CanBus):
@@ -27,7 +37,11 @@ class RigConnection:
                 self._receivers.append(receiver)
                 self._buses[name] = receiver
             else:
-                self._buses[name] = ModbusBus(name, config, points, clock)
+                sharing = self._wires.setdefault(config.wire, [])
+                link = sharing[0].link if sharing else ModbusLink(config)
+                device = ModbusBus(name, config, points, clock, link)
+                sharing.append(device)
+                self._buses[name] = device
         self._all = list(self._buses.values())
         self.points: tuple[Point, ...] = tuple(point for bus in self._all for point in bus.points)
         self.signals: tuple[Signal, ...] = tuple(point.as_signal() for point in self.points)
@@ -48,10 +62,17 @@ class RigConnection:
         raise LinkError("\n".join(str(error) for error in failed))
 
     async def read(self) -> Snapshot:
-        """Readings of all polled points on this tick."""
+        """Readings of all polled points on this tick: wires at the same time, devices on one wire in turn."""
         snapshot = Snapshot([], [], [])
+        heard: dict[str, Readings] = {}
+        wires = list(self._wires.values())
+        if len(wires) == 1:
+            heard = await _read_in_turn(wires[0])
+        else:
+            for one in await asyncio.gather(*(_read_in_turn(sharing) for sharing in wires)):
+                heard |= one
         for bus in self._all:
-            readings = await bus.read()
+            readings = heard[bus.name] if bus.name in heard else await bus.read()
             snapshot.values += readings.values
             snapshot.quality += readings.quality
             snapshot.source_time_s += readings.source_time_s

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 
 from drivers.points import Quality
-from drivers.rigfile import Point
+from drivers.rig_model import Point
 
 LONGER = 3.0
 """A silence is so many times as long as the readings were apart before."""

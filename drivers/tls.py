@@ -13,8 +13,8 @@ import ssl
 import stat
 from pathlib import Path
 
+from drivers.bus_sections import ModbusTlsBus
 from drivers.points import ConfigurationError
-from drivers.rigfile import ModbusTlsBus
 
 _THEIRS = {
     "CERTIFICATE_REQUIRED": "it wants a certificate from us, and got none that it takes",

@@ -9,15 +9,17 @@ import asyncio
 import contextlib
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from drivers.bus import Readings
+from drivers.bus_sections import CanBus
 from drivers.canbus import CanReceiver
 from drivers.modbus import ModbusBus
 from drivers.plan import BIT_TABLES, Block
 from drivers.points import DriverError, LinkError, Quality
-from drivers.rigfile import CanBus, Point, Rig
+from drivers.rig_model import Point, Rig
 
 CONNECT_WITHIN_S = 10.0
 FIRST_WITHIN_S = 5.0
@@ -63,7 +65,7 @@ class _Registers(ModbusBus):
         super().__init__(*arguments)
         self.raw: dict[tuple[str, int], tuple[int, float]] = {}
 
-    async def _request(self, block: Block) -> list[int]:
+    async def _request(self, block: Block) -> Sequence[int]:
         registers = await super()._request(block)
         now = time.monotonic()
         for at, register in enumerate(registers, block.address):
@@ -92,7 +94,7 @@ class _Frames(CanReceiver):
         super()._take(frame)
         found = self._messages.get((frame.arbitration_id, frame.is_extended_id))
         if found is not None and not frame.is_error_frame and not frame.is_remote_frame:
-            self.raw[found[0].name] = bytes(frame.data), time.monotonic()
+            self.raw[found.name] = bytes(frame.data), time.monotonic()
 
     def came(self, point: Point) -> tuple[str, float]:
         """Frame of a point in hexadecimal, and when it came."""

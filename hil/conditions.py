@@ -14,7 +14,7 @@ from typing import Protocol
 
 from drivers.interlock_specs import NoFlowSpec, RateOfRiseSpec, ResidualSpec
 from drivers.points import Quality
-from drivers.rigfile import Point, Rig
+from drivers.rig_model import Point, Rig
 
 Residuals = Mapping[tuple[str, str], float]
 """(twin, sensor of the twin file) -> measured minus predicted, K, of the latest block of ticks."""

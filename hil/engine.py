@@ -15,7 +15,7 @@ from typing import Literal
 
 from drivers.points import DeviceExceptionError, DriverError, Snapshot
 from drivers.rig import RigConnection
-from drivers.rigfile import Point
+from drivers.rig_model import Point
 from hil.clock import Clock
 from hil.conditions import Residuals
 from hil.journal import JournalError, JournalWriter

@@ -21,7 +21,7 @@ from drivers.interlock_specs import (
     ResidualSpec,
 )
 from drivers.points import Snapshot
-from drivers.rigfile import Point, Rig
+from drivers.rig_model import Point, Rig
 from hil.conditions import (
     Condition,
     Disagreement,

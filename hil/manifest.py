@@ -6,7 +6,7 @@ import datetime
 from pathlib import Path
 from typing import Any
 
-from drivers.rigfile import CanBus
+from drivers.bus_sections import CanBus
 from hil.engine import Outcome
 from hil.journal import JournalReader
 from hil.run_folder import RunFolder

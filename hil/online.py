@@ -7,8 +7,9 @@ import math
 import signal
 from typing import TYPE_CHECKING, Any
 
+from drivers.bus_sections import CanBus
 from drivers.points import Quality
-from drivers.rigfile import CanBus, Rig
+from drivers.rig_model import Rig
 from drivers.watching import BusWatch, RigWatch, Seen
 
 if TYPE_CHECKING:
@@ -91,12 +92,10 @@ def tree(watch: RigWatch) -> Tree:
 
 def _of(rig: Rig, bus: BusWatch) -> str:
     config = rig.bus[bus.name]
-    where = f"{config.channel}" if isinstance(config, CanBus) else f"device {config.device_id}"
-    if config.transport != "socketcan":
-        where = f"{config.host}:{config.port}, {where}"
+    where = config.place if isinstance(config, CanBus) else config.where
     count = len(bus.seen())
     state = "is down" if bus.opened_s is None else f"answers, opened in {1e3 * bus.opened_s:.0f} ms, {count} points"
-    return f"{bus.name} ({config.transport} {where}): {state}"
+    return f"{bus.name} ({where}): {state}"
 
 
 def table(watch: RigWatch, rows: int | None = None, limits: bool = True) -> Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import AsyncIterator, Callable
 
-from drivers.rigfile import Rig
+from drivers.rig_model import Rig
 from hil.clock import Clock, LockstepClock, MonotonicClock
 from hil.run_request import RunRequest
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 from drivers.interlock_specs import ResidualSpec
 from drivers.points import ConfigurationError
-from drivers.rigfile import Rig, load_rig
+from drivers.rig_model import Rig
+from drivers.rigfile import load_rig
 from hil.adoption import NetworkMode
 from hil.profile import Profile, SetpointLimit, read_profile, validate
 from hil.setpoints import setpoint_columns
@@ -90,6 +91,12 @@ def prepare(request: RunRequest) -> Prepared:
         raise ConfigurationError(
             f"{request.rig}: bus {secured[0]} wants TLS, which --virtual does not start; serve the rig with "
             "`hil rig --tls-certificate ...` and take --virtual out"
+        )
+    unlike = [name for name, bus in rig.bus.items() if bus.transport not in ("modbus_tcp", "socketcand")]
+    if request.virtual and unlike:
+        raise ConfigurationError(
+            f"{request.rig}: bus {unlike[0]} is {rig.bus[unlike[0]].place}, which --virtual does not start; serve the "
+            "rig with `hil rig --rtu-port` or `--serial` and take --virtual out"
         )
     if request.effects is not None and not request.virtual:
         raise ConfigurationError(

@@ -12,7 +12,7 @@ from typing import Any
 
 from drivers.points import Signal
 from drivers.rig import RigConnection
-from drivers.rigfile import Rig
+from drivers.rig_model import Rig
 from hil import adoption
 from hil.adoption import Adoption
 from hil.control import serving

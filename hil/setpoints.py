@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from drivers.points import ConfigurationError
-from drivers.rigfile import Point, Rig
+from drivers.rig_model import Point, Rig
 from drivers.units import split_column
 
 

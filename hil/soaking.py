@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.points import Quality, Signal, Snapshot
-from drivers.rigfile import Point, Rig
+from drivers.rig_model import Point, Rig
 from hil.profile import Profile
 from hil.setpoints import bind
 

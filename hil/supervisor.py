@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping
 
 from drivers.points import Snapshot
-from drivers.rigfile import Point, Rig
+from drivers.rig_model import Point, Rig
 from hil.conditions import Residuals
 from hil.interlocks import Interlocks, Judgement
 from hil.operator import EVENT_OF, Desk, RefusedError, Request, Verb, refusal

@@ -35,3 +35,8 @@ def hil_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no recordings at {folder}; set HIL_DATA to their folder")
     return folder
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options of single folders, which pytest takes from here only."""
+    parser.addoption("--contract-table", help="write the table of tests/contract, transport by test, to this file")

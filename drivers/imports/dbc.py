@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from drivers.canbus import describe_dbc
+from drivers.dbc import describe_dbc
 from drivers.imports.draft import Collector, Draft, DraftBus, ImportFileError
 from drivers.points import ConfigurationError
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from drivers.canbus import DbcSignal, describe_dbc
 from drivers.codec import ByteOrder, RegisterType
+from drivers.dbc import DbcSignal, describe_dbc
 from drivers.imports.draft import Draft, DraftBus, DraftPoint
 from drivers.points import ConfigurationError
 from drivers.units import canonical_unit

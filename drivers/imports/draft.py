@@ -13,7 +13,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from drivers.points import ConfigurationError
-from drivers.rigfile import Layout, Point
+from drivers.rig_checks import Layout
+from drivers.rig_model import Point
 from drivers.units import canonical_unit
 
 

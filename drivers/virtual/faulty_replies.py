@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable, Sequence
 
 from drivers.virtual.faulty_link import Change
+from drivers.virtual.rtu_protocol import crc
 
 Pieces = Sequence[tuple[float, bytes]]
 _HEADER = 9
@@ -80,6 +81,45 @@ def flipped(frame: bytes, generator: random.Random, within: int) -> bytes:
     if bytes(changed) == frame:
         changed[0] ^= 0xFF
     return bytes(changed)
+
+
+def swallowed(generator: random.Random, share: float) -> Change:
+    """No reply at all."""
+    return _some(generator, share, lambda frame: [])
+
+
+def twice(generator: random.Random, share: float) -> Change:
+    """The reply, and the same once more."""
+    return _some(generator, share, lambda frame: [(0.0, frame), (0.0, frame)])
+
+
+def one_behind(generator: random.Random, share: float) -> Change:
+    """The reply before this one in front of it, as a gateway with a queue gives it."""
+    before: list[bytes] = []
+
+    def change(frame: bytes) -> Pieces:
+        pieces = [(0.0, old) for old in before] + [(0.0, frame)]
+        before[:] = [frame]
+        return pieces
+
+    return _some(generator, share, change)
+
+
+def refusal(generator: random.Random, share: float, code: int) -> Change:
+    """Exception `code` for the reply."""
+    return _some(
+        generator, share, lambda frame: [(0.0, frame[:4] + b"\0\3" + frame[6:7] + bytes((frame[7] | 0x80, code)))]
+    )
+
+
+def in_rtu(change: Change) -> Change:
+    """A change of Modbus/TCP frames, done to RTU frames: the CRC is right again afterwards."""
+
+    def changed(frame: bytes) -> Pieces:
+        wrapped = b"\0\0\0\0" + struct.pack(">H", len(frame) - 2) + frame[:-2]
+        return [(delay_s, piece[6:] + crc(piece[6:])) for delay_s, piece in change(wrapped)]
+
+    return changed
 
 
 def _some(generator: random.Random, share: float, change: Callable[[bytes], Pieces]) -> Change:

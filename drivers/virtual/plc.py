@@ -2,7 +2,7 @@
 
 python -m drivers.virtual.plc [--mode real|scaled|lockstep] [--speed N] [--period S] [--seed N] [--start S]
     [--with EFFECTS.toml] [--host H] [--modbus-port P] [--control-port P] [--link-fd FD] [--truth FILE]
-    [--tls-certificate PEM --tls-key PEM --tls-ca PEM]
+    [--tls-certificate PEM --tls-key PEM --tls-ca PEM] [--rtu-port P] [--serial]
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import argparse
 import asyncio
 import math
 import socket
-import ssl
 import sys
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from drivers.virtual import link
 from drivers.virtual.control import ControlConnection
 from drivers.virtual.effects import Effect, load_effects
 from drivers.virtual.instruments import Instruments
-from drivers.virtual.modbus_protocol import ModbusConnection
+from drivers.virtual.modbus_server import ModbusServer, tls_context
 from drivers.virtual.plant import Plant
 from drivers.virtual.registers import Registers
 from drivers.virtual.supervision import end_with_parent, listen, port_of, say
@@ -166,41 +165,6 @@ class Plc:
         asyncio.get_running_loop().call_later(0.02, self.stop.set)
 
 
-class ModbusServer:
-    """The PLC's Modbus port, which can be closed and opened again."""
-
-    def __init__(self, registers: Registers, host: str, port: int, tls: ssl.SSLContext | None) -> None:
-        self.port = port
-        self._registers, self._host, self._tls = registers, host, tls
-        self._connections: set[ModbusConnection] = set()
-        self._server: asyncio.Server | None = None
-
-    async def open(self) -> None:
-        """Listen; on the same port when it is opened again."""
-        self._server = await listen(
-            lambda: ModbusConnection(self._registers, self._connections), self._host, self.port, "Modbus", self._tls
-        )
-        self.port = port_of(self._server)
-
-    def close(self) -> None:
-        """Close the port and every connection."""
-        if self._server is not None:
-            self._server.close()
-            self._server = None
-        for connection in tuple(self._connections):
-            connection.close()
-
-
-def tls_context(certificate: Path, key: Path, ca: Path) -> ssl.SSLContext:
-    """TLS 1.2 or later, and no client without a certificate of `ca` (Modbus/TCP Security, 8.2 and 8.5)."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    context.load_cert_chain(certificate, key)
-    context.load_verify_locations(ca)
-    context.verify_mode = ssl.CERT_REQUIRED
-    return context
-
-
 async def run(arguments: argparse.Namespace) -> int:
     """Serve until told to stop."""
     effects = load_effects(arguments.effects) if arguments.effects else ()
@@ -212,7 +176,11 @@ async def run(arguments: argparse.Namespace) -> int:
     tls = None
     if arguments.tls_certificate is not None:
         tls = tls_context(arguments.tls_certificate, arguments.tls_key, arguments.tls_ca)
-    modbus = plc.server = ModbusServer(plc.registers, arguments.host, arguments.modbus_port, tls)
+    modbus = plc.server = ModbusServer(
+        plc.registers, arguments.host, arguments.modbus_port, tls, rtu_port=arguments.rtu_port
+    )
+    if arguments.serial:
+        modbus.open_line()
     await modbus.open()
     control = await listen(lambda: ControlConnection(plc), arguments.host, arguments.control_port, "control")
     loop = asyncio.get_running_loop()
@@ -224,10 +192,14 @@ async def run(arguments: argparse.Namespace) -> int:
     end_with_parent(plc.stop)
     if plc.mode != "lockstep":
         plc.run_free()
-    say(event="ready", modbus_port=modbus.port, control_port=port_of(control))
+    further = {} if modbus.rtu_port is None else {"rtu_port": modbus.rtu_port}
+    line = {} if modbus.line is None else {"serial_port": modbus.line.path}
+    say(event="ready", modbus_port=modbus.port, control_port=port_of(control), **further, **line)
     await plc.stop.wait()
     plc.hold()
     modbus.close()
+    if modbus.line is not None:
+        modbus.line.close()
     control.close()
     if plc.controller is not None:
         plc.controller.close()
@@ -254,6 +226,8 @@ def main() -> int:
     parser.add_argument("--tls-ca", type=Path, help="... to clients with a certificate of this authority")
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--modbus-port", type=int, default=0)
+    parser.add_argument("--rtu-port", type=int, help="serve RTU over TCP on this port, too")
+    parser.add_argument("--serial", action="store_true", help="serve RTU on a pseudo-terminal, too")
     parser.add_argument("--control-port", type=int, default=0)
     parser.add_argument("--link-fd", type=int, help="inherited socket to the thermocouple process")
     return asyncio.run(run(parser.parse_args()))

@@ -28,7 +28,7 @@ START_TIMEOUT_S = 120.0
 """The first start on a machine compiles the physics."""
 END_TIMEOUT_S = 3.0
 _TLS = ("--tls-certificate", "--tls-key", "--tls-ca")
-_PORTS = ("modbus_port", "can_port", "control_port")
+_PORTS = ("modbus_port", "can_port", "control_port", "rtu_port", "serial_port")
 
 
 class VirtualRigError(Exception):
@@ -91,11 +91,13 @@ class _Child:
 class VirtualRig:
     """A running virtual rig. Ends with `stop`, at the end of `async with`, and whenever this process dies."""
 
-    def __init__(self, host: str, mode: Mode, period_s: float, children: list[_Child], ports: dict[str, int]) -> None:
+    def __init__(self, host: str, mode: Mode, period_s: float, children: list[_Child], ports: dict[str, Any]) -> None:
         self.host, self.mode, self.period_s = host, mode, period_s
         self.modbus_port = ports["modbus_port"]
         self.can_port = ports["can_port"]
         self.control_port = ports["control_port"]
+        self.rtu_port: int | None = ports.get("rtu_port")
+        self.serial_port: str | None = ports.get("serial_port")
         self.failure: str | None = None
         """Why the rig ended, where nobody here asked it to."""
         self._children = children
@@ -156,6 +158,8 @@ async def start_virtual_rig(
     modbus_port: int = 0,
     can_port: int = 0,
     control_port: int = 0,
+    rtu_port: int | None = None,
+    serial: bool = False,
     effects: Path | None = None,
     host: str = "127.0.0.1",
     unit: int | None = None,
@@ -169,8 +173,8 @@ async def start_virtual_rig(
     the seed; by default another one for every seed. `start_s` is its clock at the start: room and effects are as then,
     the rig itself is cold. What is true is kept in the file `truth` (see `drivers.virtual.truth`). With `tls`, files of
     certificate, key and certificate authority, Modbus is served over TLS to clients that have a certificate of that
-    authority. Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and `ValueError` for arguments that make
-    no rig.
+    authority. With `rtu_port` it is served in RTU frames over TCP as well, with `serial` on a pseudo-terminal.
+    Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and `ValueError` for arguments that make no rig.
     """
     if mode not in ("real", "scaled", "lockstep"):
         raise ValueError(f"mode is {mode!r}; use real, scaled or lockstep.")
@@ -180,7 +184,8 @@ async def start_virtual_rig(
         raise ValueError(f"speed is {speed}; give a factor above 0.")
     if not (math.isfinite(start_s) and start_s >= 0.0):
         raise ValueError(f"start_s is {start_s}; give 0 s or more.")
-    for name, port in (("modbus_port", modbus_port), ("can_port", can_port), ("control_port", control_port)):
+    asked = {"modbus_port": modbus_port, "can_port": can_port, "control_port": control_port, "rtu_port": rtu_port or 0}
+    for name, port in asked.items():
         if not 0 <= port <= 65535:
             raise ValueError(f"{name} is {port}; give 0 (any free port) to 65535.")
     if effects is not None:
@@ -201,10 +206,14 @@ async def start_virtual_rig(
             if tls is not None:
                 plc += [word for name, path in zip(_TLS, tls, strict=True) for word in (name, str(path))]
             plc += ["--start", repr(start_s)]
+            if rtu_port is not None:
+                plc += ["--rtu-port", str(rtu_port)]
+            if serial:
+                plc.append("--serial")
             children.append(await _spawn("plc", [*common, *plc], near))
             module = ["--port", str(can_port), "--epoch", repr(time.time())]
             children.append(await _spawn("thermocouples", [*common, *module], far))
-        ports: dict[str, int] = {}
+        ports: dict[str, Any] = {}
         async with asyncio.timeout(START_TIMEOUT_S):
             # The first error wins, not the first process: the PLC also ends when the module could not start.
             said = await asyncio.gather(*(child.until_ready() for child in children), return_exceptions=True)
@@ -257,6 +266,10 @@ async def _serve(say: Callable[[str], None], options: dict[str, Any]) -> int:
         kind = "Modbus/TCP" if options.get("tls") is None else "Modbus/TCP over TLS,"
         say(f"Virtual rig on {rig.host}: {kind} port {rig.modbus_port}, device id 1")
         say(f"  CAN (socketcand, bus vcan0) port {rig.can_port}, control port {rig.control_port}")
+        if rig.rtu_port is not None:
+            say(f"  Modbus RTU over TCP port {rig.rtu_port}")
+        if rig.serial_port is not None:
+            say(f"  Modbus RTU on {rig.serial_port}")
         if rig.host not in ("127.0.0.1", "localhost", "::1"):
             what = "Reachable" if options.get("tls") is None else "CAN and control port are reachable"
             say(f"  {what} from other machines, without any password.")

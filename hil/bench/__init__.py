@@ -15,7 +15,8 @@ BENCHMARKS = {
     "faults": "Faults of wires, rig and harness: heater safe, no sample lost, no wrong value believed",
     "loop": "How evenly the loop ticks, its memory over 40 hours, and what a run that is killed loses",
     "structure": "Commissioned twins of four and of ten volumes on healthy rigs of another maker",
-    "wire": "Mutated replies against the Modbus client: no wrong value is ever taken for a good one",
+    "bus": "Round trips of the Modbus driver beside other people's clients; bus time of forty hours in lockstep",
+    "wire": "Mutated Modbus replies and CAN frames: no wrong value is ever taken for a good one",
     "records": "Public records of other rigs, beside the published figures",
 }
 """Name -> one line; each is a subcommand of `hil bench`."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.rigfile import Rig
+from drivers.rig_model import Rig
 from drivers.virtual.effects import Effect
 from drivers.virtual.geometry import CHANNELS, Array
 from drivers.virtual.instruments import Instruments

@@ -1,4 +1,4 @@
-"""`hil bench wire`: mutated replies against the Modbus client, in memory and from a fixed seed.
+"""`hil bench wire`: mutated replies and frames against the Modbus client and the CAN receiver, from a fixed seed.
 
 TCP's checksum guards the bytes of a value; what it cannot guard against is a device or a gateway that answers the wrong
 thing: another transaction, unit, function or length, half a reply, two, or the one before. Those are what is made here.
@@ -13,10 +13,17 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 
+from drivers.bus_sections import ModbusBusSection, ModbusTcpBus
 from drivers.modbus import ModbusBus
+from drivers.modbus_link import ModbusLink
+from drivers.modbus_wire import Lost, Received, Wire
 from drivers.points import Quality
-from drivers.rigfile import ModbusTcpBus, Point
+from drivers.rig_model import Point
+from hil.bench.report import Table
+from hil.bench.wire_can import mutate_can
+from hil.bench.wire_rtu import mutate_rtu
 
+QUICK, FULL = 1_700, 100_000
 REGISTERS = 12
 POINTS = tuple(
     Point(name=f"p{a}_{k}", bus="b", unit="1", table="input", address=a * 40 + k)
@@ -30,47 +37,56 @@ HARMLESS = ("none", "twice", "in segments")
 """What a client must put up with: these replies are right, and must be used."""
 
 
-class _Wire(asyncio.Transport):
-    """A connection in memory: what is written is answered by `answer`, in as many segments as it returns."""
+Found = dict[str, tuple[int, int, int, int]]
 
-    def __init__(self, answer: Callable[[bytes], list[bytes]], receive: Callable[[bytes], None]) -> None:
-        super().__init__()
+
+def measure(
+    count: int, seed: int, progress: Callable[[float], None]
+) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
+    """Tables of `count` mutations each, what was left out, and whether no wrong value was ever taken for a good one."""
+    modbus = asyncio.run(mutate_modbus(count, seed, progress=lambda share: progress(0.8 * share)))
+    rtu = mutate_rtu(count, seed)
+    progress(0.9)
+    frames = asyncio.run(mutate_can(count, seed))
+    progress(1.0)
+    tables = (
+        _table("modbus", "reads over Modbus/TCP with mutated replies", "reads", "values", modbus,
+               "Wrong: good and not what the register held, or a number that is not good. A read asks for two blocks."),
+        _table("rtu", "mutated RTU replies", "replies", "replies", rtu,
+               "Wrong: passed on, and other registers than the device sent. The checksum covers these, too."),
+        _table("can", "mutated CAN frames", "frames", "values", frames,
+               "Wrong: good, and not what the bytes of a usable frame of its message say, or beyond its range."),
+    )  # fmt: skip
+    return tables, (), not any(wrong for found in (modbus, rtu, frames) for *_, wrong in found.values())
+
+
+def _table(key: str, what: str, unit: str, of: str, found: Found, note: str) -> Table:
+    rows = tuple((kind, *numbers) for kind, numbers in found.items())
+    columns = ("mutation", unit, f"{of} used", f"{of} not used", "wrong")
+    return Table(key, f"{sum(row[1] for row in rows):,} {what}", columns, rows, (note,))
+
+
+class _MemoryWire:
+    """A wire in memory: what is sent is answered by `answer`, in as many segments as it returns."""
+
+    def __init__(self, answer: Callable[[bytes], list[bytes]], received: Received) -> None:
         self._answer = answer
-        self._receive = receive
-        self._closed = False
+        self._received = received
+        self._open = True
 
-    def write(self, data: bytes | bytearray | memoryview) -> None:
-        for segment in self._answer(bytes(data)):
+    def send(self, data: bytes) -> None:
+        for segment in self._answer(data):
             asyncio.get_running_loop().call_soon(self._deliver, segment)
 
     def _deliver(self, segment: bytes) -> None:
-        if not self._closed:
-            self._receive(segment)
+        if self._open:
+            self._received(segment)
+
+    def take(self, seconds: float) -> bytes:
+        return b""
 
     def close(self) -> None:
-        self._closed = True
-
-    def abort(self) -> None:
-        self._closed = True
-
-    def is_closing(self) -> bool:
-        return self._closed
-
-
-class _MemoryBus(ModbusBus):
-    """The driver as it is, but for the socket."""
-
-    answer: Callable[[bytes], list[bytes]]
-
-    async def _open(self) -> None:
-        self._drop()
-        client = self._new_client()
-        context = client.ctx
-        context.connection_made(_Wire(self.answer, lambda data: context.data_received(data)))
-        self._client = client
-
-    def _lost(self) -> None:
-        """Opened again by who reads: a task of its own would race with the next read, which has no time between."""
+        self._open = False
 
 
 def truth(address: int, epoch: int) -> int:
@@ -156,7 +172,9 @@ class Mutator:
         return [] if kind == "silence" else [good]
 
 
-async def mutate_modbus(count: int, seed: int, *, timeout_s: float = 0.004) -> dict[str, tuple[int, int, int, int]]:
+async def mutate_modbus(
+    count: int, seed: int, *, timeout_s: float = 0.004, progress: Callable[[float], None] = lambda share: None
+) -> Found:
     """By kind of mutation: reads, values that came as good, values that did not, and wrong ones (of either).
 
     A value is wrong that is good and not the register's, or not good and yet a number. Whatever the driver raises is
@@ -168,9 +186,10 @@ async def mutate_modbus(count: int, seed: int, *, timeout_s: float = 0.004) -> d
     for number in range(count):
         mutator.kind = Mutator.KINDS[number % len(Mutator.KINDS)]
         mutator.epoch = number
+        if number % 1000 == 0:
+            progress(number / count)
         bus = patient if mutator.kind in HARMLESS else hasty
-        if bus._client is None:
-            await bus._open()
+        await bus.link.open("memory")
         bus._plan.forget()
         readings = await bus.read()
         tally = found[mutator.kind]
@@ -185,7 +204,11 @@ async def mutate_modbus(count: int, seed: int, *, timeout_s: float = 0.004) -> d
     return {kind: (t[0], t[1], t[2], t[3]) for kind, t in found.items()}
 
 
-def _memory_bus(mutator: Mutator, timeout_s: float) -> _MemoryBus:
-    bus = _MemoryBus("b", ModbusTcpBus(transport="modbus_tcp", port=1, timeout_s=timeout_s), POINTS, lambda: 0.0)
-    bus.answer = mutator.answer
-    return bus
+def _memory_bus(mutator: Mutator, timeout_s: float) -> ModbusBus:
+    """The driver as it is, but for the socket."""
+    config = ModbusTcpBus(transport="modbus_tcp", port=1, timeout_s=timeout_s)
+
+    async def opened(_: ModbusBusSection, tls: object, received: Received, lost: Lost) -> Wire:
+        return _MemoryWire(mutator.answer, received)
+
+    return ModbusBus("b", config, POINTS, lambda: 0.0, ModbusLink(config, opener=opened))

@@ -424,29 +424,44 @@ def loop_command(work: Path, quick: bool, seed: int, out: Path | None, as_json: 
     _finish("loop", seed, tables, skipped, out, as_json)
 
 
-@command.command("wire")
-@click.option("--count", type=click.IntRange(min=1), default=100_000, show_default=True, help="Mutated replies.")
+@command.command("bus")
 @QUICK
 @SEED
 @OUT
 @JSON
-def wire_command(count: int, quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
-    """Mutated replies against the Modbus client, in memory: is a wrong value ever taken for a good one?
+def bus_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
+    """Round trips and latency of our Modbus client against raw sockets, pyModbusTCP, pymodbus and libmodbus.
+
+    \b
+    Example:
+      hil bench bus --quick
+    """
+    from hil.bench import bus
+    from hil.terminal import Steps
+
+    with Steps("round trips", 1.0, quiet=as_json) as steps:
+        tables, skipped = bus.measure(bus.QUICK if quick else bus.FULL, seed, steps.update)
+    _finish("bus", seed, tables, skipped, out, as_json)
+
+
+@command.command("wire")
+@click.option("--count", type=click.IntRange(min=1), help="Mutations of each kind of wire.  [default: 100000]")
+@QUICK
+@SEED
+@OUT
+@JSON
+def wire_command(count: int | None, quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
+    """Mutated Modbus replies and CAN frames, in memory: is a wrong value ever taken for a good one?
 
     \b
     Example:
       hil bench wire --quick
     """
-    import asyncio
+    from hil.bench import wire
+    from hil.terminal import Steps
 
-    from hil.bench.report import Table
-    from hil.bench.wire import mutate_modbus
-
-    found = asyncio.run(mutate_modbus(1_700 if quick else count, seed))
-    rows = tuple((kind, *numbers) for kind, numbers in found.items())
-    note = "wrong: good and not what the register held, or a number that is not good. Each read asks for two blocks."
-    heading = ("mutation", "reads", "values good", "values not used", "wrong")
-    table = Table("modbus", f"{sum(r[1] for r in rows):,} reads with mutated replies", heading, rows, (note,))
-    _finish("wire", seed, (table,), (), out, as_json)
-    if any(row[-1] for row in rows):
+    with Steps("mutations", 1.0, quiet=as_json) as steps:
+        tables, skipped, kept = wire.measure(count or (wire.QUICK if quick else wire.FULL), seed, steps.update)
+    _finish("wire", seed, tables, skipped, out, as_json)
+    if not kept:
         sys.exit(1)

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 
     from drivers.budget import Polling
     from drivers.canbus import CanReceiver
-    from drivers.rigfile import Rig
-
-_TRANSPORTS = {"modbus_tcp": "Modbus/TCP", "modbus_tls": "Modbus/TCP Security"}
+    from drivers.rig_model import Rig
 
 
 @click.command()
@@ -103,8 +101,9 @@ def _checker(file: Path) -> Callable[[Path, Path, Console], None]:
 def _checked(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]]:
     """A rig, what polling its Modbus buses costs and its CAN buses; raises RigFileError with every mistake."""
     from drivers.budget import overloads, polling, too_short
+    from drivers.bus_sections import CanBus
     from drivers.canbus import CanReceiver
-    from drivers.rigfile import CanBus, load_rig, located
+    from drivers.rigfile import load_rig, located
 
     rig = load_rig(file)
     polled: dict[str, Polling] = {}
@@ -126,11 +125,11 @@ def _checked(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver
 def _rig(file: Path, _: Path, out: Console) -> None:
     from rich.table import Table
 
-    from drivers.budget import unit_of_count, unsaid
-    from drivers.rigfile import CanBus
+    from drivers.budget import counted, unit_of_count, unsaid
+    from drivers.bus_sections import CanBus
 
     rig, polled, receivers = _checked(file)
-    points = Table(title=f"{rig.name}: {len(rig.point)} points", title_justify="left")
+    points = Table(title=f"{rig.name}: {counted(len(rig.point), 'point')}", title_justify="left")
     for heading in ("point", "bus", "where", "type", "unit", "limits", "safe", "plausible"):
         points.add_column(heading)
     for point in rig.point:
@@ -144,7 +143,7 @@ def _rig(file: Path, _: Path, out: Console) -> None:
         points.add_row(point.name, point.bus, where, kind, point.unit, limits, safe, plausible)
     out.print(points)
     if rig.interlock:
-        table = Table(title=f"{len(rig.interlock)} interlocks", title_justify="left")
+        table = Table(title=counted(len(rig.interlock), "interlock"), title_justify="left")
         for heading in ("kind", "level", "of", "what"):
             table.add_column(heading)
         shown = {"kind", "level", "doc", "point", "heater", "flow", "setpoint", "sensor"}
@@ -158,23 +157,22 @@ def _rig(file: Path, _: Path, out: Console) -> None:
         if isinstance(bus, CanBus):
             receiver = receivers[name]
             often = ", ".join(f"{message} every {cycle:g} s" for message, cycle in receiver.cycle_s.items())
-            out.print(
-                f"{name}: {bus.transport} {bus.channel}, {len(receiver.points)} signals found in {bus.dbc.name}"
-                + (f" ({often})" if often else "")
-            )
+            signals = counted(len(receiver.points), "signal")
+            out.print(f"{name}: {bus.place}, {signals} found in {bus.dbc.name}" + (f" ({often})" if often else ""))
             continue
         cost = polled[name]
         line = "" if cost.line_s is None else f", {cost.line_s:.3f} s of the line at {bus.serial_baud} bit/s"
+        reads = counted(len(cost.blocks), "read")
         table = Table(
-            title=f"{name}: {_TRANSPORTS[bus.transport]} {bus.host}:{bus.port}, device {bus.device_id}",
+            title=f"{name}: {bus.where}",
             title_justify="left",
-            caption=f"{len(cost.blocks)} reads and {cost.bytes_per_tick} bytes every {rig.period_s:g} s{line}",
+            caption=f"{reads} and {cost.bytes_per_tick} bytes every {rig.period_s:g} s{line}",
             caption_justify="left",
         )
         for heading in ("read", "function", "count", "unused", "points", "bytes"):
             table.add_column(heading, justify="left" if heading == "read" else "right")
         for block in cost.blocks:
-            count = f"{block.count} {unit_of_count(block)}"
+            count = counted(block.count, unit_of_count(block))
             cells = (block.unused, len(block.points), sum(block.read_bytes))
             table.add_row(str(block), str(block.read_code), count, *map(str, cells))
         out.print(table)

@@ -12,6 +12,8 @@ from hil.commands.paths import INPUT_FILE
 
 @click.command()
 @click.option("--modbus-port", default=5020, show_default=True, help="Modbus/TCP port of the PLC; 0 picks a free one.")
+@click.option("--rtu-port", type=int, help="Serve Modbus RTU over TCP on this port, too; 0 picks a free one.")
+@click.option("--serial", is_flag=True, help="Serve Modbus RTU on a pseudo-terminal, too, whose path is printed.")
 @click.option("--can-port", default=29536, show_default=True, help="socketcand port of the CAN bus vcan0.")
 @click.option("--control-port", default=0, show_default="free", help="Port that grants steps in lockstep.")
 @click.option("--mode", type=click.Choice(["real", "scaled", "lockstep"]), default="real", show_default=True)
@@ -25,6 +27,8 @@ from hil.commands.paths import INPUT_FILE
 @click.option("--tls-ca", type=INPUT_FILE, help="Authority that signs the certificates of clients.")
 def command(
     modbus_port: int,
+    rtu_port: int | None,
+    serial: bool,
     can_port: int,
     control_port: int,
     mode: str,
@@ -56,6 +60,8 @@ def command(
     try:
         code = serve(
             modbus_port=modbus_port,
+            rtu_port=rtu_port,
+            serial=serial,
             can_port=can_port,
             control_port=control_port,
             mode=mode,

@@ -8,9 +8,12 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from drivers.budget import polling, silence_s, unsaid
+from drivers.budget import polling, unsaid
+from drivers.bus_sections import ModbusTcpBus
 from drivers.points import ConfigurationError
-from drivers.rigfile import ModbusTcpBus, Point, load_rig
+from drivers.rig_model import Point
+from drivers.rigfile import load_rig
+from drivers.serial_line import silence_s
 from hil.commands.check import command
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -40,7 +43,7 @@ def test_the_table_shows_blocks_gaps_and_bytes():
     result = CliRunner().invoke(command, [str(VIRTUAL)])
     assert result.exit_code == 0, result.output
     assert "input 0 to 11" in result.output
-    assert "1 reads and 45 bytes every 1 s" in result.output
+    assert "1 read and 45 bytes every 1 s" in result.output
     assert "TC_A every 1 s" in result.output
     assert "no mistakes found" in result.output
 

@@ -14,9 +14,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.bus_sections import CanBus
 from drivers.canbus import CanReceiver
 from drivers.points import ConfigurationError, LinkError, Quality
-from drivers.rigfile import CanBus, Point, load_rig
+from drivers.rig_model import Point
+from drivers.rigfile import load_rig
 from drivers.virtual.socketcand import CanConnection, CanHub, frame_text
 
 PROJECT = Path(__file__).resolve().parents[2]

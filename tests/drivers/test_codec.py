@@ -17,13 +17,14 @@ from drivers.codec import (
     decode,
     decode_exact,
     decode_text,
+    decoder,
     encode,
     encode_text,
     field_of,
     raw_bounds,
 )
 from drivers.points import Quality
-from drivers.rigfile import Point
+from drivers.rig_model import Point
 
 ORDERS = ["ABCD", "CDAB", "BADC", "DCBA"]
 RANGES = {
@@ -310,3 +311,19 @@ def test_a_point_that_contradicts_itself_is_refused(changes, said):
     given = {"name": "p", "bus": "b", "unit": "1", "table": "input", "address": 0} | changes
     with pytest.raises(ValueError, match=said):
         Point(**given)
+
+
+@given(
+    registers=st.lists(st.integers(0, 65535), min_size=4, max_size=12),
+    kind=st.sampled_from(list(WIDTH)),
+    order=st.sampled_from(["ABCD", "CDAB", "BADC", "DCBA"]),
+    field=st.none() | st.tuples(st.integers(0, 7), st.integers(8, 15)),
+    data=st.data(),
+)
+def test_a_decoder_made_once_reads_what_decode_reads(registers, kind, order, field, data):
+    bits = field if kind.startswith("uint") else None
+    at = data.draw(st.integers(0, len(registers) - WIDTH[kind]))
+    expected = decode(registers[at : at + WIDTH[kind]], kind, order, bits)
+    found = decoder(kind, order, bits)(registers, at)
+    assert found == expected or (math.isnan(found) and math.isnan(expected))
+    assert type(found) is float

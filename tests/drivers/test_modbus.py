@@ -9,9 +9,10 @@ import time
 
 import pytest
 
+from drivers.bus_sections import ModbusTcpBus
 from drivers.modbus import ModbusBus
 from drivers.points import ConfigurationError, DeviceExceptionError, LinkError, ProtocolError, Quality
-from drivers.rigfile import ModbusTcpBus, Point
+from drivers.rig_model import Point
 from tests.drivers.faulty_server import FaultyServer, correct
 
 POINTS = (

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.plan import Block, ReadPlan, plan_exchange, plan_reads, plan_writes
-from drivers.rigfile import Hole, Point
+from drivers.bus_sections import Hole
+from drivers.plan import Block, ReadPlan, plan_reads, plan_writes
+from drivers.rig_model import Point
 
 
 def point(address: int, kind: str = "uint16", table: str = "input") -> Point:
@@ -167,21 +166,6 @@ def test_only_single_registers_and_bits_are_written_by_the_single_functions(kind
     width = 2 if kind == "float32" else 4 if kind == "float64" else 1
     (block,) = plan_writes(point(10 + a * width, kind, table) for a in range(count))
     assert block.write_code == code
-
-
-@given(
-    writes=st.sets(st.integers(0, 200), min_size=1, max_size=130),
-    reads=st.sets(st.integers(0, 200), min_size=1),
-)
-def test_an_exchange_is_one_request_within_the_limits_of_function_23(writes, reads):
-    exchange = plan_exchange([point(a, table="holding") for a in writes], [point(a, table="holding") for a in reads])
-    touching = max(writes) - min(writes) + 1 == len(writes)
-    if exchange is None:
-        near = all(b - a <= 9 for a, b in pairwise(sorted(reads)))
-        assert not touching or len(writes) > 121 or not near or max(reads) - min(reads) >= 125
-    else:
-        assert touching and exchange.write.count == len(writes) <= 121
-        assert exchange.read.count <= 125
 
 
 def test_bytes_of_a_request_and_its_reply():

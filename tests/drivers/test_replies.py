@@ -11,6 +11,9 @@ from hypothesis import strategies as st
 from drivers.points import ProtocolError
 from drivers.replies import FrameGuard
 from hil.bench.wire import HARMLESS, Mutator, mutate_modbus
+from hil.bench.wire_can import mutate_can
+from hil.bench.wire_rtu import HARMLESS as RTU_HARMLESS
+from hil.bench.wire_rtu import mutate_rtu
 
 GOOD = struct.pack(">HHHBBB2H", 7, 0, 7, 1, 4, 4, 555, 100)
 
@@ -80,7 +83,21 @@ class Naive(FrameGuard):
 
 
 async def test_without_the_guard_a_late_reply_of_transaction_0_is_taken_for_the_answer(monkeypatch):
-    monkeypatch.setattr("drivers.modbus.FrameGuard", Naive)
+    monkeypatch.setattr("drivers.modbus_frames.FrameGuard", Naive)
     found = await mutate_modbus(170, 1)
     assert found["the reply before as transaction 0"][3] > 0
     assert found["trailing bytes"][1] > 0
+
+
+def test_no_mutated_rtu_reply_is_passed_on_with_other_registers():
+    found = mutate_rtu(2600, 1)
+    assert {kind: wrong for kind, (*_, wrong) in found.items() if wrong} == {}
+    for kind, (replies, used, unused, _) in found.items():
+        assert (used, unused) == ((replies, 0) if kind in RTU_HARMLESS else (0, replies)), kind
+
+
+async def test_no_mutated_can_frame_is_ever_a_wrong_value_that_counts_as_good():
+    found = await mutate_can(2200, 1)
+    assert {kind: wrong for kind, (*_, wrong) in found.items() if wrong} == {}
+    assert found["none"][1] > 0 and found["none"][2] == 0
+    assert {kind for kind, (_, good, *_) in found.items() if good} == {"none", "any data"}

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from drivers.points import Quality
-from drivers.rigfile import Point
+from drivers.rig_model import Point
 from drivers.sensor_watch import SensorWatch, watches
 
 GOOD, FAULT = Quality.GOOD, Quality.SENSOR_FAULT

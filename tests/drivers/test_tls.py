@@ -16,9 +16,10 @@ from pathlib import Path
 
 import pytest
 
+from drivers.bus_sections import ModbusTlsBus
 from drivers.modbus import ModbusBus
 from drivers.points import ConfigurationError, LinkError, Quality
-from drivers.rigfile import ModbusTlsBus, RigFileError, load_rig
+from drivers.rigfile import RigFileError, load_rig
 from drivers.tls import check_key, client_context
 from drivers.virtual.rig import VirtualRig, start_virtual_rig
 from hil.bench.faults_tls import authority, make_certificates, signed

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import hil.safing
-from drivers.rigfile import Rig
+from drivers.rig_model import Rig
 from hil.engine import Engine, Outcome
 from hil.operator import RefusedError, Verb
 from hil.profile import Profile

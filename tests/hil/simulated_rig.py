@@ -17,7 +17,8 @@ from drivers.interlock_specs import (
     ResidualSpec,
 )
 from drivers.points import LinkError, Quality, Snapshot
-from drivers.rigfile import Rig, load_rig
+from drivers.rig_model import Rig
+from drivers.rigfile import load_rig
 from drivers.virtual.registers import ARMED, HEARTBEAT, HEATER_SET, Registers
 from hil.journal import JournalError
 

@@ -132,6 +132,18 @@ def test_wrong_use_is_explained(tmp_path, arguments, words):
     assert "Traceback" not in printed
 
 
+def test_a_run_on_a_wire_that_the_virtual_rig_does_not_serve_is_refused(tmp_path):
+    rig = tmp_path / "rig.toml"
+    text = RIG.read_text(encoding="utf-8")
+    text = text.replace('transport = "modbus_tcp"\nhost', 'transport = "modbus_rtu_tcp"\nhost')
+    text = text.replace('"thermocouples.dbc"', f'"{RIG.parent / "thermocouples.dbc"}"')
+    text = text.replace('twin = "../twins/virtual.toml"\n', "")
+    rig.write_text(text, encoding="utf-8")
+    code, printed = hil("run", load(tmp_path, GOOD_LOAD), "--virtual", "--rig", rig, "--runs", tmp_path / "runs")
+    assert code == 2
+    assert "bus plc is Modbus RTU over TCP 127.0.0.1:5020, which --virtual does not start" in printed
+
+
 def healthy_record(tmp_path: Path, **changes: np.ndarray | None) -> Path:
     time_s = np.arange(0.0, 3000.0)
     columns: dict[str, np.ndarray] = {

@@ -135,7 +135,7 @@ async def test_a_bus_that_is_down_is_named_and_the_other_is_shown(tmp_path):
         as_json, document = await check(path, "--json")
     assert (code, as_json) == (1, 1)
     assert "virtual: 1 of 2 buses answer" in said
-    assert re.search(r"plc \(modbus_tcp 127.0.0.1:\d+, device 1\): answers", said)
+    assert re.search(r"plc \(Modbus/TCP 127.0.0.1:\d+, device 1\): answers", said)
     assert re.search(r"thermocouples \(.*\): is down\n.*cannot be opened: .*refused", said)
     assert re.search(r"T_ambient .* 2\d\.\d+ .*good", said)
     assert re.search(r"T_tank .* never came", said)

@@ -180,9 +180,10 @@ async def test_the_rig_keeps_its_own_truth_and_a_reboot_forgets_everything(tmp_p
 async def test_a_reply_that_pymodbus_cannot_decode_is_a_lost_link_and_no_traceback(caplog):
     import time
 
+    from drivers.bus_sections import ModbusTcpBus
     from drivers.modbus import ModbusBus
     from drivers.points import Quality
-    from drivers.rigfile import ModbusTcpBus, Point
+    from drivers.rig_model import Point
 
     point = Point(name="x", bus="b", unit="1", table="input", address=0)
     generator = random.Random(5)
@@ -201,8 +202,8 @@ async def test_a_reply_that_pymodbus_cannot_decode_is_a_lost_link_and_no_traceba
                 assert readings.values == [0.0]
             link.change = None
             await asyncio.sleep(0.01)
-            bus._drop()
-            await bus._open()
+            bus.link.drop()
+            await bus.link.open("b")
         await bus.close()
     assert bad >= 25
     assert not [record for record in caplog.records if record.name == "asyncio"]

@@ -19,9 +19,9 @@ from twin.discovery.weighing import weigh
 
 SECOND_SHARE, EXACT_SHARE = 0.06, 0.003
 """A further effect must win this share of the first one's gain, since an effect is seldom of quite the form assumed, or
-that one where the first ones have no form to be wrong in: heat or an error of reading that is there at once and
-follows what is measured."""
-_EXACT = ("heat_source", "heat_loss", "sensor")
+that one where the first ones have no form to be wrong in: an error of reading that is there at once, or heat that is
+and follows what is measured."""
+_EXACT = ("heat_source", "heat_loss")
 _FORMED = ("history", "rate_of_change", "time_of_day")
 """Drivers of effects that bring a form of their own."""
 MOST_EFFECTS = 3
@@ -125,8 +125,8 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
 
 
 def _exact(entry: Entry) -> bool:
-    at_once = entry.shape.name == "step" and entry.candidate.driver not in _FORMED
-    return at_once and entry.candidate.kind in _EXACT
+    c = entry.candidate
+    return entry.shape.name == "step" and (c.kind == "sensor" or (c.kind in _EXACT and c.driver not in _FORMED))
 
 
 def weighed(finding: Finding, first: Part, later: list[Part]) -> tuple[Finding, tuple[str, ...]]:

@@ -1,0 +1,267 @@
+"""One wire and whoever speaks on it: one request at a time, answered by its own reply within its deadline, or not.
+
+Over TCP a reply is known by its transaction. In RTU frames there is none: after a request that was not answered in
+its way the line must fall silent before the next one goes out, and `unanswered` tells the bus that its device may be a
+reply behind (`drivers.modbus` then makes it show that it is not).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ssl
+import time
+from collections.abc import Awaitable, Callable
+
+from drivers.bus_sections import ModbusBusSection, ModbusRtuBus, ModbusTlsBus, is_rtu
+from drivers.modbus_frames import frames_of
+from drivers.modbus_wire import Lost, Received, Wire, open_wire
+from drivers.points import DeadlineError, LinkError, ProtocolError
+from drivers.serial_line import BITS_PER_BYTE, silence_s
+from drivers.tls import client_context, why_refused
+
+RECONNECT_EVERY_S = 1.0
+AT_ONCE_S = 1e-3
+"""A reply within this time comes at once: the next is waited for without the event loop, which costs more than that."""
+_PATIENCE_S = 10e-3
+"""How long, before the loop takes over. A shorter time-out makes the kernel set a timer, which costs more."""
+_LATE_AT_MOST = 3
+"""Replies in a row that did not come at once, after which none is waited for so until one does again."""
+_YIELD_EVERY_S = 5e-3
+_QUIET_S = 0.05
+_QUIET_AT_MOST_S = 0.5
+
+Opener = Callable[[ModbusBusSection, ssl.SSLContext | None, Received, Lost], Awaitable[Wire]]
+
+
+class ModbusLink:
+    """The only user of a wire. Devices that share it take turns; a wire that is lost is opened again by itself.
+
+    `unanswered` counts requests that were not answered as they should have been since the last that was.
+    """
+
+    def __init__(self, config: ModbusBusSection, *, opener: Opener = open_wire) -> None:
+        self.config = config
+        self.devices = 0
+        self.reconnects = 0
+        self.unanswered = 0
+        self.on_reopened: list[Callable[[], None]] = []
+        self.is_rtu = is_rtu(config)
+        self._opener = opener
+        self._tls = client_context(config) if isinstance(config, ModbusTlsBus) else None
+        self._frames = frames_of(config)
+        self._gap_s = config.gap_s
+        if self.is_rtu and config.serial_baud is not None:
+            self._gap_s = max(config.gap_s, silence_s(config.serial_baud))
+        self._byte_s = BITS_PER_BYTE / config.serial_baud if config.serial_baud is not None else 0.0
+        self._lock = asyncio.Lock()
+        self._opening = asyncio.Lock()
+        self._wire: Wire | None = None
+        self._supervisor: asyncio.Task[None] | None = None
+        self._waiting: tuple[int, bytes] | None = None
+        self._reply: bytes | None = None
+        self._refused: str | None = None
+        self._waiter: asyncio.Future[None] | None = None
+        self._quiet_since = 0.0
+        self._unquiet = False
+        self._late = 0
+        self._yielded = 0.0
+
+    @property
+    def connected(self) -> bool:
+        """Whether the wire is open, as far as has been noticed."""
+        return self._wire is not None
+
+    async def open(self, where: str) -> None:
+        """Open the wire, where it is not open yet; raises LinkError that names `where`."""
+        async with self._opening:
+            if self._wire is None:
+                await self._open(where)
+
+    async def _open(self, where: str) -> None:
+        self._frames = frames_of(self.config)
+        timeout_s = self.config.timeout_s + 1.0
+        try:
+            async with asyncio.timeout(timeout_s):
+                self._wire = await self._opener(self.config, self._tls, self._received, self._lost)
+        except (OSError, ValueError) as error:  # pyserial gives ValueError for a speed that a port has not
+            await self.explain(where)
+            why = f"no answer within {timeout_s:g} s" if isinstance(error, TimeoutError) else str(error)
+            what = "serial_port" if isinstance(self.config, ModbusRtuBus) else "host and port"
+            raise LinkError(f"{where} cannot be reached: {why}; is the rig on, and {what} right?") from error
+        self._quiet_since = time.monotonic()
+        self._unquiet = self.is_rtu  # adapters give noise when they are opened, and converters what was late before
+        self._late = 0
+
+    async def explain(self, where: str) -> None:
+        """Raise the reason why TLS was refused, where that is why there is no connection."""
+        if self._tls is None or not isinstance(self.config, ModbusTlsBus):
+            return
+        why = await why_refused(self.config, self._tls)
+        if why is not None:
+            raise LinkError(f"{where}: {why}")
+
+    def drop(self) -> None:
+        """Close the wire; it stays closed until someone opens it."""
+        wire, self._wire = self._wire, None
+        if wire is not None:
+            wire.close()
+
+    async def close(self) -> None:
+        """Stop reconnecting and close the wire."""
+        if self._supervisor is not None:
+            self._supervisor.cancel()
+            await asyncio.gather(self._supervisor, return_exceptions=True)
+            self._supervisor = None
+        self.drop()
+        await asyncio.sleep(0)
+
+    async def ask(self, device: int, pdu: bytes, timeout_s: float, where: str) -> bytes:
+        """PDU of the reply to a request; raises DeadlineError, LinkError, or ProtocolError of a garbled line."""
+        async with self._lock:
+            wire = self._wire
+            if wire is None and self.devices > 1:
+                wire = await self._reopened(timeout_s)
+            if wire is None:
+                self._reconnect()
+                raise LinkError(f"{where}: the connection is lost; reconnecting every {RECONNECT_EVERY_S:g} s")
+            if self._unquiet:
+                await self._fall_silent()
+            now = time.monotonic  # the loop's clock, without the way to it
+            if self._gap_s > 0.0:
+                wait_s = self._quiet_since + self._gap_s - now()
+                if wait_s > 0.0:
+                    await asyncio.sleep(wait_s)
+            self._reply = self._refused = None
+            self._waiting = (device, pdu)
+            self._unquiet = self.is_rtu  # until the reply is here, whatever ends this
+            frame = self._frames.frame(device, pdu)
+            try:
+                wire.send(frame)
+                began = now()
+                if self._late < _LATE_AT_MOST:
+                    data = wire.take(_PATIENCE_S)
+                    if data:
+                        self._received(data)
+                if self._reply is None and self._refused is None:
+                    await self._wait(timeout_s + self._line_s(frame, pdu))
+                ended = now()
+                self._late = 0 if ended - began < AT_ONCE_S else self._late + 1
+            except OSError as error:
+                self._broken(str(error))
+                ended = now()
+            finally:
+                self._waiting = None
+                self._quiet_since = now()
+            if self._reply is not None:
+                self.unanswered = 0
+                if ended - self._yielded > _YIELD_EVERY_S:
+                    await asyncio.sleep(0)  # replies that come at once would otherwise never let another task run
+                    self._yielded = now()
+                return self._reply
+            self.unanswered += 1
+            raise self._failure(where, timeout_s)
+
+    def _line_s(self, frame: bytes, pdu: bytes) -> float:
+        """Time that request and reply take on the line itself."""
+        if self._byte_s == 0.0:
+            return 0.0
+        count = int.from_bytes(pdu[3:5], "big") if pdu[0] <= 4 else 0
+        size = 5 + (-(-count // 8) if pdu[0] <= 2 else 2 * count)
+        return (len(frame) + max(size, 8)) * self._byte_s
+
+    async def _wait(self, seconds: float) -> None:
+        loop = asyncio.get_running_loop()
+        self._waiter = waiter = loop.create_future()
+        timer = loop.call_later(seconds, self._wake)
+        try:
+            await waiter
+        finally:
+            timer.cancel()
+            self._waiter = None
+        self._yielded = time.monotonic()
+
+    def _wake(self) -> None:
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
+
+    def _failure(self, where: str, timeout_s: float) -> Exception:
+        """What to raise for a request without a reply, after doing with the wire what it needs."""
+        why = self._refused
+        if why is None and self._frames.dropped:
+            why = f"{self._frames.dropped} replies to another request or of another unit were not used"
+        said = f" ({why})" if why is not None else ""
+        if self.is_rtu and self._wire is not None:
+            if self._refused is not None:
+                return ProtocolError(f"{where}: {self._refused}; the reply is not used")
+            if self.unanswered >= 2 and not isinstance(self.config, ModbusRtuBus):
+                self.drop()  # nobody on it answers: the connection itself may be dead
+                self._reconnect()
+            return DeadlineError(f"{where}: no answer within {timeout_s:g} s{said}")
+        lost = self._wire is None or self._refused is not None
+        if lost or self.devices < 2 or self.unanswered >= 2:
+            self.drop()
+            self._reconnect()
+            said += "; reconnecting"
+        kind = LinkError if lost else DeadlineError
+        return kind(f"{where}: no answer within {timeout_s:g} s{said}")
+
+    async def _fall_silent(self) -> None:
+        """Wait until nothing has arrived for a while: what does is the end of what went before."""
+        end = time.monotonic() + _QUIET_AT_MOST_S
+        quiet_s = max(_QUIET_S, self._gap_s)
+        left_s = self._quiet_since + quiet_s - time.monotonic()
+        while left_s > 0.0 and time.monotonic() < end:
+            await asyncio.sleep(left_s)
+            left_s = self._quiet_since + quiet_s - time.monotonic()
+
+    def _received(self, data: bytes) -> None:
+        if self._waiting is None:
+            self._quiet_since = time.monotonic()
+            if self.is_rtu:
+                self._unquiet = True  # someone speaks who was not asked
+                return
+            device, pdu = 0, b"\0"
+        else:
+            device, pdu = self._waiting
+        if self._reply is not None and self._waiting is not None:
+            self._unquiet = self.is_rtu
+            return
+        try:
+            self._reply = self._frames.feed(data, device, pdu)
+        except ProtocolError as error:
+            self._refused = str(error)
+            if not self.is_rtu:
+                self.drop()  # where the next frame of the stream begins is not known any more
+        if self._reply is not None:
+            self._unquiet = False
+        if self._reply is not None or self._refused is not None:
+            self._wake()
+
+    def _lost(self, why: str) -> None:
+        self._broken(why)
+        self._wake()
+
+    def _broken(self, why: str) -> None:
+        self._refused = self._refused or why
+        self.drop()
+
+    async def _reopened(self, timeout_s: float) -> Wire | None:
+        """The wire, if the reconnection that goes on succeeds soon: another device's silence has closed it."""
+        if self._supervisor is not None:
+            await asyncio.wait((self._supervisor,), timeout=min(timeout_s, 0.2))
+        return self._wire
+
+    def _reconnect(self) -> None:
+        if self._supervisor is None or self._supervisor.done():
+            self._supervisor = asyncio.create_task(self._keep_trying(), name=f"reconnect {self.config.place}")
+
+    async def _keep_trying(self) -> None:
+        while True:
+            with contextlib.suppress(LinkError):
+                await self.open(self.config.place)
+                self.reconnects += 1
+                for told in self.on_reopened:
+                    told()
+                return
+            await asyncio.sleep(RECONNECT_EVERY_S)

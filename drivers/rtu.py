@@ -1,0 +1,85 @@
+"""RTU frames: the one module that imports pymodbus, whose framer computes the CRC.
+
+An RTU frame carries no transaction, so a reply that comes late looks like the answer to the next request; pymodbus's
+own client serves it as such, and goes on so. What is passed on here must be whole, with the right CRC, of the device,
+the function and the length that the request admits, and the only thing that came. What else is needed, a quiet line and
+a device that is known to be in step, is `drivers.modbus_link`'s and `drivers.modbus`'s.
+"""
+
+from __future__ import annotations
+
+from pymodbus.framer import FramerRTU
+
+from drivers.points import ProtocolError
+
+_READS = (1, 2, 3, 4)
+_WRITES = (5, 6, 15, 16)
+_LONGEST = 256  # Modbus over serial line V1.02, 2.5.1
+
+
+def frame_of(device: int, pdu: bytes) -> bytes:
+    """Address, PDU and CRC."""
+    body = bytes((device,)) + pdu
+    return body + FramerRTU.compute_CRC(body).to_bytes(2, "big")
+
+
+def size_of(start: bytes) -> int | None:
+    """Length of the reply frame that begins so; None where more bytes must tell. ProtocolError where it is no reply."""
+    if len(start) < 2:
+        return None
+    code = start[1]
+    if code & 0x80:
+        return 5
+    if code in _WRITES:
+        return 8
+    if code not in _READS:
+        raise ProtocolError(f"bytes that are no reply: {start[:8].hex(' ')}")
+    return None if len(start) < 3 else 5 + start[2]
+
+
+class RtuGuard:
+    """Cuts what arrives into frames. `dropped` counts whole frames that answer another request."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._buffer = b""
+
+    def clear(self) -> None:
+        """Forget what has arrived: a new request goes out on a quiet line."""
+        self._buffer = b""
+
+    def feed(self, data: bytes, device: int, request: bytes) -> list[bytes]:
+        """PDUs that may answer `request` of `device`; ProtocolError where the line carries something else.
+
+        A frame that is right in itself and answers another request, or another device's, is dropped and counted.
+        """
+        self._buffer = (self._buffer + data).lstrip(b"\0\xff")  # no reply begins so: what a line gives as it turns
+        passed: list[bytes] = []
+        while self._buffer:
+            size = size_of(self._buffer)
+            if size is None or len(self._buffer) < size:
+                break
+            if size > _LONGEST:
+                raise ProtocolError(f"a reply of {size} bytes, which is more than a frame may have")
+            frame, self._buffer = self._buffer[:size], self._buffer[size:]
+            if not FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big")):
+                raise ProtocolError(f"a reply with a wrong CRC: {frame[:8].hex(' ')}")
+            if frame[0] == device and _answers(frame[1:-2], request):
+                passed.append(frame[1:-2])
+            else:
+                self.dropped += 1
+        if passed and (self._buffer or len(passed) > 1):
+            raise ProtocolError("more than one reply to one request: which is ours is not known")
+        return passed
+
+
+def _answers(reply: bytes, request: bytes) -> bool:
+    """Whether a reply has the function and the length, or the echo, that a request asks for."""
+    code, count = request[0], int.from_bytes(request[3:5], "big")
+    if reply[0] == code | 0x80:
+        return True
+    if reply[0] != code:
+        return False
+    if code in _READS:
+        return reply[1] == (-(-count // 8) if code in (1, 2) else 2 * count)
+    return reply == request[:5]

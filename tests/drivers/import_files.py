@@ -1,0 +1,33 @@
+"""What the tests of all imports share: files written to a folder, rigs read back, and odd cells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hypothesis import strategies as st
+
+from drivers.imports.draft import Draft, write
+from drivers.rig_model import Rig
+from drivers.rigfile import load_rig
+
+BUS = {"transport": "modbus_tcp", "host": "10.0.0.5", "port": 502, "device_id": 3}
+CELLS = st.one_of(
+    st.sampled_from(
+        ["40001", "30001", "3", "0x10", "uint16", "float32", "CDAB", "0.1", "1/0", "rw", "°C", "4-7", "-", ""]
+    ),
+    st.text(max_size=8),
+    st.integers(-10, 10**9).map(str),
+    st.floats().map(str),
+)
+
+
+def written(tmp_path: Path, draft: Draft) -> Rig:
+    path = tmp_path / "made.toml"
+    path.write_text(write(draft, "made"), encoding="utf-8")
+    return load_rig(path)
+
+
+def table(tmp_path: Path, text: str, name: str = "registers.csv") -> Path:
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return path

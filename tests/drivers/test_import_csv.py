@@ -1,0 +1,201 @@
+"""`hil init --from registers.csv`: a vendor's table becomes a rig file that `hil check` accepts, or one sentence."""
+
+from __future__ import annotations
+
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.imports.draft import Collector, Draft, DraftBus, ImportFileError
+from drivers.imports.vendor_csv import import_csv
+from drivers.rigfile import load_rig
+from hil.commands.check import command as check
+from hil.commands.init import command as init
+from tests.drivers.import_files import BUS, CELLS, table, written
+
+TABLE = """\
+# Chiller X200, firmware 2.1
+Name;Address;Function code;Data type;Byte order;Scale;Offset;Unit;Access;Length;Bit;Remark;Colour
+Supply temperature;30001;4;INT16;;0,1;;°C;R;;;water to the rig;red
+Flow;30003;4;FLOAT32;CDAB;;;l/min;R;2;;;
+Energy;30005;4;UINT64;;1/100;;kWh;R;;;;
+Serial;30010;4;STRING;;;;;R;6;;;
+Pump on;30020;4;WORD;;;;;R;;0;;
+Pump fault;30020;4;WORD;;;;;R;;4-7;;
+Set point;40001;3,6;INT16;;0.1;;°C;;;;;
+Remote;00005;1,5;BOOL;;;;;RW;;;;
+Door;10001;2;;;;;;;;;;
+Torque;30030;4;uint16;;;;in-lb;R;;;;
+"""
+
+
+def test_a_vendors_table_becomes_a_rig_file_that_is_accepted(tmp_path):
+    source, out = table(tmp_path, TABLE), tmp_path / "rig.toml"
+    done = CliRunner().invoke(
+        init, ["--from", str(source), "--addressing", "modicon", "--host", "10.0.0.5", "--out", str(out)]
+    )
+    assert done.exit_code == 0, (done.output, done.exception)
+    assert "columns that were not used: Colour" in done.output
+    assert "unit 'in-lb' is not known" in done.output
+    rig = load_rig(out)
+    by_name = {point.name: point for point in rig.point}
+    temperature = by_name["Supply_temperature"]
+    assert (temperature.table, temperature.address, temperature.scale) == ("input", 0, 0.1)
+    assert (temperature.unit, temperature.doc) == ("degC", "water to the rig")
+    assert (by_name["Flow"].address, by_name["Flow"].type, by_name["Flow"].order) == (2, "float32", "CDAB")
+    assert (by_name["Energy"].scale, by_name["Energy"].unit) == (0.01, "kWh")
+    assert (by_name["Serial"].type, by_name["Serial"].length) == ("string", 6)
+    assert (by_name["Pump_on"].bits, by_name["Pump_fault"].bits) == ((0, 0), (4, 7))
+    assert (by_name["Set_point"].table, by_name["Set_point"].access) == ("holding", "rw")
+    assert (by_name["Remote"].table, by_name["Remote"].address, by_name["Remote"].access) == ("coil", 4, "rw")
+    assert by_name["Door"].table == "discrete"
+    assert by_name["Torque"].unit == "1"
+    text = out.read_text(encoding="utf-8")
+    assert "# called 'Supply temperature' in registers.csv" in text
+    assert "# unit in registers.csv: in-lb" in text
+    checked = CliRunner().invoke(check, [str(out)])
+    assert checked.exit_code == 0, (checked.output, checked.exception)
+    assert "no mistakes found" in checked.output
+    again = CliRunner().invoke(init, ["--from", str(source), "--addressing", "modicon", "--out", str(out)])
+    assert again.exit_code == 2
+    assert "is there already" in again.output
+
+
+@pytest.mark.parametrize(
+    ("addressing", "given", "address"),
+    [
+        ("zero", "0", 0),
+        ("zero", "0x10", 16),
+        ("zero", "0FH", 15),
+        ("one", "1", 0),
+        ("one", "40001", 40000),
+        ("modicon", "40001", 0),
+        ("modicon", "49999", 9998),
+        ("modicon", "400001", 0),
+        ("modicon", "465536", 65535),
+    ],
+)
+def test_addresses_are_taken_as_they_are_stated(tmp_path, addressing, given, address):
+    source = table(tmp_path, f"name,address,table,type\nx,{given},holding,uint16\n")
+    (point,) = written(tmp_path, import_csv(source, addressing, BUS)).point
+    assert (point.table, point.address) == ("holding", address)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "said"),
+    [
+        ("30001", "0", 3, "is no Modicon address"),
+        ("30001", "20001", 3, "is no Modicon address"),
+        ("30001", "30001-2", 3, "write it as 100 or 0x64"),
+        ("30001;4", "30001;3", 3, "address 30001 is of table input and the line says holding"),
+        ("30001;4", "30001;7", 3, "function 7 reads or writes no table"),
+        ("INT16", "INT24", 3, "type 'INT24' is not known; use bool, int16"),
+        ("FLOAT32;CDAB", "FLOAT32;ACBD", 4, "order 'ACBD' is not known"),
+        ("l/min;R;2", "l/min;R;1", 4, "float32 takes 2 registers and the line says 1"),
+        ("30003", "30001", 4, "input 0 is Supply_temperature's already (line 3)"),
+        ("0,1", "0,125x", 3, "scale '0,125x' is no number"),
+        ("0,1", "1,000", 3, "may be a thousand or a fraction"),
+        ("0,1", "0", 3, "a scale of 0 loses the value"),
+        ("0,1", "nan", 3, "is no number"),
+        ("kWh;R", "kWh;X", 5, "access 'X' is not known; use r, w or rw"),
+        ("STRING;;;;;R;6", "STRING;;;;;R;", 6, "needs its number of registers"),
+        ("4-7", "4-70", 8, "bits"),
+        ("4-7", "0-7", 8, "is Pump_on's already (line 7)"),
+        ("Flow;", ";", 4, "has no name"),
+        ("red", "red;blue", 3, "has 14 cells and the heading 13"),
+        ("Scale", "Gain", 2, "column 'gain' has no agreed meaning"),
+        ("Address", "Where", 2, "has no column for address"),
+        ("Remark", "Name", 2, "two columns for name"),
+        ("Torque", '"Torque', 12, "close every quote"),
+        ("30030;4;uint16", "30030;4;", 12, "type '' is not known"),
+        ("Torque;30030;4;uint16", ";;;;\nLast;365536;4;uint32", 13, "Last ends at 65536, beyond 65535"),
+    ],
+)
+def test_each_mistake_in_a_table_is_one_sentence_with_its_line(tmp_path, old, new, line, said):
+    assert old in TABLE
+    source = table(tmp_path, TABLE.replace(old, new, 1))
+    with pytest.raises(ImportFileError) as caught:
+        import_csv(source, "modicon", BUS)
+    text = str(caught.value)
+    assert said in text
+    assert f"registers.csv, line {line}: " in text
+    assert len(text.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "has no line with a heading"),
+        (b"name,address,type\n", "has a heading and no line below it"),
+        (b"name,address,type\n\xff\xfe,1,uint16\n", "line 2: is not UTF-8 text"),
+        (b"name,address,type\nx\0,1,uint16\n", "line 2: holds a zero byte"),
+        (b"name,address,type\nx,0,uint16\n", "line 2: x: no table; add a column table or function"),
+    ],
+)
+def test_files_that_are_no_tables(tmp_path, content, said):
+    source = tmp_path / "registers.csv"
+    source.write_bytes(content)
+    with pytest.raises(ImportFileError, match=said):
+        import_csv(source, "zero", BUS)
+
+
+def test_a_table_must_say_what_its_addresses_count_from(tmp_path):
+    with pytest.raises(ImportFileError, match="give --addressing zero, one or modicon"):
+        import_csv(table(tmp_path, TABLE), None, BUS)
+
+
+HEADINGS = ["name", "address", "table", "function", "type", "order", "scale", "divisor", "offset", "unit", "access"]
+HEADINGS += ["bits", "length", "min", "max", "description"]
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data(), addressing=st.sampled_from(["zero", "one", "modicon"]))
+def test_any_table_is_imported_well_or_refused_in_one_sentence(tmp_path_factory, data, addressing):
+    heads = data.draw(st.permutations(HEADINGS)) if data.draw(st.booleans()) else HEADINGS
+    rows = data.draw(st.lists(st.lists(CELLS, min_size=1, max_size=len(heads)), max_size=4))
+    delimiter = data.draw(st.sampled_from([",", ";", "\t"]))
+    text = "\n".join([delimiter.join(heads), *(delimiter.join(row) for row in rows)])
+    folder = tmp_path_factory.mktemp("fuzz")
+    source = folder / "registers.csv"
+    source.write_text(text, encoding="utf-8", errors="replace")
+    try:
+        draft = import_csv(source, addressing, BUS)
+    except ImportFileError as error:
+        assert "registers.csv" in str(error)
+        assert len(str(error).splitlines()) == 1
+    else:
+        assert len(written(folder, draft).point) == len(draft.buses[0].points)
+
+
+ROW = ["Flow", "40003", "holding", "3", "uint16", "", "0.1", "", "5", "L/min", "r", "", "", "0", "8", "what"]
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.data())
+def test_a_good_table_with_a_few_odd_cells_is_imported_well_or_refused(tmp_path_factory, data):
+    rows = [list(ROW), ["T", "40010", *ROW[2:]], ["P", "40020", *ROW[2:]]]
+    for _ in range(data.draw(st.integers(1, 3))):
+        row = data.draw(st.sampled_from(rows))
+        row[data.draw(st.integers(0, len(row) - 1))] = data.draw(CELLS)
+    folder = tmp_path_factory.mktemp("fuzz")
+    source = folder / "registers.csv"
+    text = "\n".join(";".join(row) for row in [HEADINGS, *rows])
+    source.write_text(text, encoding="utf-8", errors="replace")
+    try:
+        draft = import_csv(source, "modicon", BUS)
+    except ImportFileError as error:
+        assert len(str(error).splitlines()) == 1
+    else:
+        written(folder, draft)
+
+
+@given(name=st.text(), doc=st.text(), unit=st.text(max_size=5))
+def test_whatever_a_point_is_called_its_file_is_read_again(tmp_path_factory, name, doc, unit):
+    path = tmp_path_factory.mktemp("names") / "x\n.csv"
+    collector = Collector(path)
+    keys = {"table": "input", "address": 1, "unit": unit, "doc": doc}
+    points = [collector.point("plc", name, 1, dict(keys)), collector.point("plc", name, 2, keys | {"address": 2})]
+    rig = written(path.parent, Draft(path, [DraftBus("plc", BUS, points)], collector.notes))
+    assert rig.point[0].doc == doc
+    assert rig.point[0].name != rig.point[1].name

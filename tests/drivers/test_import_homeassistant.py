@@ -1,0 +1,124 @@
+"""`hil init --from homeassistant.yaml`: hubs become buses and points, or one sentence with the line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.imports.draft import ImportFileError
+from drivers.imports.homeassistant import Placed, draft_of, import_homeassistant
+from tests.drivers.import_files import table, written
+
+
+def placed(value: object, line: int = 1) -> Placed:
+    """What the YAML reader makes of a value; every entry is a line further down."""
+    if isinstance(value, dict):
+        return Placed({key: placed(item, line + n) for n, (key, item) in enumerate(value.items())}, line)
+    if isinstance(value, list):
+        return Placed([placed(item, line + n) for n, item in enumerate(value)], line)
+    return Placed(value, line)
+
+
+def hub(*sensors: dict, **more: object) -> dict:
+    return {
+        "modbus": [{"name": "hub", "type": "tcp", "host": "10.0.0.9", "port": 5020, "sensors": list(sensors)} | more]
+    }
+
+
+def test_a_home_assistant_hub_becomes_points(tmp_path):
+    document = hub(
+        {"name": "Flow", "address": 2, "input_type": "input", "data_type": "float32", "swap": "word", "slave": 2}
+        | {"unit_of_measurement": "L/min", "min_value": 0, "max_value": 8},
+        {"name": "Supply", "address": 4, "scale": 0.1, "offset": -40, "nan_value": "0x8000"},
+        binary_sensors=[{"name": "Pump", "address": 7, "input_type": "discrete_input"}],
+        switches=[{"name": "Remote", "address": 9, "write_type": "coil"}],
+        climates=[{"name": "c"}],
+    )
+    draft = draft_of(Path("ha.yaml"), placed(document))
+    rig = written(tmp_path, draft)
+    by_name = {point.name: point for point in rig.point}
+    assert rig.bus["plc"].device_id == 2 and rig.bus["plc2"].device_id == 1
+    assert (by_name["Flow"].order, by_name["Flow"].plausible, by_name["Flow"].unit) == ("CDAB", (0.0, 8.0), "L/min")
+    assert (by_name["Supply"].type, by_name["Supply"].offset, by_name["Supply"].invalid) == ("int16", -40.0, (32768.0,))
+    assert -32768.0 in by_name["Supply"].sentinels
+    assert (by_name["Pump"].table, by_name["Remote"].access) == ("discrete", "rw")
+    assert draft.notes == ["climates were left out: a rig has points only"]
+
+
+@pytest.mark.parametrize(
+    ("document", "said"),
+    [
+        ({}, "has no modbus: section"),
+        (hub(type="serial"), "rig files know Modbus/TCP only yet"),
+        (hub(), "without sensors or switches"),
+        (hub({"address": 1}), "has no name"),
+        (hub({"name": "x"}), "address of x None is no number"),
+        (hub({"name": "x", "address": 70000}), "is no whole number from 0 to 65535"),
+        (hub({"name": "x", "address": 1, "data_type": "custom"}), "data_type 'custom' of x is not known"),
+        (hub({"name": "x", "address": 1, "swap": "all"}), "swap 'all' of x is not known"),
+        (hub({"name": "x", "address": 1, "scale": "ten"}), "scale of x 'ten' is no number"),
+        (hub({"name": "x", "address": 1}, host=None), "a hub has no host"),
+        (hub({"name": "x", "address": 1}, {"name": "y", "address": 1}), "is x's already"),
+    ],
+)
+def test_each_mistake_in_a_home_assistant_file_is_named(document, said):
+    with pytest.raises(ImportFileError) as caught:
+        draft_of(Path("ha.yaml"), placed(document))
+    assert said in str(caught.value)
+    assert "ha.yaml, line " in str(caught.value)
+
+
+HOME = """\
+modbus:
+  - name: hub
+    type: tcp
+    host: !secret chiller
+    port: 502
+    sensors:
+      - name: Flow
+        address: 0x10
+        slave: 1
+        data_type: float32
+"""
+
+
+def test_yaml_is_read_with_its_lines_where_a_reader_is_installed(tmp_path):
+    source = table(tmp_path, HOME, "ha.yaml")
+    try:
+        import yaml  # noqa: F401
+    except ImportError:
+        with pytest.raises(ImportFileError, match="takes PyYAML to read; install it"):
+            import_homeassistant(source)
+        return
+    (point,) = written(tmp_path, import_homeassistant(source)).point
+    assert (point.name, point.address, point.type) == ("Flow", 16, "float32")
+    with pytest.raises(ImportFileError, match=r"ha.yaml, line 7: address of Flow"):
+        import_homeassistant(table(tmp_path, HOME.replace("0x10", "ten"), "ha.yaml"))
+    with pytest.raises(ImportFileError, match=r"ha.yaml, line \d+: is not valid YAML"):
+        import_homeassistant(table(tmp_path, HOME.replace("host: ", "host: [", 1), "ha.yaml"))
+
+
+VALUES = st.one_of(
+    st.none(), st.booleans(), st.integers(-5, 70000), st.floats(), st.text(max_size=5), st.just([1]), st.just({})
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.data())
+def test_any_home_assistant_entry_is_imported_well_or_refused(tmp_path_factory, data):
+    keys = ["name", "address", "input_type", "data_type", "scale", "offset", "swap", "count", "slave", "nan_value"]
+    keys += ["min_value", "max_value", "unit_of_measurement"]
+    entry = {"name": "x", "address": 1}
+    entry |= data.draw(st.dictionaries(st.sampled_from(keys), VALUES, max_size=4))
+    more = data.draw(
+        st.dictionaries(st.sampled_from(["host", "port", "type", "switches", "binary_sensors"]), VALUES, max_size=2)
+    )
+    try:
+        draft = draft_of(Path("ha.yaml"), placed(hub(entry, **more)))
+    except ImportFileError as error:
+        assert "ha.yaml" in str(error)
+    else:
+        written(tmp_path_factory.mktemp("fuzz"), draft)
