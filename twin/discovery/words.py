@@ -14,6 +14,8 @@ from twin.elements.base import Candidate
 if TYPE_CHECKING:
     from twin.discovery.ranking import Finding
 
+_DRIVEN = {"threshold": "a temperature that switches it"}
+
 
 def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0) -> str:
     """The effect in plain words; `grown` is the share of its size that it has reached."""
@@ -107,7 +109,7 @@ def summarise(
         return f"{said}; but this record cannot tell that from {names}." + fit_text
     followed = {e.driver for e in effects}
     drivers = [a.driver for a in others if (a.kind, a.where) in named and a.confidence > OPEN]
-    drivers = [d.replace("_", " ") for d in dict.fromkeys(drivers) if d not in followed]
+    drivers = [_DRIVEN.get(d, d.replace("_", " ")) for d in dict.fromkeys(drivers) if d not in followed]
     if drivers:
         return f"{said}; whether it follows {' or '.join(drivers)} instead this record cannot tell." + fit_text
     return said + "." + fit_text
