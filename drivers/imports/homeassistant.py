@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.imports.draft import Collector, Draft, DraftBus, ImportFileError, number, read_text, whole
+from drivers.imports.sections import Sections, serial, tcp
 
 _TABLES = {
     "holding": "holding",
@@ -22,6 +23,7 @@ _TABLES = {
 }
 _TYPES = ("int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64", "string")
 _ORDERS = {"none": "ABCD", "byte": "BADC", "word": "CDAB", "word_byte": "DCBA"}
+_SERIAL = {"baud": "baudrate", "parity": "parity", "stop_bits": "stopbits", "data_bits": "bytesize"}
 _DEEPEST = 50
 _MOST = 100_000
 
@@ -58,7 +60,7 @@ def draft_of(path: Path, document: Placed) -> Draft:
     importing = _Import(path)
     for hub in hubs.value:
         importing.hub(hub)
-    buses = [bus for bus in importing.buses.values() if bus.points]
+    buses = importing.buses.with_points()
     if not buses:
         raise ImportFileError(path, hubs.line, "has hubs without sensors or switches; there is nothing to import")
     return Draft(path, buses, importing.collector.notes)
@@ -68,16 +70,14 @@ class _Import:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.collector = Collector(path)
-        self.buses: dict[tuple[str, int, int], DraftBus] = {}
+        self.buses = Sections()
 
     def hub(self, hub: Placed) -> None:
         kind = hub.plain("type")
-        if kind != "tcp":
-            raise ImportFileError(
-                self.path,
-                hub.line,
-                f"hub of type {kind!r}: rig files know Modbus/TCP only yet; reach the device by a gateway, type: tcp",
-            )
+        if kind not in ("tcp", "rtuovertcp", "serial") or hub.plain("method", "rtu") != "rtu":
+            spoken = kind if kind != "serial" else f"serial, method {hub.plain('method')}"
+            said = f"hub of type {spoken}: rig files know tcp, rtuovertcp and serial with method rtu; change the hub"
+            raise ImportFileError(self.path, hub.line, said)
         for section, default in (("sensors", "holding"), ("binary_sensors", "coil"), ("switches", "holding")):
             items = hub.get(section)
             if items is None or items.value is None:
@@ -148,18 +148,19 @@ class _Import:
         return keys
 
     def _bus(self, hub: Placed, item: Placed) -> DraftBus:
+        device = item.plain("device_address", item.plain("slave", 1))
+        device = whole(self.path, item.line, "slave", device, 0, 255)
+        if hub.plain("type") == "serial":
+            given = {ours: hub.plain(theirs) for ours, theirs in _SERIAL.items()}
+            port = hub.plain("port")
+            if not isinstance(port, str) or not port:
+                raise ImportFileError(self.path, hub.line, "a serial hub has no port; add it, /dev/ttyUSB0 for example")
+            return self.buses.of(serial(self.path, hub.line, port, device, **given))
         host = hub.plain("host")
         if not isinstance(host, str) or not host:
             raise ImportFileError(self.path, hub.line, "a hub has no host; add it")
-        port = whole(self.path, hub.line, "port", hub.plain("port", 502), 1, 65535)
-        device = item.plain("device_address", item.plain("slave", 1))
-        device = whole(self.path, item.line, "slave", device, 0, 255)
-        bus = self.buses.get((host, port, device))
-        if bus is None:
-            name = f"plc{len(self.buses) + 1}" if self.buses else "plc"
-            keys = {"transport": "modbus_tcp", "host": host, "port": port, "device_id": device}
-            bus = self.buses[(host, port, device)] = DraftBus(name, keys)
-        return bus
+        number_of = whole(self.path, hub.line, "port", hub.plain("port", 502), 1, 65535)
+        return self.buses.of(tcp(host, number_of, device, rtu=hub.plain("type") == "rtuovertcp"))
 
 
 def _is_hex(text: str) -> bool:

@@ -13,6 +13,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from drivers.imports.draft import Collector, Draft, DraftBus, ImportFileError, number, read_text, whole
+from drivers.imports.sections import Sections, serial, tcp
 
 _STYLE_TABLES = {
     "coils": "coil",
@@ -38,6 +39,7 @@ _ORDERS = {
     "BADCFEHG": "BADC",
     "HGFEDCBA": "DCBA",
 }
+_SERIAL = {"baud": "baud_rate", "parity": "parity", "stop_bits": "stop_bits", "data_bits": "data_bits"}
 
 
 def import_telegraf(path: Path) -> Draft:
@@ -59,15 +61,17 @@ class _Import:
         self.path = path
         self.lines = text.splitlines()
         self.collector = Collector(path)
-        self.buses: dict[tuple[str, int, int], DraftBus] = {}
+        self.buses = Sections()
+        self._controller_line = 1
         self._seen: dict[str, int] = {}
 
     def draft(self, sections: list[dict[str, Any]]) -> Draft:
         for section in sections:
             self._section(section)
-        if not any(bus.points for bus in self.buses.values()):
+        buses = self.buses.with_points()
+        if not buses:
             raise ImportFileError(self.path, None, "has [[inputs.modbus]] without a field; there is nothing to import")
-        return Draft(self.path, [bus for bus in self.buses.values() if bus.points], self.collector.notes)
+        return Draft(self.path, buses, self.collector.notes)
 
     def _line(self, key: str, value: Any) -> int:
         """Line of the next `key = value`, counted from 1: tomllib keeps no lines. 1 where it is not found."""
@@ -84,6 +88,7 @@ class _Import:
         line = self._line("controller", controller) if controller is not None else 1
         if not isinstance(controller, str):
             raise ImportFileError(self.path, line, "[[inputs.modbus]] has no controller = 'tcp://host:port'; add it")
+        self._controller_line = line
         for style, table in _STYLE_TABLES.items():
             for item in self._list(section, style):
                 self._field(controller, section, item, table, item.get("byte_order", ""), register_style=True)
@@ -180,23 +185,22 @@ class _Import:
         return keys
 
     def _bus(self, controller: str, section: dict[str, Any], line: int) -> DraftBus:
+        device = whole(self.path, line, "slave_id", section.get("slave_id", 1), 0, 255)
+        mode, at = section.get("transmission_mode"), self._controller_line
+        if mode in ("ASCII", "ASCIIoverTCP"):
+            raise ImportFileError(
+                self.path, at, f"transmission_mode {mode!r} is not spoken here; set the device to RTU"
+            )
+        if controller.startswith("file://"):
+            given = {ours: section.get(theirs) for ours, theirs in _SERIAL.items()}
+            port = controller.removeprefix("file://")
+            return self.buses.of(serial(self.path, at, port, device, **given))
         try:
             url = urlsplit(controller)
-            host, port = url.hostname, url.port or 502
+            host, port_number = url.hostname, url.port or 502
         except ValueError:
-            url, host, port = urlsplit(""), None, 0
+            url, host, port_number = urlsplit(""), None, 0
         if url.scheme != "tcp" or not host:
-            raise ImportFileError(
-                self.path,
-                self._line("controller", controller),
-                f"controller {controller!r} is not Modbus/TCP, and rig files know no other yet; reach the device by "
-                "a gateway, tcp://host:port",
-            )
-        device = whole(self.path, line, "slave_id", section.get("slave_id", 1), 0, 255)
-        key = host, port, device
-        bus = self.buses.get(key)
-        if bus is None:
-            name = f"plc{len(self.buses) + 1}" if self.buses else "plc"
-            bus = DraftBus(name, {"transport": "modbus_tcp", "host": host, "port": port, "device_id": device})
-            self.buses[key] = bus
-        return bus
+            said = f"controller {controller!r} is neither tcp://host:port nor file:///dev/PORT; correct it"
+            raise ImportFileError(self.path, at, said)
+        return self.buses.of(tcp(host, port_number, device, rtu=mode == "RTUoverTCP"))

@@ -48,11 +48,26 @@ def test_a_home_assistant_hub_becomes_points(tmp_path):
     assert draft.notes == ["climates were left out: a rig has points only"]
 
 
+def test_hubs_on_serial_lines_and_converters_become_their_buses(tmp_path):
+    line = {"type": "serial", "port": "/dev/ttyUSB0", "method": "rtu", "baudrate": 9600, "bytesize": 8}
+    on_line = hub({"name": "Level", "address": 1, "slave": 3}, **line, parity="N", stopbits=2)
+    rig = written(tmp_path, draft_of(Path("ha.yaml"), placed(on_line)))
+    bus = rig.bus["plc"]
+    assert (bus.transport, bus.serial_port, bus.serial_baud) == ("modbus_rtu", "/dev/ttyUSB0", 9600)
+    assert (bus.parity, bus.stop_bits, bus.device_id) == ("none", 2, 3)
+    over_tcp = draft_of(Path("ha.yaml"), placed(hub({"name": "Level", "address": 1}, type="rtuovertcp", port=4001)))
+    assert (over_tcp.buses[0].keys["transport"], over_tcp.buses[0].keys["port"]) == ("modbus_rtu_tcp", 4001)
+
+
 @pytest.mark.parametrize(
     ("document", "said"),
     [
         ({}, "has no modbus: section"),
-        (hub(type="serial"), "rig files know Modbus/TCP only yet"),
+        (hub(type="udp"), "rig files know tcp, rtuovertcp and serial with method rtu"),
+        (hub(type="serial", method="ascii"), "hub of type serial, method ascii"),
+        (hub({"name": "x", "address": 1}, type="serial", port=502), "a serial hub has no port"),
+        (hub({"name": "x", "address": 1}, type="serial", port="/dev/ttyS0"), "/dev/ttyS0 has no speed"),
+        (hub({"name": "x", "address": 1}, type="serial", port="/dev/ttyS0", baudrate=9600, parity="X"), "parity 'X'"),
         (hub(), "without sensors or switches"),
         (hub({"address": 1}), "has no name"),
         (hub({"name": "x"}), "address of x None is no number"),

@@ -55,12 +55,24 @@ def test_telegrafs_own_styles_become_buses_and_points(tmp_path):
     assert by_name["serial"].length == 4
 
 
+def test_serial_lines_and_converters_become_their_buses(tmp_path):
+    line = 'controller = "file:///dev/ttyUSB0"\n  baud_rate = 19200\n  parity = "E"\n  data_bits = 8\n  stop_bits = 1'
+    text = TELEGRAF.replace('"FIXED"', '"UINT16"').replace('controller = "tcp://localhost:1502"', line, 1)
+    text = text.replace('"request"\n', '"request"\n  transmission_mode = "RTUoverTCP"\n')
+    first, second = written(tmp_path, import_telegraf(table(tmp_path, text, "telegraf.toml"))).bus.values()
+    assert (first.transport, first.serial_port, first.serial_baud) == ("modbus_rtu", "/dev/ttyUSB0", 19200)
+    assert (first.parity, first.stop_bits, first.device_id) == ("even", 1, 1)
+    assert (second.transport, second.port, second.device_id) == ("modbus_rtu_tcp", 1502, 2)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "line", "said"),
     [
         ("", "", 9, "type 'FIXED' of power_factor has no counterpart here"),
         ('"FIXED"', '"UINT16"\n', 9, "is not valid TOML"),
-        ("tcp://localhost:1502", "file:///dev/ttyUSB0", 4, "is not Modbus/TCP"),
+        ("tcp://localhost:1502", "http://localhost", 4, "is neither tcp://host:port nor file:///dev/PORT"),
+        ("tcp://localhost:1502", "file:///dev/ttyUSB0", 4, "the serial line /dev/ttyUSB0 has no speed"),
+        ("slave_id = 1", 'transmission_mode = "ASCII"', 4, "'ASCII' is not spoken here"),
         ("address = [5,6]", "address = [5,7]", 10, "do not follow one another"),
         ("address = [5,6]", "address = [5]", 10, "takes 2 addresses, and has 1"),
         ('register = "input"', 'register = "inputs"', 20, "register 'inputs' is not known"),
