@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,10 +14,6 @@ from hil.commands.paths import INPUT_FILE, VIRTUAL_RIG
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from drivers.budget import Polling
-    from drivers.canbus import CanReceiver
-    from drivers.rig_model import Rig
 
 
 @click.command()
@@ -66,7 +62,9 @@ def command(
     if as_json:
         if checker is not _rig:
             raise click.UsageError(f"--json tells the read plan of a rig file, and {file} is none")
-        click.echo(_rig_as_json(file))
+        from hil.rig_check import as_json as plan
+
+        click.echo(plan(file))
         return
     checker(file, rig, console())
     if catalogue:
@@ -98,89 +96,10 @@ def _checker(file: Path) -> Callable[[Path, Path, Console], None]:
     raise click.UsageError(f"{file}: is no .toml, .csv or .parquet file; nothing here knows how to check it")
 
 
-def _checked(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]]:
-    """A rig, what polling its Modbus buses costs and its CAN buses; raises RigFileError with every mistake."""
-    from drivers.budget import overloads, polling, too_short
-    from drivers.bus_sections import CanBus
-    from drivers.canbus import CanReceiver
-    from drivers.rigfile import load_rig, located
-
-    rig = load_rig(file)
-    polled: dict[str, Polling] = {}
-    receivers: dict[str, CanReceiver] = {}
-    mistakes: list[tuple[Sequence[Any], str]] = []
-    for name, bus in rig.bus.items():
-        if isinstance(bus, CanBus):
-            mine = tuple(point for point in rig.point if point.bus == name)
-            receivers[name] = CanReceiver(name, bus, mine, lambda: 0.0)  # matches every point with the DBC
-            mistakes += too_short(rig, name, receivers[name].cycle_s)
-        else:
-            polled[name] = polling(name, bus, rig.point)
-    mistakes += overloads(rig, tuple(polled.values()))
-    if mistakes:
-        raise located(file, mistakes)
-    return rig, polled, receivers
-
-
 def _rig(file: Path, _: Path, out: Console) -> None:
-    from rich.table import Table
+    from hil.rig_check import show
 
-    from drivers.budget import counted, unit_of_count, unsaid
-    from drivers.bus_sections import CanBus
-
-    rig, polled, receivers = _checked(file)
-    points = Table(title=f"{rig.name}: {counted(len(rig.point), 'point')}", title_justify="left")
-    for heading in ("point", "bus", "where", "type", "unit", "limits", "safe", "plausible"):
-        points.add_column(heading)
-    for point in rig.point:
-        where = f"{point.table} {point.address}" if point.table else f"{point.message}.{point.signal}"
-        kind = f"{point.type} {point.order}" if point.table and point.width > 1 else point.type if point.table else ""
-        if point.bits is not None:
-            kind += f" bits {point.bits[0]}-{point.bits[1]}"
-        limits = f"{point.limits[0]:g} to {point.limits[1]:g}" if point.limits else ""
-        safe = f"{point.safe_value:g}" if point.safe_value is not None else ""
-        plausible = f"{point.plausible[0]:g} to {point.plausible[1]:g}" if point.plausible else ""
-        points.add_row(point.name, point.bus, where, kind, point.unit, limits, safe, plausible)
-    out.print(points)
-    if rig.interlock:
-        table = Table(title=counted(len(rig.interlock), "interlock"), title_justify="left")
-        for heading in ("kind", "level", "of", "what"):
-            table.add_column(heading)
-        shown = {"kind", "level", "doc", "point", "heater", "flow", "setpoint", "sensor"}
-        for spec in rig.interlock:
-            of = ", ".join(spec.points.values()) or getattr(spec, "sensor", "")
-            bounds = spec.model_dump(exclude=shown, exclude_none=True)
-            what = ", ".join(f"{key} {value:g}" if key != "twin" else f"{key} {value}" for key, value in bounds.items())
-            table.add_row(spec.kind, spec.level, of, what)
-        out.print(table)
-    for name, bus in rig.bus.items():
-        if isinstance(bus, CanBus):
-            receiver = receivers[name]
-            often = ", ".join(f"{message} every {cycle:g} s" for message, cycle in receiver.cycle_s.items())
-            signals = counted(len(receiver.points), "signal")
-            out.print(f"{name}: {bus.place}, {signals} found in {bus.dbc.name}" + (f" ({often})" if often else ""))
-            continue
-        cost = polled[name]
-        line = "" if cost.line_s is None else f", {cost.line_s:.3f} s of the line at {bus.serial_baud} bit/s"
-        reads = counted(len(cost.blocks), "read")
-        table = Table(
-            title=f"{name}: {bus.where}",
-            title_justify="left",
-            caption=f"{reads} and {cost.bytes_per_tick} bytes every {rig.period_s:g} s{line}",
-            caption_justify="left",
-        )
-        for heading in ("read", "function", "count", "unused", "points", "bytes"):
-            table.add_column(heading, justify="left" if heading == "read" else "right")
-        for block in cost.blocks:
-            count = counted(block.count, unit_of_count(block))
-            cells = (block.unused, len(block.points), sum(block.read_bytes))
-            table.add_row(str(block), str(block.read_code), count, *map(str, cells))
-        out.print(table)
-    if rig.watchdog_s is not None:
-        out.print(f"the rig's own watchdog is set to {rig.watchdog_s:g} s when it is armed, and read back")
-    for note in unsaid(rig):
-        out.print(f"note: {note}", soft_wrap=True)
-    out.print(f"{file}: no mistakes found", style="green")
+    show(file, out)
 
 
 def _online(file: Path, seconds: float | None, out: Console | None) -> None:
@@ -189,8 +108,9 @@ def _online(file: Path, seconds: float | None, out: Console | None) -> None:
 
     from hil.errors import FOUND
     from hil.online import look
+    from hil.rig_check import checked
 
-    found = asyncio.run(look(_checked(file)[0], seconds, out))
+    found = asyncio.run(look(checked(file)[0], seconds, out))
     if out is None:
         click.echo(json.dumps(found, indent=1))
     elif found["faults"]:
@@ -202,33 +122,6 @@ def _online(file: Path, seconds: float | None, out: Console | None) -> None:
         out.print(f"{file}: all buses answer and all {len(found['points'])} points are good", style="green")
     if found["faults"]:
         sys.exit(FOUND)
-
-
-def _rig_as_json(file: Path) -> str:
-    from drivers.budget import unsaid
-
-    rig, polled, receivers = _checked(file)
-    plan = {
-        name: {
-            "bytes_per_tick": cost.bytes_per_tick,
-            "line_s": cost.line_s,
-            "reads": [
-                {
-                    "function": block.read_code,
-                    "table": block.table,
-                    "address": block.address,
-                    "count": block.count,
-                    "unused": block.unused,
-                    "points": [point.name for point in block.points],
-                }
-                for block in cost.blocks
-            ],
-        }
-        for name, cost in polled.items()
-    }
-    cycles = {name: receiver.cycle_s for name, receiver in receivers.items()}
-    found = {"rig": rig.name, "period_s": rig.period_s, "modbus": plan, "can_cycle_s": cycles, "notes": unsaid(rig)}
-    return json.dumps(found, indent=2)
 
 
 def _twin(file: Path, _: Path, out: Console) -> None:
