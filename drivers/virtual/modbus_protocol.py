@@ -6,6 +6,7 @@ most of an accelerated replay's time.
 
 import asyncio
 import struct
+from typing import Any
 
 from drivers.virtual.registers import ARM, ARMED, HOLDING_COUNT, INPUT_COUNT, STATUS_BITS, Registers
 
@@ -125,13 +126,11 @@ def _write(registers: Registers, first: int, values: tuple[int, ...]) -> None:
         raise Refused(ILLEGAL_VALUE)
 
 
-class ModbusConnection(asyncio.Protocol):
+class Connection(asyncio.Protocol):
     """One client. A client that does not read its answers is not read either."""
 
-    def __init__(self, registers: Registers, connections: "set[ModbusConnection]") -> None:
-        self._registers = registers
+    def __init__(self, connections: set[Any]) -> None:
         self._connections = connections
-        self._rest = b""
         self._transport: asyncio.Transport
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -155,6 +154,15 @@ class ModbusConnection(asyncio.Protocol):
     def resume_writing(self) -> None:
         """Answers went out: take requests again."""
         self._transport.resume_reading()
+
+
+class ModbusConnection(Connection):
+    """One client of Modbus/TCP."""
+
+    def __init__(self, registers: Registers, connections: "set[ModbusConnection]") -> None:
+        super().__init__(connections)
+        self._registers = registers
+        self._rest = b""
 
     def data_received(self, data: bytes) -> None:
         """Answer every whole frame in the buffer with one write; keep a partial one."""

@@ -12,7 +12,7 @@ import contextlib
 import os
 import tty
 
-from drivers.virtual.modbus_protocol import DEVICE_ID, answer
+from drivers.virtual.modbus_protocol import DEVICE_ID, Connection, answer
 from drivers.virtual.registers import Registers
 
 _LONGEST = 256
@@ -82,27 +82,12 @@ class RtuFrames:
         return answers
 
 
-class RtuConnection(asyncio.Protocol):
+class RtuConnection(Connection):
     """One client of RTU over TCP."""
 
     def __init__(self, registers: Registers, connections: set[RtuConnection]) -> None:
+        super().__init__(connections)
         self._frames = RtuFrames(registers)
-        self._connections = connections
-        self._transport: asyncio.Transport
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Register with the server."""
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
-        self._connections.add(self)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the client."""
-        self._connections.discard(self)
-
-    def close(self) -> None:
-        """Drop the client."""
-        self._transport.abort()
 
     def data_received(self, data: bytes) -> None:
         """Answer every whole request."""
