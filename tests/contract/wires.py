@@ -20,7 +20,7 @@ from pathlib import Path
 from drivers.bus import Readings
 from drivers.bus_sections import ModbusBusSection, ModbusRtuBus, ModbusRtuTcpBus, ModbusTcpBus, ModbusTlsBus
 from drivers.modbus import ModbusBus
-from drivers.points import Quality
+from drivers.points import DeadlineError, LinkError, Quality
 from drivers.rig_model import Point
 from drivers.virtual.faulty_link import Change, FaultyLink, modbus_frames, rtu_frames
 from drivers.virtual.faulty_replies import in_rtu
@@ -192,8 +192,20 @@ async def wired(transport: str, certificates: Certificates | None, **changes: ob
             config = ModbusRtuBus(transport="modbus_rtu", serial_port=line.path, serial_baud=115200, **common)
         bus = ModbusBus("b", config, POINTS, time.monotonic)
         stack.push_async_callback(bus.close)
-        await bus.connect()
+        await _connected(bus)
         yield Wired(bus, registers, link, is_rtu)
+
+
+async def _connected(bus: ModbusBus) -> None:
+    """Connect; where driver and device share a busy processor, the deadline of the first reads may pass."""
+    for left in range(4, -1, -1):
+        try:
+            await bus.connect()
+            return
+        except (LinkError, DeadlineError):
+            if not left:
+                raise
+        await asyncio.sleep(1.0)
 
 
 def certificates_in(folder: Path) -> Certificates:

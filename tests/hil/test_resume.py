@@ -135,7 +135,10 @@ def test_the_gap_is_there_for_everyone_to_see(story):
     assert np.array_equal(np.flatnonzero(np.diff(record.columns["segment"])), [jump])
     lane = read_words(story.folder.review, "/state")
     assert [word for _, word in lane] == ["running", "idle", "soaking", "running", "done"]
-    assert [time_s for time_s, _ in lane[1:3]] == [story.cut, story.cut + segment["gap_s"]]
+    idle_s, soaking_s = (time_s for time_s, _ in lane[1:3])
+    assert idle_s == story.cut
+    # Soaking begins before the rig is armed, the rows after: on a busy machine that may take a second.
+    assert soaking_s <= story.cut + segment["gap_s"] <= soaking_s + 5.0
     assert "<h2>Segments</h2>" in story.folder.report.read_text(encoding="utf-8")
     assert any("segment 2: goes on at" in text for _, text in rows(story.folder.journal)["events"])
 

@@ -26,7 +26,7 @@ KINDS = {
 """How likely a kind of effect is before any data, relative to a heat source."""
 _MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
 """What an actuator moves: a pump that turns slower is a flow that is less."""
-_LATE = ("history", "rate_of_change")
+LATE = ("history", "rate_of_change")
 _RARE = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
 
 
@@ -57,7 +57,7 @@ def piled_up(entries: tuple[Entry, ...]) -> bool:
 def _way(entry: Entry) -> str:
     """What an effect is at its place: a thing of heat, of the stream, of the reading or of being late."""
     c = entry.candidate
-    if c.driver in _LATE:
+    if c.driver in LATE:
         return "late"
     if c.kind == "sensor":
         return "reading"

@@ -30,6 +30,8 @@ BETTER, BETTER_SHARE = 25.0, 0.02
 """Gain that a spell must have over everything that lasts, and share of the latter's."""
 AS_SEVERAL = 0.95
 """Share of the gain of several effects that one spell needs to be believed instead of them."""
+FREER = 1.05
+"""Gain of effects, as multiples, that a free unknown must have to show that their form is another."""
 MOST = 0.8
 """Share of twice a free unknown's log evidence that a spell must gain to stand for what nothing explains."""
 _TINY = 1e-9
@@ -56,9 +58,7 @@ def came_and_went(contest: Contest, laws: list[Law], lasting: list[Entry], chose
     """
     if not lasting:
         return None
-    here = {law.candidate.id: law for law in laws}
-    answer = [replace(e, law=here[e.candidate.id]).placed(contest) for e in chosen]
-    together = contest.estimate(np.stack(answer)).gain if answer else 0.0
+    together = explained(contest, laws, chosen)
     rival = max(e.bare_gain for e in lasting)
     if len(chosen) == 1:
         rival = max(rival, together)
@@ -71,6 +71,21 @@ def came_and_went(contest: Contest, laws: list[Law], lasting: list[Entry], chose
     top = max(s.gain for s in near)
     best = max((s for s in near if s.gain > top - ALIKE), key=lambda s: KINDS.get(s.law.candidate.kind, 0.5))
     return best if best.end_s < contest.hours[-1] * 3600.0 * LAST_SHARE else None
+
+
+def explained(contest: Contest, laws: list[Law], chosen: tuple[Entry, ...]) -> float:
+    """Gain of effects, their sizes fitted together, in a contest that knows their laws as `laws`."""
+    here = {law.candidate.id: law for law in laws}
+    answer = [replace(e, law=here[e.candidate.id]).placed(contest) for e in chosen]
+    return contest.estimate(np.stack(answer)).gain if answer else 0.0
+
+
+def outdone(gain: float, free: Course) -> bool:
+    """Whether an unknown that is `free` to change from block to block says more than effects of a form and a size.
+
+    It has to pay for its freedom, so it never does where their form is right, and hardly where it is nearly so.
+    """
+    return 2.0 * free.log_evidence > FREER * gain + BETTER
 
 
 def explains(spell: Spell, free: Course) -> bool:

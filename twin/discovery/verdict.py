@@ -22,11 +22,11 @@ from twin.discovery.localise import courses, describe
 from twin.discovery.members import Members
 from twin.discovery.model import Model
 from twin.discovery.probe import Run
-from twin.discovery.ranking import Finding, Ranked, enough, piled_up
+from twin.discovery.ranking import LATE, Finding, Ranked, enough, piled_up
 from twin.discovery.readings import Stuck
 from twin.discovery.search import Entry
 from twin.discovery.sites import drivers_of, signatures, sites_of, unknown
-from twin.discovery.spells import as_effect, came_and_went, described, explains
+from twin.discovery.spells import as_effect, came_and_went, described, explained, explains, outdone
 from twin.discovery.switches import switched
 from twin.discovery.thermometers import single as single_one
 from twin.discovery.thermometers import standing
@@ -87,6 +87,9 @@ def conclude(
     empirical: Empirical | None = None
     groups = lint(network)
     found = courses(whole, sites_of(network, whole, laws))
+    # What is late is no multiple of its law, by which its gain would be taken for less.
+    told = finding.entries and found and not any(e.candidate.driver in LATE for e in finding.entries)
+    good = good and not (told and outdone(explained(whole, laws, finding.entries), found[0]))
     claimed = finding.fit is not None and good
     adequate = finding.fit is None and (usual or enough(finding.start / scale, 0.0, finding.contest))
     spell = None if adequate else came_and_went(whole, laws, lasting, finding.entries if claimed else ())
