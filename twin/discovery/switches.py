@@ -48,7 +48,9 @@ def switched(finding: Finding, grid: Grid, start: float) -> tuple[tuple[Alternat
         edge = _edge(entry, grid, grid.measured[:, read[0]])
         if edge is None:
             continue
-        weight = BEFOREHAND / (BEFOREHAND + _share_at_its_highest(_without(finding, entry, grid)[:, read[0]], grid))
+        weight = BEFOREHAND / (
+            BEFOREHAND + _share_at_its_highest(_without(finding, entry, grid)[:, read[0]], grid, entry)
+        )
         if weight > OPEN:
             where = entry.candidate.where.replace("_", " ")
             says = (
@@ -64,7 +66,8 @@ def _edge(entry: Entry, grid: Grid, measured: Array) -> float | None:
     """Temperature at the onset, degC, where it was never as warm before and never much cooler after; else None."""
     since = grid.time - grid.time[0]
     onset, spread = entry.shape.onset_s, max(_WITHIN_S, 2.0 * entry.onset_sd_s)
-    before, at, after = since < onset - spread, np.abs(since - onset) <= spread, since > onset + spread
+    # What comes after the onset is warmer by the heat itself.
+    before, at, after = since < onset - spread, (since >= onset - spread) & (since <= onset), since > onset + spread
     if onset < EARLY_S or not all(np.isfinite(measured[part]).any() for part in (before, at, after)):
         return None
     edge = float(np.nanmax(measured[at]))
@@ -72,9 +75,11 @@ def _edge(entry: Entry, grid: Grid, measured: Array) -> float | None:
     return edge if never_before and float(np.nanmin(measured[after])) >= edge - HYSTERESIS_K else None
 
 
-def _share_at_its_highest(readings: Array, grid: Grid) -> float:
-    """Share of the record (after its first hour) in which a reading is as high as it ever was."""
-    late = grid.time - grid.time[0] >= EARLY_S
+def _share_at_its_highest(readings: Array, grid: Grid, entry: Entry) -> float:
+    """Share of the time about the onset (an hour to twice the onset) in which a reading is as high as it ever was: new
+    highest ones become rarer the longer a record goes on."""
+    since = grid.time - grid.time[0]
+    late = (since >= EARLY_S) & (since <= 2.0 * entry.shape.onset_s)
     high = readings >= np.maximum.accumulate(readings) - _WITHIN_K
     return max(float(np.mean(high[late])), 1.0 / len(readings)) if late.any() else 1.0
 
