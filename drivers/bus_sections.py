@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -31,7 +32,7 @@ class Hole(Section):
         return self
 
 
-class ModbusBusSection(Section):
+class ModbusBusSection(Section, ABC):
     """A Modbus device, however it is reached. Sections of the same line, or the same host and port, share that wire.
 
     `timeout_s` is what the device may take to answer, without the time that bytes take on a slow line; `gap_s` the
@@ -53,14 +54,14 @@ class ModbusBusSection(Section):
     uptime: str | None = None
 
     @property
+    @abstractmethod
     def place(self) -> str:
         """Protocol and address, as a person reads them."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def wire(self) -> tuple[object, ...]:
         """What tells this wire from another: sections in which it is the same share one."""
-        raise NotImplementedError
 
     @property
     def where(self) -> str:

@@ -136,9 +136,8 @@ def _in_words(
 ) -> bool:
     """Whether something that came and went is told by steps of one kind, place and driver, a stuck one as stuck, or
     what switched on, by its place and by that it cannot be told from a switch."""
-    if len(effects) == 1 and tuple(label) in {(a["kind"], a["where"], a["driver"]) for a in others}:
-        return (effects[0]["kind"], effects[0]["where"]) == (label[0], label[1])
-    if len(effects) == 1 and effects[0]["shape"] == "stuck":
+    switch = label[2] == "threshold" and tuple(label) in {(a["kind"], a["where"], a["driver"]) for a in others}
+    if len(effects) == 1 and (switch or effects[0]["shape"] == "stuck"):
         return (effects[0]["kind"], effects[0]["where"]) == (label[0], label[1])
     told = {(e["kind"], e["where"], e["driver"], e["shape"]) for e in effects}
     kind, where, _, shape = next(iter(told))

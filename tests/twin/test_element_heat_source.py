@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.twin.two_nodes import U, heat, network, worst_error
+from twin.elements.heat_source import day
 from twin.network import TwinFileError
 
 HOURS = U.size - 4
@@ -47,6 +48,19 @@ def test_time_of_day(hour: float) -> None:
     )
     light = heat(source("time_of_day_h", "daylight", values), inputs=at_hour(hour))
     assert light == pytest.approx([0.0, max(expected, 0.0)], abs=1e-6)
+
+
+@pytest.mark.parametrize(("peak_h", "hours"), [(12.0, 12.0), (11.7, 8.5), (23.0, 14.0)])
+def test_a_day_is_as_long_and_as_warm_as_it_is_said_to_be(peak_h: float, hours: float) -> None:
+    values = "\n".join(f"{name} = {60.0 * value}" for name, value in day(peak_h, hours).items())
+
+    def at(hour: float) -> float:
+        return float(heat(source("time_of_day_h", "daylight", values), inputs=at_hour(hour))[1])
+
+    assert at(peak_h) == pytest.approx(60.0, abs=1e-5)
+    for side in (-0.5, 0.5):
+        assert at(peak_h + side * (hours - 0.2)) > 0.0
+        assert at(peak_h + side * (hours + 0.2)) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,8 @@ from twin.elements.base import Candidate, Sites
 from twin.network import Network, TwinFileError
 
 _NUMBERED = re.compile(r"^(?P<stem>\D+)\d+$")
+LATE = ("history", "rate_of_change")
+"""Drivers of effects that remember: what is slow, and what is late."""
 _SPOKEN = {"pm": "modules"}
 """What a numbered family of nodes is called together; others by their stem and an s."""
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from twin.discovery.catalogue import LATE
 from twin.discovery.diagnosis import Fold, Rung
 from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit, fit
@@ -22,7 +23,7 @@ SECOND_SHARE, EXACT_SHARE = 0.06, 0.003
 that one where the first ones have no form to be wrong in: an error of reading that is there at once, or heat that is
 and follows what is measured."""
 _EXACT = ("heat_source", "heat_loss")
-_FORMED = ("history", "rate_of_change", "time_of_day")
+_FORMED = (*LATE, "time_of_day")
 """Drivers of effects that bring a form of their own."""
 MOST_EFFECTS = 3
 MORE_LEFT, MORE_SHARE = 4.0, 0.1

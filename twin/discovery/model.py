@@ -41,10 +41,10 @@ class Model:
         Raises:
             TwinFileError: an element does not fit.
         """
-        common = probe.commons.holding(tuple(e.candidate for e in entries))
-        if common is None:
+        shared = probe.kernels.holding(tuple(e.candidate for e in entries))
+        if shared is None:
             return cls.alone(probe, entries)
-        return cls(probe.network, common.network, entries, common.kernel)
+        return cls(probe.network, shared.network, entries, shared.kernel)
 
     @classmethod
     def alone(cls, probe: Probe, entries: tuple[Entry, ...]) -> Model:

@@ -2,7 +2,7 @@
 
 One kernel serves every hypothesis: the network with a source of any time course in every node and a reading of every
 node. What an effect does to the rig is told by the heat that it brings (`formulas`), so no kernel has to be compiled
-for a candidate before it is worth one, and most share one then (`common`).
+for a candidate before it is worth one, and most share one then (`shared_kernels`).
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from twin.discovery.common import Commons
 from twin.discovery.grid import Grid, centred
+from twin.discovery.shared_kernels import SharedKernels
 from twin.elements import Parameter
 from twin.elements.base import Status
 from twin.elements.heat_source import HeatSource
@@ -47,7 +47,7 @@ class Probe:
     def __init__(self, network: Network, tunables: tuple[str, ...]) -> None:
         self.network = network
         self.scaling = Scaling.of(network, tunables)
-        self.commons = Commons(network, tunables)
+        self.kernels = SharedKernels(network, tunables)
         self.columns = tuple(f"probe_{node}_W" for node in network.nodes)
         self.probed, self._gains, self._reads = _with_probes(network, self.columns)
         self._kernel = Kernel(self.probed, (*tunables, *self._gains))

@@ -6,6 +6,7 @@ import itertools
 import math
 from dataclasses import dataclass
 
+from twin.discovery.catalogue import LATE
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Fold, Rung
 from twin.discovery.equivalence import width
@@ -26,7 +27,6 @@ KINDS = {
 """How likely a kind of effect is before any data, relative to a heat source."""
 _MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
 """What an actuator moves: a pump that turns slower is a flow that is less."""
-LATE = ("history", "rate_of_change")
 _RARE = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
 
 

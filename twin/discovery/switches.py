@@ -43,14 +43,14 @@ def switched(finding: Finding, grid: Grid, start: float) -> tuple[tuple[Alternat
     out: list[tuple[Alternative, str]] = []
     for entry in finding.fit.entries:
         read = [j for j, s in enumerate(probe.network.sensors) if places[s.node] == entry.candidate.where]
-        if entry.label[::2] != ("heat_source", "constant") or entry.shape.name != "step" or not read:
+        source = entry.candidate.kind == "heat_source" and entry.driver == "constant"
+        if not source or entry.shape.name != "step" or not read:
             continue
         edge = _edge(entry, grid, grid.measured[:, read[0]])
         if edge is None:
             continue
-        weight = BEFOREHAND / (
-            BEFOREHAND + _share_at_its_highest(_without(finding, entry, grid)[:, read[0]], grid, entry)
-        )
+        by_lot = _share_at_its_highest(_without(finding, entry, grid)[:, read[0]], grid, entry)
+        weight = BEFOREHAND / (BEFOREHAND + by_lot)
         if weight > OPEN:
             where = entry.candidate.where.replace("_", " ")
             says = (
@@ -79,9 +79,9 @@ def _share_at_its_highest(readings: Array, grid: Grid, entry: Entry) -> float:
     """Share of the time about the onset (an hour to twice the onset) in which a reading is as high as it ever was: new
     highest ones become rarer the longer a record goes on."""
     since = grid.time - grid.time[0]
-    late = (since >= EARLY_S) & (since <= 2.0 * entry.shape.onset_s)
+    about = (since >= EARLY_S) & (since <= 2.0 * entry.shape.onset_s)
     high = readings >= np.maximum.accumulate(readings) - _WITHIN_K
-    return max(float(np.mean(high[late])), 1.0 / len(readings)) if late.any() else 1.0
+    return max(float(np.mean(high[about])), 1.0 / len(readings)) if about.any() else 1.0
 
 
 def _without(finding: Finding, entry: Entry, grid: Grid) -> Array:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.discovery.blind_spots import alike_here, always_alike, twins_of
+from twin.discovery.catalogue import LATE
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, SensorError, Verdict
 from twin.discovery.empirical import Empirical, offer
@@ -22,7 +23,7 @@ from twin.discovery.localise import courses, describe
 from twin.discovery.members import Members
 from twin.discovery.model import Model
 from twin.discovery.probe import Run
-from twin.discovery.ranking import LATE, Finding, Ranked, enough, piled_up
+from twin.discovery.ranking import Finding, Ranked, enough, piled_up
 from twin.discovery.readings import Stuck
 from twin.discovery.search import Entry
 from twin.discovery.sites import drivers_of, signatures, sites_of, unknown

@@ -184,11 +184,11 @@ def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], flo
     if sites.clock:
         for peak in range(0, 24, 2):
             table = {"driver": sites.clock, "law": "daylight"}
-            laws.append(("time_of_day", table, _day(peak, 12.0), 20.0, _told(peak)))
+            laws.append(("time_of_day", table, day(peak, 12.0), 20.0, _told(peak)))
     return laws
 
 
-def _day(peak_h: float, hours: float) -> dict[str, float]:
+def day(peak_h: float, hours: float) -> dict[str, float]:
     """Parameters of a day of so many hours, 1 W at its peak."""
     turn, edge = math.pi * peak_h / 12.0, math.cos(math.pi * hours / 24.0) if hours != 12.0 else 0.0
     return {n: v / (1.0 - edge) for n, v in (("cosine", math.cos(turn)), ("sine", math.sin(turn)), ("night", edge))}
@@ -207,7 +207,7 @@ def _other_days(source: Candidate, peak_h: float, hours: float, share: float, le
     found = []
     for shift, longer in itertools.product(*CLOSER[level]):
         other_h, length = (peak_h + shift) % 24.0, hours + longer
-        weights = _day(other_h, length)
+        weights = day(other_h, length)
         changes = {name: weights[name.rsplit(".", 1)[1]] * share for name in source.changes}
         near = partial(_other_days, source, other_h, length, share, level + 1) if level + 1 < len(CLOSER) else None
         found.append(replace(source, changes=changes, says=_told(round(other_h, 1)), near=near))

@@ -11,21 +11,21 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.discovery.catalogue import catalogue, extended, sites_of
-from twin.discovery.common import Common
+from twin.discovery.catalogue import LATE, catalogue, extended, sites_of
 from twin.discovery.growing.alike import together
 from twin.discovery.growing.resting import Resting
 from twin.discovery.laws import Law
 from twin.discovery.model import Model
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
+from twin.discovery.shared_kernels import SharedKernel
 from twin.elements.base import Candidate
 from twin.kernel import Kernel
 from twin.network import Array, Network
 
 QUICKER = (1.0 / 3.0, 1.0 / 9.0)
 """Time constants of hidden masses beside those of the catalogue, which are for loops of litres."""
-MOVING = ("history", "rate_of_change", "elapsed_time", "time_of_day")
+MOVING = (*LATE, "elapsed_time", "time_of_day")
 """Drivers that tell nothing where nothing changes."""
 UNNOTICED = 5.0
 """Typical sizes that an instrument may be off by: a thermometer by 1 K, a meter by 15 %. Where nothing was
@@ -52,15 +52,15 @@ class Wardrobe:
             at_rest: only what shows in steady states.
         """
         first = _lacking(network, tunables, period_s)
-        full = Common.of(network, (), first).network
+        full = SharedKernel.of(network, (), first).network
         known = {name for c in first for name in c.changes}
         # A pipe that is missing may miss its wall, too.
         second = [c for c in _lacking(full, tunables, period_s) if not c.adds and not known & set(c.changes)]
         if at_rest:
             first, second = ([c for c in some if c.driver not in MOVING] for some in (first, second))
         candidates = (*first, *second)
-        common = Common.of(network, tunables, candidates)
-        return cls(network, candidates, common.network, common.kernel)
+        shared = SharedKernel.of(network, tunables, candidates)
+        return cls(network, candidates, shared.network, shared.kernel)
 
     @cached_property
     def resting(self) -> Resting:

@@ -12,25 +12,24 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from twin.discovery.catalogue import catalogue, extended
+from twin.discovery.catalogue import LATE, catalogue, extended
 from twin.elements import KINDS
 from twin.elements.base import Candidate
 from twin.kernel import Kernel
 from twin.network import Network
 
-_LATE = ("history", "rate_of_change")
 _SLOW = ("thermal_mass", "sensor")
 
 
 @dataclass(frozen=True)
-class Common:
+class SharedKernel:
     """A network with the elements of many candidates, neutral, and the kernel in which their sizes are free."""
 
     network: Network
     kernel: Kernel
 
     @classmethod
-    def of(cls, network: Network, tunables: tuple[str, ...], candidates: Iterable[Candidate]) -> Common:
+    def of(cls, network: Network, tunables: tuple[str, ...], candidates: Iterable[Candidate]) -> SharedKernel:
         """The network with all of `candidates`; parameters in `tunables` are free besides."""
         bigger, ids = network, dict.fromkeys(tunables)
         for candidate in candidates:
@@ -46,8 +45,8 @@ class Common:
         return all(not c.replaces and free.issuperset(c.changes) for c in candidates)
 
 
-class Commons:
-    """The common kernels of a network; each is built when it is first asked for, and compiled when it first runs."""
+class SharedKernels:
+    """The shared kernels of a network; each is built when it is first asked for, and compiled when it first runs."""
 
     def __init__(self, network: Network, tunables: tuple[str, ...]) -> None:
         self._network, self._tunables = network, tunables
@@ -57,15 +56,15 @@ class Commons:
         return [c for c in catalogue(self._network) if _is_plain(c)]
 
     @cached_property
-    def _quick(self) -> Common:
-        return Common.of(self._network, self._tunables, (c for c in self._plain if c.driver not in _LATE))
+    def _quick(self) -> SharedKernel:
+        return SharedKernel.of(self._network, self._tunables, (c for c in self._plain if c.driver not in LATE))
 
     @cached_property
-    def _all(self) -> Common:
-        held = (c for c in self._plain if c.driver not in _LATE or c.kind in _SLOW)
-        return Common.of(self._network, self._tunables, held)
+    def _all(self) -> SharedKernel:
+        held = (c for c in self._plain if c.driver not in LATE or c.kind in _SLOW)
+        return SharedKernel.of(self._network, self._tunables, held)
 
-    def holding(self, candidates: tuple[Candidate, ...]) -> Common | None:
+    def holding(self, candidates: tuple[Candidate, ...]) -> SharedKernel | None:
         """The quickest that holds these candidates, or None."""
         if self._quick.holds(candidates):
             return self._quick

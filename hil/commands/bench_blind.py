@@ -1,0 +1,149 @@
+"""Benches on rigs that nothing was made for: the network beside the calibrators, its pieces, the diagnosis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hil.commands.bench_report import JSON, OUT, QUICK, SEED, data_folder, finish
+from hil.commands.paths import INPUT_FILE
+
+
+@click.command("hiera")
+@click.option("--network", type=INPUT_FILE, help="Card (.json) of a trained ensemble; without, it takes no part.")
+@click.option("--rig", "rigs", multiple=True, help="simulated, virtual or stranger; may be repeated.")
+@click.option("--calibrator", "calibrators", multiple=True, help="Of `hil track`; may be repeated; default: all.")
+@QUICK
+@SEED
+@OUT
+@JSON
+def hiera_command(
+    network: Path | None,
+    rigs: tuple[str, ...],
+    calibrators: tuple[str, ...],
+    quick: bool,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Who keeps a twin true on rigs that no network was trained on: swarm, least squares, filter, network.
+
+    \b
+    Example:
+      hil bench hiera --quick
+      hil bench hiera --network profiles/trained/loop_small.json --out docs/results
+    """
+    from dataclasses import replace
+
+    from hil.bench import hiera
+    from hil.bench.hiera_cases import RIGS as SCORED
+    from hil.terminal import Steps
+    from twin.calibrators import NAMES
+
+    for what, given, known in (("rig", rigs, SCORED), ("calibrator", calibrators, NAMES)):
+        unknown = [name for name in given if name not in known]
+        if unknown:
+            raise click.UsageError(f"no {what} {', '.join(unknown)}; there are {', '.join(known)}")
+    size = hiera.QUICK if quick else hiera.FULL
+    size = replace(size, rigs=rigs or size.rigs, trackers=calibrators or size.trackers)
+    with Steps("cases", 1.0, quiet=as_json) as steps:
+        tables, skipped = hiera.measure(size, seed, data_folder(), steps.update, network)
+    finish("hiera", seed, tables, skipped, out, as_json)
+
+
+@click.command("ablations")
+@click.option(
+    "--data", type=click.Path(exists=True, file_okay=False, path_type=Path), default=Path("training/loop"),
+    show_default=True, help="Folder of generated campaigns, as `hil train loop` leaves it.",
+)  # fmt: skip
+@click.option("--config", "name", type=click.Choice(["small", "full"]), default="small", show_default=True)
+@click.option("--minutes", default=5.0, show_default=True, help="CPU time of each training.")
+@SEED
+@OUT
+@JSON
+def ablations_command(data: Path, name: str, minutes: float, seed: int, out: Path | None, as_json: bool) -> None:
+    """Train the network without each of its pieces, for the same CPU time, and compare on unseen windows.
+
+    \b
+    Example:
+      hil bench ablations --minutes 5 --out docs/results
+    """
+    from hil.bench import hiera_ablations
+    from hil.terminal import Steps
+    from hil.training.data import read
+    from hil.training.generate import features_of
+    from twin.calibrators.hiera_unet.device import ready
+
+    ready(threads=1)
+    windows = read(data, features_of())
+    with Steps("trainings", 1.0, quiet=as_json) as steps:
+        tables, skipped = hiera_ablations.measure(windows, name, seed, minutes, steps.update)
+    finish("hiera_ablations", seed, tables, skipped, out, as_json)
+
+
+@click.command("discovery")
+@click.option("--blind", is_flag=True, help="Seal the truth and the answers before comparing them; always done.")
+@click.option("--cases", default=40, show_default=True, help="Number of cases, a quarter of them healthy.")
+@click.option("--case", "only", multiple=True, type=int, help="This case alone; may be repeated.")
+@click.option("--healthy", default=0, show_default=True, help="Further records without any effect.")
+@click.option("--healthy-case", "only_healthy", multiple=True, type=int, help="This healthy record alone.")
+@click.option("--hours", default=24.0, show_default=True, help="Length of each record.")
+@click.option(
+    "--direct/--wire", default=True, show_default=True,
+    help="Step the virtual rig's parts here, or run the loop over Modbus and CAN.",
+)  # fmt: skip
+@click.option("--twin", default="loop", show_default=True, help="Twin of profiles/twins to commission.")
+@click.option(
+    "--records", is_flag=True, help="Public records ($HIL_DATA) from twins that lack most, in place of the trial."
+)
+@click.option("--no-ablations", is_flag=True, help="Leave out the comparison with parts of the method left out.")
+@click.option(
+    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/discovery"),
+    show_default=True, help="Finished cases are kept here.",
+)  # fmt: skip
+@QUICK
+@SEED
+@OUT
+@JSON
+def discovery_command(
+    blind: bool,
+    cases: int,
+    only: tuple[int, ...],
+    healthy: int,
+    only_healthy: tuple[int, ...],
+    hours: float,
+    direct: bool,
+    twin: str,
+    records: bool,
+    no_ablations: bool,
+    work: Path,
+    quick: bool,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Blind trial: hidden effects in the virtual rig, answers sealed before the truth is opened, then scored.
+
+    \b
+    Example:
+      hil bench discovery --blind --quick
+      hil bench discovery --blind --case 17
+      hil bench discovery --blind --cases 100 --healthy 300 --out docs/results
+      hil bench discovery --records
+    """
+    if records:
+        from hil.bench import discovery_records
+
+        finish("discovery_records", seed, *discovery_records.measure(data_folder(), seed), out, as_json)
+        return
+    from hil.bench import discovery
+    from hil.bench.discovery_tables import tables
+    from hil.terminal import Steps
+
+    numbers = only or (() if only_healthy else tuple(range(12 if quick else cases)))
+    further = only_healthy or tuple(range(0 if only else healthy))
+    size = discovery.Size(numbers, further, hours, direct, twin, not no_ablations)
+    with Steps("diagnosing", 1.0, quiet=as_json) as steps:
+        done = discovery.measure(size, seed, work, steps.update)
+    finish("discovery", seed, tables(done, size), discovery.left_out(), out, as_json)

@@ -1,0 +1,125 @@
+"""Benches of what touches the rig: faults, the loop's timing, the buses."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from hil.commands.bench_report import JSON, OUT, QUICK, SEED, finish
+
+
+@click.command("faults")
+@click.option("--runs", default=200, show_default=True, type=click.IntRange(1), help="Number of faults, of all kinds.")
+@click.option("--pairs", type=click.IntRange(1), help="Instead: so many pairs of faults, the second while one lasts.")
+@click.option("--kind", "kinds", multiple=True, help="This kind alone; may be repeated.")
+@click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Cases at a time, a rig each.")
+@click.option(
+    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/faults"), show_default=True,
+    help="Finished cases are kept here.",
+)  # fmt: skip
+@SEED
+@OUT
+@JSON
+def faults_command(
+    runs: int,
+    pairs: int | None,
+    kinds: tuple[str, ...],
+    jobs: int,
+    work: Path,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Faults of wires, rig and harness at random instants: is the heater off in time, is anything lost or wrong?
+
+    Real time: some 15 s a fault. Exit code 1 where a must was broken.
+
+    \b
+    Example:
+      hil bench faults --runs 32
+      hil bench faults --kind "rig reboot" --runs 5
+      hil bench faults --pairs 40
+    """
+    from hil.bench import faults
+    from hil.bench.faults_kinds import KINDS
+    from hil.terminal import Steps
+
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown:
+        raise click.UsageError(f"no kind {unknown[0]!r}; there are {', '.join(map(repr, KINDS))}")
+    with Steps("faults", 1.0, quiet=as_json) as steps:
+        two, count = pairs is not None, pairs or runs
+        tables, skipped, kept = faults.measure(count, seed, work, steps.update, kinds=kinds, jobs=jobs, two=two)
+    finish("faults_pairs" if two else "faults", seed, tables, skipped, out, as_json)
+    if not kept:
+        sys.exit(1)
+
+
+@click.command("loop")
+@click.option(
+    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/loop"),
+    show_default=True, help="Its runs are kept here.",
+)  # fmt: skip
+@QUICK
+@SEED
+@OUT
+@JSON
+def loop_command(work: Path, quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
+    """The loop in real time at 10 Hz; its memory over 40 hours in lockstep; the same run killed and resumed.
+
+    \b
+    Example:
+      hil bench loop --quick
+      hil bench loop --out docs/results
+    """
+    from hil.bench import loop
+    from hil.terminal import Steps
+
+    with Steps("running", 1.0, quiet=as_json) as steps:
+        tables, skipped = loop.measure(loop.QUICK if quick else loop.FULL, seed, work, steps.update)
+    finish("loop", seed, tables, skipped, out, as_json)
+
+
+@click.command("bus")
+@QUICK
+@SEED
+@OUT
+@JSON
+def bus_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
+    """Round trips and latency of our Modbus client against raw sockets, pyModbusTCP, pymodbus and libmodbus.
+
+    \b
+    Example:
+      hil bench bus --quick
+    """
+    from hil.bench import bus
+    from hil.terminal import Steps
+
+    with Steps("round trips", 1.0, quiet=as_json) as steps:
+        tables, skipped = bus.measure(bus.QUICK if quick else bus.FULL, seed, steps.update)
+    finish("bus", seed, tables, skipped, out, as_json)
+
+
+@click.command("wire")
+@click.option("--count", type=click.IntRange(min=1), help="Mutations of each kind of wire.  [default: 100000]")
+@QUICK
+@SEED
+@OUT
+@JSON
+def wire_command(count: int | None, quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
+    """Mutated Modbus replies and CAN frames, in memory: is a wrong value ever taken for a good one?
+
+    \b
+    Example:
+      hil bench wire --quick
+    """
+    from hil.bench import wire
+    from hil.terminal import Steps
+
+    with Steps("mutations", 1.0, quiet=as_json) as steps:
+        tables, skipped, kept = wire.measure(count or (wire.QUICK if quick else wire.FULL), seed, steps.update)
+    finish("wire", seed, tables, skipped, out, as_json)
+    if not kept:
+        sys.exit(1)
