@@ -16,7 +16,9 @@ from hil.errors import FOUND
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from twin.discovery.basis import Columns
     from twin.discovery.diagnosis import Diagnosis
+    from twin.network import Network
 
 STEPS = 6.0
 
@@ -34,6 +36,12 @@ STEPS = 6.0
 @click.option("--empirical", is_flag=True, help="Where nothing explains RECORD: adopt the curve that is offered.")
 @click.option("--review", is_flag=True, help="Also write diagnosis.rrd, and open it where there is a display.")
 @click.option("--forecast", is_flag=True, help="Only say what RECORD, or a load profile in its place, could show.")
+@click.option(
+    "--bootstrap",
+    type=click.IntRange(min=10),
+    metavar="DRAWS",
+    help="First commission and diagnose so many healthy records drawn from the twin: thresholds by the whole pipeline.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
 def command(
     target: Path,
@@ -48,6 +56,7 @@ def command(
     empirical: bool,
     review: bool,
     forecast: bool,
+    bootstrap: int | None,
     as_json: bool,
 ) -> None:
     """Find the residual of RUN or RECORD, trace it to an effect that the twin lacks, and add that effect.
@@ -67,6 +76,7 @@ def command(
       hil diagnose short_test.csv --twin first_guess.toml --with another_test.csv
       hil diagnose operating_points.csv --at-rest --twin first_guess.toml
       hil diagnose my_load.csv --forecast --twin my_twin.toml --healthy commissioning.parquet
+      hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet --bootstrap 40
     """
     from hil.diagnosing import (
         answer,
@@ -89,6 +99,8 @@ def command(
 
     if at_rest and (healthy or more or forecast):
         raise click.UsageError("--at-rest goes without --healthy, --with and --forecast; put all states into one file")
+    if bootstrap and not healthy:
+        raise click.UsageError("--bootstrap draws records like the healthy one: give it with --healthy")
     began = time.monotonic()
     subject = subject_of(target, twin, out)
     network = load(subject.twin)
@@ -98,6 +110,8 @@ def command(
     if forecast:
         foretell(console(), told, subject.record, good, hour, as_json=as_json)
         return
+    if bootstrap and good is not None:
+        _bootstrap(told, good, healthy, bootstrap, quiet=as_json)
     record, messages = read_columns(told, subject.record, hour, at_rest=at_rest)
     allowed = rig or (rig_of(target) if target.is_dir() else None)
     limits = limits_of(allowed) if allowed is not None else None
@@ -164,6 +178,27 @@ def command(
         _review(subject.out, quiet=as_json)
     if diagnosis.verdict != "adequate":
         sys.exit(FOUND)
+
+
+def _bootstrap(network: Network, healthy: Columns, named: Path | None, draws: int, *, quiet: bool) -> None:
+    """Draw, commission and diagnose healthy records, and keep what came of them for this and later diagnoses."""
+    from hil.terminal import Steps
+    from twin.discovery.basis import NotHealthyError
+    from twin.discovery.bootstrap import bootstrap
+    from twin.discovery.widening import keep
+    from twin.network import TwinFileError
+
+    with Steps("drawing healthy records", float(draws), quiet=quiet) as steps:
+        try:
+            found = bootstrap(
+                network,
+                healthy,
+                draws,
+                done=lambda n: steps.update(float(n), f"{n} of {draws} commissioned, diagnosed"),
+            )
+        except NotHealthyError as error:
+            raise TwinFileError(f"{named}: {error}") from None
+    keep(found, network, healthy.time_s, healthy.inputs, healthy.measured)
 
 
 def _review(folder: Path, *, quiet: bool) -> None:

@@ -15,6 +15,7 @@ from twin.discovery.grid import Grid, filled, on_grid
 from twin.discovery.laws import Book
 from twin.discovery.probe import Probe, Run, posterior
 from twin.discovery.search import Structure, scan, structure_of
+from twin.discovery.widening import Bootstrap, kept
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
 
@@ -54,8 +55,13 @@ class Columns:
 
 @dataclass(frozen=True)
 class Basis:
-    """What is known before the record is looked at; `tried` (2, c) are the lowest and highest inputs, but for short
-    moments, of the healthy record, or of the record where there is none."""
+    """What is known before the record is looked at.
+
+    Attributes:
+        tried: (2, c) lowest and highest inputs, but for short moments, of the healthy record, or of the record where
+            there is none.
+        bootstrap: what healthy records drawn from this twin came to, where that was found out (`bootstrap`).
+    """
 
     probe: Probe
     book: Book
@@ -64,6 +70,12 @@ class Basis:
     warnings: tuple[str, ...]
     tried: Array
     structure: Mapping[str, Structure] = field(default_factory=dict)
+    bootstrap: Bootstrap | None = None
+
+    @property
+    def wider(self) -> float:
+        """Factor by which thresholds are raised."""
+        return 1.0 if self.bootstrap is None else self.bootstrap.wider
 
 
 def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
@@ -92,7 +104,8 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         known_structure = structure_of(Contest(probe, grid, state, run, learned, known), book.laws(grid, run))
         if learned.step_s != record.step_s:
             learned = learned.at_step(record.step_s)
-        return Basis(probe, book, learned, known, (), _tried(grid), known_structure)
+        whole = kept(network, healthy.time_s, healthy.inputs, healthy.measured)
+        return Basis(probe, book, learned, known, (), _tried(grid), known_structure, whole)
     state, _, residual, good = free_run(probe, record)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)
     learned = noises.learn(residual, record.sigma, record.step_s)

@@ -17,9 +17,10 @@ from twin.discovery.held_out import binned, contradicted, errors
 from twin.discovery.ladder import SECOND_SHARE, search, weighed
 from twin.discovery.members import Members, members
 from twin.discovery.part import Part
-from twin.discovery.ranking import Finding
+from twin.discovery.ranking import Finding, enough
 from twin.discovery.readings import Stuck, stuck
 from twin.discovery.thermometers import explained_by_one
+from twin.discovery.validation import holds
 from twin.discovery.verdict import conclude
 from twin.network import Array, Network, TwinFileError
 from twin.steady import steady_state
@@ -69,12 +70,13 @@ def diagnose(
 
     whole.add(other_forms)
     train = part(grid.part(0, split))
-    notes: list[str] = []
+    notes = [] if known.bootstrap is None else [known.bootstrap.sentence]
     finding: Finding | None = None
+    doubted = False
     if not _begins_late(whole, train, split):
-        finding = search(train, say)
+        finding, doubted = _searched(train, say)
     most = max(split, int(bins * (1.0 - held_out * STILL_HELD)))
-    later, why, doubted = split, "", False
+    later, why = split, ""
     if finding is None or (finding.fit is None and whole.best_z >= train.threshold):
         onset_s = whole.entries[0].shape.onset_s
         later = min((int(onset_s / grid.step_s) + bins) // 2, bins - 6)
@@ -84,11 +86,14 @@ def diagnose(
     elif finding.fit is not None and contradicted(errors(finding, network, record, grid, split)):
         later, doubted = most, True
         why = "on the part that was to be kept out of the fit the best answer was far off"
+    elif any(e.shape.onset_s > LATE * split * grid.step_s for e in finding.entries):
+        later, why = most, "an effect begins so late that the fit saw little of it"
     if later > split:
         split, finding = later, None
         notes.append(f"{why}; the fit was given the record up to {split * grid.step_s / 3600.0:.1f} h")
         train = part(grid.part(0, split))
-    finding = finding or search(train, say, 0.0 if doubted else SECOND_SHARE)
+    if finding is None:
+        finding, doubted = _searched(train, say, doubted)
     further: list[Part] = []
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
@@ -134,6 +139,25 @@ def diagnose(
         return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
 
     return explained_by_one(found, network, record, single, again)
+
+
+def _searched(train: Part, say: Callable[[str], None], doubted: bool = False) -> tuple[Finding, bool]:
+    """The search, and whether its answer has to leave nothing over.
+
+    What was too little to be told from an error of form may be why an answer does not predict: then it is let in.
+    """
+    finding = search(train, say, 0.0 if doubted else SECOND_SHARE)
+    if not doubted and finding.beside is not None and not _good(finding):
+        further = search(train, say, 0.0)
+        if _good(further):
+            return further, True
+    return finding, doubted
+
+
+def _good(finding: Finding) -> bool:
+    """Whether effects leave no more than noise, however much there was, and predict what they were not taken from."""
+    assert finding.fit is not None
+    return enough(finding.fit.chi, 0.0, finding.contest) and holds(finding.folds)
 
 
 def _begins_late(whole: Part, train: Part, split: int) -> bool:

@@ -14,14 +14,14 @@ from twin.discovery.fitting import Fit, fit
 from twin.discovery.model import Model
 from twin.discovery.part import Part, finalists, fitted, varied
 from twin.discovery.ranking import Finding, Ranked, enough, piled_up, rank
-from twin.discovery.search import Entry, possible, scan, together
+from twin.discovery.search import EARLY_S, Entry, possible, scan, together
 from twin.discovery.validation import validate
 from twin.discovery.weighing import weigh
 
 SECOND_SHARE, EXACT_SHARE = 0.06, 0.003
 """A further effect must win this share of the first one's gain, since an effect is seldom of quite the form assumed, or
-that one where the first ones have no form to be wrong in: an error of reading that is there at once, or heat that is
-and follows what is measured."""
+that one where the first ones have no form to be wrong in (an error of reading that is there at once, or heat that is
+and follows what is measured), or where it comes in at a time of its own."""
 _EXACT = ("heat_source", "heat_loss")
 _FORMED = (*LATE, "time_of_day")
 """Drivers of effects that bring a form of their own."""
@@ -52,10 +52,13 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     best: Fit | None = None
     ranked: tuple[Ranked, ...] = ()
     entries, first_gain = part.entries, 0.0
-    while entries and entries[0].z >= threshold and len(chosen) < MOST_EFFECTS:
-        share = min(second_share, EXACT_SHARE) if all(_exact(e) for e in chosen) else second_share
-        small = share * first_gain
-        if best is not None and entries[0].gain < small and enough(best.chi, start_chi, contest):
+    beside: Entry | None = None
+    while entries and entries[0].z >= threshold:
+        beside = entries[0]
+        small = _share((*chosen, beside), chosen, second_share) * first_gain
+        if len(chosen) == MOST_EFFECTS:
+            break
+        if best is not None and beside.gain < small and enough(best.chi, start_chi, contest):
             break
         worth = finalists(entries, chosen)
         if not worth:
@@ -82,13 +85,16 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         if best is None and start - winner.total < threshold**2:
             break
         if best is not None:
+            small = _share(winner.entries, chosen, second_share) * first_gain
             need = threshold**2 if not enough(best.chi, start_chi, contest) else max(threshold**2, small)
             if best.total - winner.total < need:
+                # A law at measured temperatures may promise what no element keeps.
+                beside = winner.entries[-1] if best.total - winner.total >= threshold**2 else None
                 break
             say("exchanging effects")
             order = _exchanged(part, trials, order, start)
             winner = order[0].fit
-        best, ranked, chosen = winner, order, winner.entries
+        best, ranked, chosen, beside = winner, order, winner.entries, None
         if not first_gain:
             first_gain = max(ladder[0].chi * contest.count - winner.total, 1.0)
         part.reset()
@@ -121,13 +127,28 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         state=part.state,
         null=part.null,
         folds=folds,
-        beside=entries[0] if chosen and entries and entries[0].z >= threshold else None,
+        beside=beside if chosen else None,
     )
 
 
 def _exact(entry: Entry) -> bool:
     c = entry.candidate
     return entry.shape.name == "step" and (c.kind == "sensor" or (c.kind in _EXACT and c.driver not in _FORMED))
+
+
+def _share(entries: tuple[Entry, ...], chosen: tuple[Entry, ...], second_share: float) -> float:
+    """Of the first effect's gain, what entries that are not among the `chosen` have to win beside those that are."""
+    before = {e.candidate.id for e in chosen}
+    known = [e for e in entries if e.candidate.id in before]
+    further = [e for e in entries if e.candidate.id not in before]
+    own = all(_exact(k) or _apart(e, k) for k in known for e in further)
+    return min(second_share, EXACT_SHARE) if own else second_share
+
+
+def _apart(entry: Entry, other: Entry) -> bool:
+    """Whether an effect comes in at once, at a time of its own, so that it stands for no error of form of the other."""
+    late = entry.shape.name == "step" and entry.shape.onset_s > EARLY_S
+    return late and abs(entry.shape.onset_s - other.shape.onset_s) > EARLY_S
 
 
 def weighed(finding: Finding, first: Part, later: list[Part]) -> tuple[Finding, tuple[str, ...]]:

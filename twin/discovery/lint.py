@@ -8,30 +8,24 @@ agree on every record of that rig: an answer that names one of them has to name 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 
 from twin.commission import weak_prior
 from twin.discovery.grid import BIN_S, Grid
+from twin.discovery.kept import cached
 from twin.discovery.laws import Book
 from twin.discovery.probe import Probe
-from twin.kernel import cache_folder
 from twin.network import Array, Network
 from twin.steady import steady_state
-from twin.twinfile import dump
 
 ALIKE = 0.999
 HOURS, ONSET = 8.0, 0.25
 REST, AT_REST = (0.45, 0.78), 0.05
 """Part of the run in which heaters rest, and their power then."""
-FORM = 4
-"""Of the cached files; to be raised whenever what is cached, or how it is found, changes."""
 VISIBLE = 5.0
 """Score from which an effect can be seen at all."""
 LARGE = 5.0
@@ -55,7 +49,7 @@ class Lint:
 
 def lint(network: Network) -> Lint:
     """Groups of a twin's catalogue; from the cache where this very twin has been looked at before."""
-    path = _cached(network)
+    path = cached("lint", network)
     if path is not None:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             held = json.loads(path.read_text(encoding="utf-8"))
@@ -139,18 +133,3 @@ def _stepped(rng: np.random.Generator, time: Array, low: float, high: float) -> 
     levels = rng.uniform(low, high, len(edges) + 1)
     stepped: Array = levels[np.searchsorted(edges, time, side="right")]
     return stepped
-
-
-def _cached(network: Network) -> Path | None:
-    folder = cache_folder("lint")
-    if folder is None:
-        return None
-    text = f"{FORM} {_code()} " + dump(network).split("\n[revision]")[0]
-    return folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.json"
-
-
-@cache
-def _code() -> str:
-    """Of the elements and the search: another catalogue has other groups."""
-    files = sorted(p for p in Path(__file__).parents[1].rglob("*.py") if p.parent.name in ("elements", "discovery"))
-    return hashlib.sha256(b"\0".join(p.read_bytes() for p in files)).hexdigest()

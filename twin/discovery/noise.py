@@ -76,6 +76,11 @@ class Noise:
         whitened: Array = out.reshape(c.shape)
         return whitened
 
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
+        """Noise (n, m), K, of n bins as it was met, without the caution with which records are weighed."""
+        whitened = rng.standard_normal((n, len(self.white)))
+        return self.colour(whitened / np.sqrt(np.array(CAUTION))[bands(n, self.step_s), None])
+
     def colour(self, whitened: Array, step_s: float | None = None) -> Array:
         """The inverse of `whiten`, for (n, m)."""
         step = step_s or self.step_s

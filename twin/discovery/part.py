@@ -78,7 +78,7 @@ class Part:
 
     @cached_property
     def null(self) -> Null:
-        return null_scores(self.contest, self.laws)
+        return null_scores(self.contest, self.laws).raised(self.basis.wider)
 
     @property
     def threshold(self) -> float:

@@ -119,6 +119,8 @@ class HeatSource(Element):
                 )  # fmt: skip
                 if table.get("law") == "daylight":
                     peak_h = 12.0 / math.pi * math.atan2(sizes["sine"], sizes["cosine"])
+                    # A day that itself grows would pass for whatever else grows.
+                    source = replace(source, shapes=("step",))
                     source = replace(source, near=partial(_other_days, source, peak_h, 12.0, share))
                 found.append(source)
         return tuple(found)

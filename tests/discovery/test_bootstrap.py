@@ -1,0 +1,110 @@
+"""Thresholds by the whole pipeline: records drawn from a twin, and what is kept of their diagnoses."""
+
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.discovery.conftest import Bench
+from twin.discovery import widening
+from twin.discovery.basis import Columns, basis, free_run
+from twin.discovery.bootstrap import bootstrap
+from twin.discovery.drawn import drawn
+from twin.discovery.grid import on_grid
+from twin.discovery.part import Part
+from twin.discovery.widening import Bootstrap, keep, kept
+
+CALM = Bootstrap(tuple(2.5 + 0.05 * i for i in range(20)), (4.6,) * 20, 0)
+ROUGH = Bootstrap(tuple(3.5 + 0.15 * i for i in range(20)), (4.6,) * 20, 3)
+
+
+@pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing that a test keeps meets another diagnosis."""
+    monkeypatch.setattr("twin.discovery.kept.cache_folder", lambda name: tmp_path)
+
+
+def test_drawn_records_are_as_noisy_as_what_they_are_drawn_from(bench: Bench, healthy: Columns) -> None:
+    grid = on_grid(bench.network, healthy.time_s, healthy.inputs, healthy.measured)
+    known = basis(bench.network, healthy, grid)
+    first, second = islice(drawn(bench.network, known, healthy, np.random.default_rng(3)), 2)
+    assert np.array_equal(first.inputs, healthy.inputs)
+    # One rig, two records: what they differ by is noise, of one sample as of a bin's mean.
+    apart = (first.measured - second.measured) / np.sqrt(2.0)
+    assert apart.std(axis=0) == pytest.approx(bench.network.sigma, rel=0.15)
+    residual = free_run(known.probe, grid)[2]
+    means = on_grid(bench.network, healthy.time_s, healthy.inputs, apart).measured
+    assert means.std(axis=0) == pytest.approx(residual.std(axis=0), rel=0.3)
+
+
+def test_drawn_records_are_of_rigs_that_differ_by_what_commissioning_does_not_know(
+    bench: Bench, healthy: Columns
+) -> None:
+    known = basis(bench.network, healthy, on_grid(bench.network, healthy.time_s, healthy.inputs, healthy.measured))
+    rigs = [islice(drawn(bench.network, known, healthy, np.random.default_rng(i)), 2) for i in range(8)]
+    means = np.array([[r.measured.mean(axis=0) for r in pair] for pair in rigs])
+    between, within = means.mean(axis=1).std(axis=0), (means[:, 0] - means[:, 1]).std(axis=0)
+    # What commissioning knows least shows; where it is told sharply, nothing does.
+    assert (between / within).max() > 3.0
+
+
+def test_gaps_and_single_thermometers_are_drawn_too(bench: Bench, healthy: Columns) -> None:
+    measured = healthy.measured.copy()
+    measured[100:200, 1] = np.nan
+    name = bench.network.sensor_names[0]
+    single = healthy.measured[:, :1] + np.array([0.3, -0.1, -0.2])
+    gappy = replace(healthy, measured=measured, members={name: single})
+    known = basis(bench.network, gappy, on_grid(bench.network, gappy.time_s, gappy.inputs, gappy.measured))
+    made = next(drawn(bench.network, known, gappy, np.random.default_rng(1)))
+    assert np.array_equal(np.isnan(made.measured), np.isnan(measured))
+    assert made.members[name].mean(axis=1) == pytest.approx(made.measured[:, 0])
+    assert (made.members[name] - made.measured[:, :1]).mean(axis=0) == pytest.approx([0.3, -0.1, -0.2], abs=0.01)
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_healthy_draws_give_no_alarm_and_raise_thresholds_little(bench: Bench) -> None:
+    told: list[int] = []
+    found = bootstrap(bench.network, bench.record(4.0, seed=7), 10, done=told.append)
+    assert told == list(range(1, 11))
+    assert found.alarms <= 1
+    assert all(2.0 < t < 8.0 for t in found.thresholds)
+    assert 1.0 <= found.wider < 1.5
+
+
+def test_too_few_draws_are_refused(bench: Bench, healthy: Columns) -> None:
+    with pytest.raises(ValueError, match="10 draws or more, not 9"):
+        bootstrap(bench.network, healthy, 9)
+
+
+def test_thresholds_are_raised_for_what_healthy_records_score_and_never_lowered() -> None:
+    assert CALM.wider == 1.0
+    assert "0 gave an alarm; the thresholds stand" in CALM.sentence
+    assert ROUGH.wider == pytest.approx(1.65, abs=0.15)
+    assert "3 gave an alarm; thresholds are raised by" in ROUGH.sentence
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_what_was_kept_raises_the_threshold_of_that_twin_alone(bench: Bench, healthy: Columns) -> None:
+    grid = on_grid(bench.network, healthy.time_s, healthy.inputs, healthy.measured)
+    before = Part.of(basis(bench.network, healthy, grid), grid)
+    assert before.basis.bootstrap is None
+    keep(ROUGH, bench.network, healthy.time_s, healthy.inputs, healthy.measured)
+    after = Part.of(basis(bench.network, healthy, grid), grid)
+    assert after.threshold == pytest.approx(ROUGH.wider * before.threshold)
+    assert after.null.family_wise(6.0) > before.null.family_wise(6.0)
+    other = bench.with_values(fins__UA_100=bench.network.parameters["fins.UA_100"].value * 1.01)
+    assert kept(other, healthy.time_s, healthy.inputs, healthy.measured) is None
+    assert kept(bench.network, healthy.time_s, healthy.inputs, healthy.measured + 0.01) is None
+
+
+@pytest.mark.usefixtures("own_cache")
+@pytest.mark.parametrize("text", ["", "{", '{"scores": [1], "thresholds": [2], "alarms": 0}', '{"scores": "abc"}'])
+def test_a_damaged_file_is_as_none(bench: Bench, healthy: Columns, text: str) -> None:
+    arrays = (healthy.time_s, healthy.inputs, healthy.measured)
+    keep(CALM, bench.network, *arrays)
+    path = widening.cached("bootstrap", bench.network, *arrays)
+    assert path is not None
+    path.write_text(text)
+    assert kept(bench.network, *arrays) is None

@@ -1,0 +1,58 @@
+"""The threshold by the whole pipeline: healthy records drawn from the twin, commissioned and diagnosed anew.
+
+The scan's own threshold (`null`) takes the noise, the tunables' spread and the twin as known. They come from one
+healthy record, and so are off by chance. A parametric bootstrap of everything (Efron & Tibshirani, An Introduction to
+the Bootstrap, 1993, ch. 6) repeats that chance: draw a rig, its commissioning and one record more, commission, learn
+the noise, scan, fit, judge. Where healthy records score higher than the scan's threshold says, all thresholds of the
+twin are raised in proportion. It takes minutes once, and is kept beside the kernels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from twin.commission import commission
+from twin.discovery.basis import Columns, basis
+from twin.discovery.drawn import drawn
+from twin.discovery.engine import diagnose
+from twin.discovery.grid import on_grid
+from twin.discovery.widening import FEWEST, Bootstrap
+from twin.network import Network
+
+DRAWS = 40
+
+
+def bootstrap(
+    network: Network,
+    healthy: Columns,
+    draws: int = DRAWS,
+    *,
+    seed: int = 0,
+    done: Callable[[int], None] = lambda _: None,
+) -> Bootstrap:
+    """Commission and diagnose `draws` pairs of healthy records drawn from a commissioned twin.
+
+    Args:
+        healthy: the record that the twin was commissioned on. done: called with the number of draws made so far.
+
+    Raises:
+        ValueError: fewer than ten draws. TwinFileError: as `diagnose`.
+    """
+    if draws < FEWEST:
+        raise ValueError(f"a tail is fitted to {FEWEST} draws or more, not {draws}")
+    known = basis(network, healthy, on_grid(network, healthy.time_s, healthy.inputs, healthy.measured))
+    scores, thresholds, alarms = [], [], 0
+    for i in range(draws):
+        records = drawn(network, known, healthy, np.random.default_rng([seed, i]))
+        first, second = next(records), next(records)
+        again = commission(network, first.time_s, first.inputs, first.measured, starts=1)
+        found = diagnose(again.network, second, first)
+        # What the scan found and the fit did not confirm is no alarm, however high it scored.
+        score = found.ladder[0].best_z
+        scores.append(score if found.verdict != "adequate" else min(score, found.threshold))
+        thresholds.append(found.threshold)
+        alarms += found.verdict != "adequate"
+        done(i + 1)
+    return Bootstrap(tuple(scores), tuple(thresholds), alarms)
