@@ -149,7 +149,7 @@ def _searched(train: Part, say: Callable[[str], None], doubted: bool = False) ->
     finding = search(train, say, 0.0 if doubted else SECOND_SHARE)
     if not doubted and finding.beside is not None and not _good(finding):
         further = search(train, say, 0.0)
-        if _good(further):
+        if _good(further) and further.beside is None:
             return further, True
     return finding, doubted
 

@@ -76,7 +76,7 @@ def conclude(
     start = float(grid.time[0])
     scale = finding.count
     left = finding.retuned.chi if finding.fit is None else finding.fit.chi
-    good = enough(left, finding.start / scale, finding.contest) and not piled_up(finding.entries)
+    good = enough(left, 0.0 if doubted else finding.start / scale, finding.contest) and not piled_up(finding.entries)
     good = good and holds(finding.folds) and not contradicted(errors)
     good = good and not (doubted and finding.beside)
     verdict: Verdict
