@@ -88,7 +88,9 @@ def _interlocks(rig: Rig) -> Table:
 def _frames(receiver: CanReceiver, bus: CanBus) -> str:
     often = ", ".join(f"{message} every {cycle:g} s" for message, cycle in receiver.cycle_s.items())
     signals = counted(len(receiver.points), "signal")
-    return f"{receiver.name}: {bus.place}, {signals} found in {bus.dbc.name}" + (f" ({often})" if often else "")
+    masked = [f"{receiver.name}: {m.name} is {m.match}" for m in receiver.messages if not m.match.is_exact]
+    first = f"{receiver.name}: {bus.place}, {signals} found in {bus.dbc.name}" + (f" ({often})" if often else "")
+    return "\n".join((first, *masked))
 
 
 def _reads(rig: Rig, name: str, cost: Polling) -> Table:
@@ -135,5 +137,9 @@ def as_json(file: Path) -> str:
         for name, cost in polled.items()
     }
     cycles = {name: receiver.cycle_s for name, receiver in receivers.items()}
-    found = {"rig": rig.name, "period_s": rig.period_s, "modbus": plan, "can_cycle_s": cycles, "notes": unsaid(rig)}
+    frames = {name: {m.name: str(m.match) for m in receiver.messages} for name, receiver in receivers.items()}
+    found = {
+        "rig": rig.name, "period_s": rig.period_s, "modbus": plan, "can_cycle_s": cycles, "can_frames": frames,
+        "notes": unsaid(rig),
+    }  # fmt: skip
     return json.dumps(found, indent=2)

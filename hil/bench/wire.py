@@ -21,6 +21,7 @@ from drivers.points import Quality
 from drivers.rig_model import Point
 from hil.bench.report import Table
 from hil.bench.wire_can import mutate_can
+from hil.bench.wire_j1939 import mutate_j1939
 from hil.bench.wire_rtu import mutate_rtu
 
 QUICK, FULL = 1_700, 100_000
@@ -48,6 +49,7 @@ def measure(
     rtu = mutate_rtu(count, seed)
     progress(0.9)
     frames = asyncio.run(mutate_can(count, seed))
+    groups = asyncio.run(mutate_j1939(count, seed))
     progress(1.0)
     tables = (
         _table("modbus", "reads over Modbus/TCP with mutated replies", "reads", "values", modbus,
@@ -56,8 +58,10 @@ def measure(
                "Wrong: passed on, and other registers than the device sent. The checksum covers these, too."),
         _table("can", "mutated CAN frames", "frames", "values", frames,
                "Wrong: good, and not what the bytes of a usable frame of its message say, or beyond its range."),
+        _table("j1939", "mutated frames of a J1939 message that is read by its PGN", "frames", "values", groups,
+               "Wrong: as above, or of another sender than the one that is read, or while two send it."),
     )  # fmt: skip
-    return tables, (), not any(wrong for found in (modbus, rtu, frames) for *_, wrong in found.values())
+    return tables, (), not any(wrong for found in (modbus, rtu, frames, groups) for *_, wrong in found.values())
 
 
 def _table(key: str, what: str, unit: str, of: str, found: Found, note: str) -> Table:

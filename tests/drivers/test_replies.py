@@ -12,6 +12,8 @@ from drivers.points import ProtocolError
 from drivers.replies import FrameGuard
 from hil.bench.wire import HARMLESS, Mutator, mutate_modbus
 from hil.bench.wire_can import mutate_can
+from hil.bench.wire_j1939 import HARMLESS as J1939_HARMLESS
+from hil.bench.wire_j1939 import mutate_j1939
 from hil.bench.wire_rtu import HARMLESS as RTU_HARMLESS
 from hil.bench.wire_rtu import mutate_rtu
 
@@ -101,3 +103,10 @@ async def test_no_mutated_can_frame_is_ever_a_wrong_value_that_counts_as_good():
     assert {kind: wrong for kind, (*_, wrong) in found.items() if wrong} == {}
     assert found["none"][1] > 0 and found["none"][2] == 0
     assert {kind for kind, (_, good, *_) in found.items() if good} == {"none", "any data"}
+
+
+async def test_no_mutated_frame_of_a_pgn_is_ever_a_wrong_value_that_counts_as_good():
+    found = await mutate_j1939(2800, 1)
+    assert {kind: wrong for kind, (*_, wrong) in found.items() if wrong} == {}
+    assert {kind for kind, (_, good, *_) in found.items() if good} == {*J1939_HARMLESS, "any data"}
+    assert all(found[kind][2] == 0 for kind in J1939_HARMLESS)
