@@ -14,12 +14,10 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import can
-
 from drivers.bus import Clock, Readings, judge_of
 from drivers.bus_sections import CanBus
 from drivers.can_ids import Senders
-from drivers.can_wire import open_bus, why
+from drivers.can_wire import CanWire, Frame
 from drivers.dbc import Bound, bind
 from drivers.points import ConfigurationError, LinkError, Quality
 from drivers.rig_model import Point
@@ -61,7 +59,7 @@ class CanReceiver:
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._fault: str | None = "nothing received yet"
-        self._bus: can.BusABC | None = None
+        self._bus: CanWire | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._waiter: tuple[float, asyncio.Future[None]] | None = None
         self.messages = bind(name, config, points)
@@ -82,8 +80,8 @@ class CanReceiver:
         self._thread = threading.Thread(target=self._receive, name=f"can {self.name}", daemon=True)
         self._thread.start()
 
-    def _open(self) -> can.BusABC:
-        return open_bus(self._config, self._where, [message.match for message in self.messages])
+    def _open(self) -> CanWire:
+        return CanWire(self._config, self._where, [message.match for message in self.messages])
 
     async def read(self) -> Readings:
         """The latest values; STALE once older than the point's stale_after, LINK_FAULT while the bus is down."""
@@ -140,7 +138,7 @@ class CanReceiver:
             await asyncio.to_thread(self._thread.join, 5.0)
             self._thread = None
         if self._bus is not None:
-            self._bus.shutdown()
+            self._bus.close()
             self._bus = None
 
     def _receive(self) -> None:
@@ -151,11 +149,9 @@ class CanReceiver:
             assert self._bus is not None
             began = time.monotonic()
             try:
-                # recv() itself spins through its whole time-out on a closed socketcand connection and hides the end;
-                # the one call that every interface implements comes back at once
-                frame, _ = self._bus._recv_internal(RECEIVE_TIMEOUT_S)
-            except (can.CanError, OSError, ValueError) as error:
-                self._lost(f"{self._where}: {why(self._config, error)}")
+                frame = self._bus.receive(RECEIVE_TIMEOUT_S)
+            except LinkError as error:
+                self._lost(str(error))
                 continue
             if frame is None:
                 at_once = time.monotonic() - began < RECEIVE_TIMEOUT_S / 4
@@ -183,10 +179,10 @@ class CanReceiver:
         with self._lock:
             self._fault = fault
         if self._bus is not None:
-            self._bus.shutdown()
+            self._bus.close()
             self._bus = None
 
-    def _message_of(self, frame: can.Message) -> Bound | None:
+    def _message_of(self, frame: Frame) -> Bound | None:
         """The message that a frame is, by its identifier."""
         identifier, extended = frame.arbitration_id, frame.is_extended_id
         found = self._exact.get((identifier, extended))
@@ -205,7 +201,7 @@ class CanReceiver:
                 )
         return None
 
-    def _take(self, frame: can.Message) -> None:
+    def _take(self, frame: Frame) -> None:
         self.frames += 1
         if frame.is_error_frame or frame.is_remote_frame:
             self.error_frames += 1

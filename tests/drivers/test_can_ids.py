@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import gc
 import math
 from pathlib import Path
 
@@ -17,9 +18,9 @@ from pydantic import ValidationError
 
 from drivers.bus_sections import CanMessage
 from drivers.can_ids import EXTENDED_BITS, STANDARD_BITS, IdMatch, by_id, by_j1939, by_pgn, is_pdu1, pgn_of
-from drivers.can_wire import why
+from drivers.can_wire import CanWire, why
 from drivers.canbus import CanReceiver
-from drivers.points import ConfigurationError, Quality
+from drivers.points import ConfigurationError, LinkError, Quality
 from drivers.rig_model import Point
 from drivers.rigfile import load_rig
 from drivers.watching import RigWatch
@@ -371,3 +372,11 @@ def test_what_is_wrong_with_an_interface_of_the_kernel_has_its_remedy(tmp_path, 
     assert words in why(config, OSError(number, "no"))
     assert words in why(config, can.CanOperationError("Error receiving: no", number))
     assert "is the rig on?" in why(section(dbc_in(tmp_path)), OSError(number, "no"))
+
+
+def test_a_kernel_without_can_is_said_and_leaves_nothing_open(tmp_path):
+    config = section(dbc_in(tmp_path), transport="socketcan", channel="lo")
+    with pytest.raises(LinkError) as caught:
+        CanWire(config, "c", ())
+    assert "the kernel has no CAN" in str(caught.value) or "there is no CAN interface lo" in str(caught.value)
+    gc.collect()  # what was left open would warn here
