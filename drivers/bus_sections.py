@@ -40,7 +40,8 @@ class ModbusBusSection(Section, ABC):
     `timeout_s` is what the device may take to answer, without the time that bytes take on a slow line; `gap_s` the
     silence that it wants before a request, where that is longer than the protocol's. `uptime` names the point that
     carries the device's own clock. `serial_baud` is the speed in bit/s of the serial line, or of that behind a gateway:
-    what is polled must fit on it (`hil check`).
+    what is polled must fit on it (`hil check`). `read_write` says that the device has function 23: what is written and
+    read back is then one request.
     """
 
     device_id: Annotated[int, Field(ge=0, le=255)] = 1
@@ -53,6 +54,7 @@ class ModbusBusSection(Section, ABC):
     max_write_bits: Annotated[int, Field(ge=1, le=1968)] = 1968
     hole: tuple[Hole, ...] = ()
     serial_baud: Annotated[int, Field(ge=300, le=4_000_000)] | None = None
+    read_write: bool = False
     uptime: str | None = None
 
     @property

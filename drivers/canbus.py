@@ -127,6 +127,11 @@ class CanReceiver:
         if values:
             raise ConfigurationError(f"{self._where}: {', '.join(values)} cannot be written, CAN points are read only")
 
+    async def write_and_read_back(self, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+        """As `write`."""
+        await self.write(values)
+        return {}
+
     async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
         """Nothing on this bus is writable."""
         return {}

@@ -166,7 +166,7 @@ class ModbusLink:
         """Time that request and reply take on the line itself."""
         if self._byte_s == 0.0:
             return 0.0
-        count = int.from_bytes(pdu[3:5], "big") if pdu[0] <= 4 else 0
+        count = int.from_bytes(pdu[3:5], "big") if pdu[0] in (1, 2, 3, 4, 23) else 0
         size = 5 + (-(-count // 8) if pdu[0] <= 2 else 2 * count)
         return (len(frame) + max(size, 8)) * self._byte_s
 

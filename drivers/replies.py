@@ -13,6 +13,7 @@ from drivers.points import ProtocolError
 
 _HEADER = struct.Struct(">HHHB")
 _SHORTEST, _LONGEST = 3, 254  # unit, function and one byte; unit and a PDU of 253 bytes
+_READS = (1, 2, 3, 4, 23)
 _ECHOES = (5, 6, 15, 16)
 
 
@@ -51,7 +52,7 @@ def _check_length(pdu: bytes) -> None:
     code = pdu[0]
     if code > 0x80:
         due = 2
-    elif code in (1, 2, 3, 4):
+    elif code in _READS:
         due = 2 + pdu[1]
     elif code in _ECHOES:
         due = 5

@@ -12,7 +12,7 @@ from pymodbus.framer import FramerRTU
 
 from drivers.points import ProtocolError
 
-_READS = (1, 2, 3, 4)
+_READS = (1, 2, 3, 4, 23)
 _WRITES = (5, 6, 15, 16)
 _LONGEST = 256  # Modbus over serial line V1.02, 2.5.1
 
