@@ -74,11 +74,15 @@ class ModbusBusSection(Section, ABC):
 
 
 class ModbusTcpBus(ModbusBusSection):
-    """A Modbus/TCP server and the device behind it."""
+    """A Modbus/TCP server and the device behind it.
+
+    `transaction` is `zero` for a device that answers every request with transaction 0: read as a serial line is.
+    """
 
     transport: Literal["modbus_tcp"]
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=1, le=65535)] = 502
+    transaction: Literal["checked", "zero"] = "checked"
 
     @property
     def place(self) -> str:
@@ -115,6 +119,12 @@ class ModbusRtuTcpBus(ModbusTcpBus):
 
     transport: Literal["modbus_rtu_tcp"]  # type: ignore[assignment]
     device_id: Annotated[int, Field(ge=1, le=247)] = 1
+
+    @model_validator(mode="after")
+    def _no_transaction(self) -> Self:
+        if "transaction" in self.model_fields_set:
+            raise ValueError("RTU frames have no transaction; take it out, or use transport = 'modbus_tcp'")
+        return self
 
     @property
     def place(self) -> str:
@@ -224,6 +234,11 @@ class CanBus(Section):
 def is_rtu(bus: ModbusBusSection) -> bool:
     """Whether requests go out in RTU frames, which carry no number that a reply could be known by."""
     return isinstance(bus, ModbusRtuBus | ModbusRtuTcpBus)
+
+
+def is_numbered(bus: ModbusBusSection) -> bool:
+    """Whether a reply carries the number of its request."""
+    return isinstance(bus, ModbusTcpBus) and not is_rtu(bus) and bus.transaction == "checked"
 
 
 AnyBus = ModbusTcpBus | ModbusTlsBus | ModbusRtuTcpBus | ModbusRtuBus | CanBus

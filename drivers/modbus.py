@@ -77,7 +77,7 @@ class ModbusBus:
         self._uptime = order.get(config.uptime) if config.uptime is not None else None
         self._writes = Writes(self._all, config)
         self._has_read_write = config.read_write
-        self._steps = Steps(numbered=not self.link.is_rtu and config.serial_baud is None)
+        self._steps = Steps(numbered=self.link.is_numbered and config.serial_baud is None)
         self._silences = 0
         self._again_at = 0.0
 

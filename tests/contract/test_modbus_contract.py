@@ -245,6 +245,18 @@ async def test_a_storm_of_faults_gives_no_wrong_value_and_nothing_foreign_is_rai
         await rig.good_again(4.0)
 
 
+async def test_a_reply_that_comes_once_more_while_nothing_is_asked_is_not_the_next_answer(on):
+    async with on(max_read=12) as rig:
+        await rig.good_again(2.0)
+        for _ in range(5):
+            rig.break_by(lambda frame: [(0.0, frame), (0.004, frame)], any_frame=True)
+            await rig.read()
+            rig.break_by(None)
+            await asyncio.sleep(0.02)
+            await rig.read()
+        await rig.good_again(3.0)
+
+
 async def test_what_a_caller_gives_up_on_does_not_shift_what_follows(on):
     async with on() as rig:
         rig.break_by(replies.late(random.Random(1), 1.0, 0.04, 0.05), any_frame=True)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.modbus_frames import TcpFrames
 from drivers.points import ProtocolError
 from drivers.replies import FrameGuard
 from hil.bench.wire import HARMLESS, Mutator, mutate_modbus
@@ -36,6 +37,40 @@ def test_frames_of_others_are_dropped_and_counted(frame):
     guard = FrameGuard()
     assert guard.feed(frame + GOOD, 7, 1) == [GOOD]
     assert guard.dropped == 1
+
+
+ASKED = GOOD[7:8] + b"\0\0\0\2"
+
+
+def test_transaction_0_is_a_reply_where_the_rig_file_says_so_and_nothing_else_is():
+    zero = b"\0\0" + GOOD[2:]
+
+    def fed(data: bytes, pdu: bytes = ASKED) -> bytes | None:
+        frames = TcpFrames(numbered=False)
+        frames.frame(1, pdu)
+        return frames.feed(data, 1, pdu)
+
+    assert fed(zero) == GOOD[7:]
+    assert fed(b"\0\x01" + GOOD[2:]) == GOOD[7:], "its own number is as good"
+    assert fed(b"\0\x02" + GOOD[2:]) is None
+    assert fed(zero[:6] + b"\x02" + zero[7:]) is None
+    for data, pdu in (
+        (zero + zero, ASKED),
+        (zero + b"\0", ASKED),
+        (zero, b"\3" + ASKED[1:]),
+        (zero, ASKED[:4] + b"\3"),
+    ):
+        with pytest.raises(ProtocolError):
+            fed(data, pdu)
+
+
+def test_what_answers_with_transaction_0_is_told_from_what_answers_something_else():
+    frames = TcpFrames()
+    frames.frame(1, ASKED)
+    assert frames.feed(b"\0\x09" + GOOD[2:], 1, ASKED) is None
+    assert frames.unused == "1 replies to another request or of another unit were not used"
+    assert frames.feed(b"\0\0" + GOOD[2:], 1, ASKED) is None
+    assert "give transaction = 'zero' where it always does" in (frames.unused or "")
 
 
 @pytest.mark.parametrize(

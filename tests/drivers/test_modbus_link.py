@@ -1,0 +1,59 @@
+"""One wire by itself: what lies on it before a request goes out is no answer to it."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from drivers.bus_sections import ModbusBusSection, ModbusRtuTcpBus, ModbusTcpBus
+from drivers.modbus_link import ModbusLink
+from drivers.rtu import frame_of
+
+ASKED = struct.pack(">BHH", 4, 0, 1)
+
+
+def tcp_frame(pdu: bytes) -> bytes:
+    return struct.pack(">HHHB", 0, 0, len(pdu) + 1, 1) + pdu
+
+
+class OnTheWire:
+    """A wire on which something lies that nobody has read, and which answers what is sent."""
+
+    def __init__(self, lies: bytes, answer: bytes) -> None:
+        self.lies, self.answer = lies, answer
+
+    def send(self, data: bytes) -> None:
+        self.lies += self.answer
+
+    def take(self, seconds: float) -> bytes:
+        taken, self.lies = self.lies, b""
+        return taken
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("config", "framed"),
+    [
+        (ModbusRtuTcpBus(transport="modbus_rtu_tcp"), lambda pdu: frame_of(1, pdu)),
+        (ModbusTcpBus(transport="modbus_tcp", transaction="zero"), tcp_frame),
+    ],
+    ids=["rtu over tcp", "transaction 0"],
+)
+async def test_a_reply_that_nobody_has_read_yet_is_not_the_answer_to_the_next_request(
+    config: ModbusBusSection, framed
+) -> None:
+    wire = OnTheWire(b"", framed(b"\4\2\0\1"))
+
+    async def opened(*_: object) -> OnTheWire:
+        return wire
+
+    link = ModbusLink(config, opener=opened)
+    link.devices = 1
+    await link.open("here")
+    assert await link.ask(1, ASKED, 0.2, "here") == b"\4\2\0\1"
+    wire.lies, wire.answer = framed(b"\4\2\0\1"), framed(b"\4\2\0\2")
+    assert await link.ask(1, ASKED, 0.2, "here") == b"\4\2\0\2"
+    await link.close()
