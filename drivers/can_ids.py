@@ -37,6 +37,11 @@ class IdMatch:
         """Whether only one identifier matches."""
         return self.mask == (EXTENDED_BITS if self.extended else STANDARD_BITS)
 
+    @property
+    def looks_like_j1939(self) -> bool:
+        """Whether it is an identifier from the null address, which no device sends from in J1939."""
+        return self.is_exact and self.extended and self.value & _SOURCE == NO_SOURCE
+
     def matches(self, identifier: int, extended: bool) -> bool:
         """Whether a frame is of this message."""
         return extended == self.extended and (identifier ^ self.value) & self.mask == 0

@@ -328,6 +328,19 @@ def test_the_check_says_which_frames_are_which(tmp_path):
     assert "c: EEC1 is PGN 0xF004, source 0x00" in said
 
 
+def test_a_j1939_message_that_the_dbc_does_not_call_so_is_noted(tmp_path):
+    plain = RIG.replace('"ET1"', '"PLAIN"').replace('"T_coolant"', '"level"').replace('unit = "degC"', 'unit = "1"')
+    path = tmp_path / "rig.toml"
+    path.write_text(plain.split("[[bus.c.message]]")[0] + "[[point]]" + plain.split("[[point]]")[1], encoding="utf-8")
+    dbc_in(tmp_path)
+    assert "does not call it J1939" not in CliRunner().invoke(check, [str(path)]).output
+    dbc_in(tmp_path, plain=0x18FF01FE)
+    done = CliRunner().invoke(check, [str(path)])
+    assert done.exit_code == 0
+    assert "c: PLAIN has the null source address of J1939 and the DBC does not" in " ".join(done.output.split())
+    assert "add a [[bus.c.message]]" in " ".join(done.output.split())
+
+
 @pytest.mark.parametrize(
     ("old", "new", "line", "words"),
     [

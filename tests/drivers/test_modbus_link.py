@@ -8,6 +8,7 @@ import pytest
 
 from drivers.bus_sections import ModbusBusSection, ModbusRtuTcpBus, ModbusTcpBus
 from drivers.modbus_link import ModbusLink
+from drivers.points import DeadlineError
 from drivers.rtu import frame_of
 
 ASKED = struct.pack(">BHH", 4, 0, 1)
@@ -22,6 +23,7 @@ class OnTheWire:
 
     def __init__(self, lies: bytes, answer: bytes) -> None:
         self.lies, self.answer = lies, answer
+        self.closed = False
 
     def send(self, data: bytes) -> None:
         self.lies += self.answer
@@ -31,7 +33,7 @@ class OnTheWire:
         return taken
 
     def close(self) -> None:
-        pass
+        self.closed = True
 
 
 @pytest.mark.parametrize(
@@ -56,4 +58,20 @@ async def test_a_reply_that_nobody_has_read_yet_is_not_the_answer_to_the_next_re
     assert await link.ask(1, ASKED, 0.2, "here") == b"\4\2\0\1"
     wire.lies, wire.answer = framed(b"\4\2\0\1"), framed(b"\4\2\0\2")
     assert await link.ask(1, ASKED, 0.2, "here") == b"\4\2\0\2"
+    await link.close()
+
+
+@pytest.mark.parametrize(("transaction", "closed"), [("checked", False), ("zero", True)])
+async def test_a_shared_connection_without_numbers_is_closed_after_any_time_out(transaction, closed):
+    wire = OnTheWire(b"", b"")
+
+    async def opened(*_: object) -> OnTheWire:
+        return wire
+
+    link = ModbusLink(ModbusTcpBus(transport="modbus_tcp", transaction=transaction), opener=opened)
+    link.devices = 2
+    await link.open("here")
+    with pytest.raises(DeadlineError):
+        await link.ask(1, ASKED, 0.05, "here")
+    assert wire.closed == closed
     await link.close()
