@@ -39,6 +39,9 @@ class Bus(Protocol):
     async def write(self, values: Mapping[str, float]) -> None:
         """Write engineering values by point name; raises a DriverError where that failed."""
 
+    async def write_and_read_back(self, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+        """Write `values`, then ask for writable points `names` as the device holds them; raises a DriverError."""
+
     async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
         """Engineering values of writable points as the device holds them; raises a DriverError."""
 

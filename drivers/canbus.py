@@ -1,4 +1,4 @@
-"""CAN through python-can: the one module that imports it.
+"""CAN frames to values: one receiver behind the contract of a bus.
 
 A thread of ours receives: python-can's own notifier thread dies silently on a bus error, and its socketcand bus
 returns "nothing yet" at once and for ever when the server has gone. The thread decodes each frame by the DBC, keeps
@@ -8,24 +8,20 @@ the latest value of every wanted signal with its arrival, and reopens the bus wh
 from __future__ import annotations
 
 import asyncio
-import logging
 import math
-import socket
 import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import can
-
 from drivers.bus import Clock, Readings, judge_of
 from drivers.bus_sections import CanBus
-from drivers.dbc import bind
+from drivers.can_ids import Senders
+from drivers.can_wire import CanWire, Frame
+from drivers.dbc import Bound, bind
 from drivers.points import ConfigurationError, LinkError, Quality
 from drivers.rig_model import Point
 from drivers.sensor_watch import watches
-
-logging.getLogger("can").setLevel(logging.CRITICAL)  # what it reports, this module raises
 
 RECEIVE_TIMEOUT_S = 0.2
 REOPEN_EVERY_S = 1.0
@@ -63,15 +59,18 @@ class CanReceiver:
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._fault: str | None = "nothing received yet"
-        self._bus: can.BusABC | None = None
+        self._bus: CanWire | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._waiter: tuple[float, asyncio.Future[None]] | None = None
-        self._messages = bind(config.dbc, config.dbc_encoding, points)
+        self.messages = bind(name, config, points)
+        self._exact = {(m.match.value, m.match.extended): m for m in self.messages if m.match.is_exact}
+        self._masked = [m for m in self.messages if not m.match.is_exact]
+        self._senders = {m.name: Senders(m.match) for m in self._masked}
 
     @property
     def cycle_s(self) -> dict[str, float]:
         """How often the DBC says that each wanted message comes, in s; messages without a cycle time are left out."""
-        return {bound.name: bound.cycle_s for bound in self._messages.values() if bound.cycle_s is not None}
+        return {bound.name: bound.cycle_s for bound in self.messages if bound.cycle_s is not None}
 
     async def connect(self) -> None:
         """Open the bus and start receiving; raises LinkError when no bound frame comes within the deadline."""
@@ -81,23 +80,8 @@ class CanReceiver:
         self._thread = threading.Thread(target=self._receive, name=f"can {self.name}", daemon=True)
         self._thread.start()
 
-    def _open(self) -> can.BusABC:
-        config = self._config
-        try:
-            if config.transport == "socketcand":
-                # python-can retries a refused connection for ten seconds in a busy loop, and waits for ever for the
-                # greeting of whatever else listens there: ask first
-                with socket.create_connection((config.host, config.port), timeout=config.timeout_s) as probe:
-                    if not probe.recv(16).startswith(b"<"):  # "< hi >"
-                        raise LinkError(f"{self._where}: what listens there is no socketcand; correct host and port")
-                return can.Bus(
-                    interface="socketcand", channel=config.channel, host=config.host, port=config.port, tcp_tune=True
-                )
-            if config.transport == "slcan":
-                return can.Bus(interface="slcan", channel=config.channel, bitrate=config.bitrate, sleep_after_open=0.1)
-            return can.Bus(interface=config.transport, channel=config.channel)
-        except (OSError, can.CanError, ValueError, TimeoutError) as error:
-            raise LinkError(f"{self._where} cannot be opened: {error}; is the rig on?") from error
+    def _open(self) -> CanWire:
+        return CanWire(self._config, self._where, [message.match for message in self.messages])
 
     async def read(self) -> Readings:
         """The latest values; STALE once older than the point's stale_after, LINK_FAULT while the bus is down."""
@@ -106,7 +90,8 @@ class CanReceiver:
         quality: list[int] = []
         source: list[float] = []
         with self._lock:
-            fault = self._fault
+            contest = self._contest(now)
+            fault = self._fault or contest
             base = self._latest[self._uptime] if self._uptime is not None else None
             device_ahead = base.value - base.arrival_s if base is not None and math.isfinite(base.value) else 0.0
             for point, latest in zip(self.points, self._latest, strict=True):
@@ -142,6 +127,11 @@ class CanReceiver:
         if values:
             raise ConfigurationError(f"{self._where}: {', '.join(values)} cannot be written, CAN points are read only")
 
+    async def write_and_read_back(self, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+        """As `write`."""
+        await self.write(values)
+        return {}
+
     async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
         """Nothing on this bus is writable."""
         return {}
@@ -153,7 +143,7 @@ class CanReceiver:
             await asyncio.to_thread(self._thread.join, 5.0)
             self._thread = None
         if self._bus is not None:
-            self._bus.shutdown()
+            self._bus.close()
             self._bus = None
 
     def _receive(self) -> None:
@@ -164,11 +154,9 @@ class CanReceiver:
             assert self._bus is not None
             began = time.monotonic()
             try:
-                # recv() itself spins through its whole time-out on a closed socketcand connection and hides the end;
-                # the one call that every interface implements comes back at once
-                frame, _ = self._bus._recv_internal(RECEIVE_TIMEOUT_S)
-            except (can.CanError, OSError, ValueError) as error:
-                self._lost(f"{self._where}: {error}")
+                frame = self._bus.receive(RECEIVE_TIMEOUT_S)
+            except LinkError as error:
+                self._lost(str(error))
                 continue
             if frame is None:
                 at_once = time.monotonic() - began < RECEIVE_TIMEOUT_S / 4
@@ -196,10 +184,29 @@ class CanReceiver:
         with self._lock:
             self._fault = fault
         if self._bus is not None:
-            self._bus.shutdown()
+            self._bus.close()
             self._bus = None
 
-    def _take(self, frame: can.Message) -> None:
+    def _message_of(self, frame: Frame) -> Bound | None:
+        """The message that a frame is, by its identifier."""
+        identifier, extended = frame.arbitration_id, frame.is_extended_id
+        found = self._exact.get((identifier, extended))
+        if found is None:
+            found = next((m for m in self._masked if m.match.matches(identifier, extended)), None)
+        return found
+
+    def _contest(self, now: float) -> str | None:
+        """Which messages come from more senders than one, as a sentence."""
+        for name, senders in self._senders.items():
+            both = senders.contest(now)
+            if both is not None:
+                return (
+                    f"{self._where}: {name} comes from {both}, and is not used; say which one is meant in a "
+                    f"[[bus.{self.name}.message]]"
+                )
+        return None
+
+    def _take(self, frame: Frame) -> None:
         self.frames += 1
         if frame.is_error_frame or frame.is_remote_frame:
             self.error_frames += 1
@@ -207,7 +214,7 @@ class CanReceiver:
                 with self._lock:
                     self._fault = f"{self._where}: the CAN controller is bus-off; look for a short or a wrong bit rate"
             return
-        found = self._messages.get((frame.arbitration_id, frame.is_extended_id))
+        found = self._message_of(frame)
         if found is None:
             self.unknown_frames += 1
             return
@@ -221,6 +228,14 @@ class CanReceiver:
                 )
             return
         arrival = self._clock()
+        if found.name in self._senders:
+            with self._lock:
+                used = self._senders[found.name].admits(frame.arbitration_id, arrival)
+                if not used:
+                    for index, _ in found.wanted:
+                        self._latest[index] = _Latest(arrival_s=arrival)
+            if not used:
+                return
         wake: asyncio.Future[None] | None = None
         with self._lock:
             self._fault = None
@@ -232,6 +247,8 @@ class CanReceiver:
                 latest.value, latest.quality = self._judges[index](raw)
                 if latest.quality == Quality.GOOD and not signal.admits(raw):
                     latest.quality = Quality.OUT_OF_RANGE
+                if signal.is_missing(raw):
+                    latest.value, latest.quality = math.nan, int(Quality.SENSOR_FAULT)
                 watch = self._watches[index]
                 if watch is not None:
                     latest.quality = watch.judge(latest.value, latest.quality, arrival)

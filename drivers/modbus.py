@@ -7,13 +7,23 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from drivers.bus import Clock, Judge, Readings, judge, judge_of
+from drivers.bus import Clock, Judge, Readings, judge_of
 from drivers.bus_sections import ModbusBusSection
-from drivers.codec import CodecError, decode, decode_text, decoder, encoder
+from drivers.codec import CodecError, decode_text, decoder
 from drivers.modbus_link import RECONNECT_EVERY_S, ModbusLink
-from drivers.modbus_pdu import BUSY, GATEWAY_SILENCE, NO_SUCH_ADDRESS, Read, check_written, write_request
+from drivers.modbus_pdu import (
+    BUSY,
+    GATEWAY_SILENCE,
+    NO_SUCH_ADDRESS,
+    NO_SUCH_FUNCTION,
+    Read,
+    ReadBack,
+    check_written,
+    write_request,
+)
 from drivers.modbus_step import Steps
-from drivers.plan import Block, ReadPlan, plan_reads, plan_writes
+from drivers.modbus_writes import Writes, values_of
+from drivers.plan import MAX_READ_WRITE, Block, ReadPlan, plan_reads
 from drivers.points import (
     ConfigurationError,
     DeadlineError,
@@ -27,7 +37,6 @@ from drivers.rig_model import Point
 from drivers.sensor_watch import watches
 
 _Slot = tuple[int, int, Callable[[Sequence[int], int], float], Judge]
-_Put = tuple[str, float, float, Callable[[float], list[int]]]
 _BUSY_RETRIES = 2
 _BUSY_WAIT_S = 0.05
 _MUTE_AFTER = 2
@@ -66,8 +75,9 @@ class ModbusBus:
         self._reads: dict[Block, Read] = {}
         self._watches = watches(self.points)
         self._uptime = order.get(config.uptime) if config.uptime is not None else None
-        self._write_plans: dict[tuple[str, ...], list[tuple[Block, list[_Put]]]] = {}
-        self._steps = Steps(numbered=not self.link.is_rtu and config.serial_baud is None)
+        self._writes = Writes(self._all, config)
+        self._has_read_write = config.read_write
+        self._steps = Steps(numbered=self.link.is_numbered and config.serial_baud is None)
         self._silences = 0
         self._again_at = 0.0
 
@@ -151,6 +161,7 @@ class ModbusBus:
         self._plan.forget()
         self._slots.clear()
         self._reads.clear()
+        self._has_read_write = self._config.read_write
 
     async def read(self) -> Readings:
         """All polled points; LINK_FAULT for those of a block that failed, and a reconnection is set going."""
@@ -185,40 +196,54 @@ class ModbusBus:
 
     async def write(self, values: Mapping[str, float]) -> None:
         """Write by point name, touching registers in one request (function 16); raises DriverError."""
-        names = tuple(values)
-        plan = self._write_plans.get(names)
-        if plan is None:
-            blocks = plan_writes(
-                (self._all[name] for name in names),
-                max_write=self._config.max_write,
-                max_write_bits=self._config.max_write_bits,
-            )
-            plan = [(b, [(p.name, p.offset, p.scale, encoder(p.type, p.order)) for p in b.points]) for b in blocks]
-            self._write_plans[names] = plan
-        for block, puts in plan:
-            raw: list[int] = []
-            for name, offset, scale, encoded in puts:
-                try:
-                    raw += encoded((values[name] - offset) / scale)
-                except ValueError as error:
-                    raise ConfigurationError(f"{name}: {error}; correct its type or scale") from error
-            request = write_request(block, raw)
-            for tries_left in reversed(range(_BUSY_RETRIES + 1)):
-                try:
-                    check_written(block, raw, request, await self._ask(request), self._where)
-                    break
-                except DeviceExceptionError as error:
-                    await self._busy(error, tries_left)
+        for block, raw in self._writes.of(values):
+            await self._write(block, raw)
+
+    async def write_and_read_back(self, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+        """Write `values`, then ask for writable points `names`; the last write reads back, too, where it can (23)."""
+        found: dict[str, float] = {}
+        asked = self._planned((self._all[name] for name in names), max_gap=0)
+        written = self._writes.of(values)
+        for number, (block, raw) in enumerate(written, 1):
+            same = next((other for other in asked if set(block.points) & set(other.points)), None)
+            if number < len(written) or same is None or not await self._write_and_read(block, raw, same, found):
+                await self._write(block, raw)
+            else:
+                asked.remove(same)
+        return found | await self._held(asked)
 
     async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
         """Writable points as the device holds them."""
+        return await self._held(self._planned((self._all[name] for name in names), max_gap=0))
+
+    async def _write(self, block: Block, raw: Sequence[int]) -> None:
+        request = write_request(block, raw)
+        for tries_left in reversed(range(_BUSY_RETRIES + 1)):
+            try:
+                check_written(block, raw, request, await self._ask(request), self._where)
+                break
+            except DeviceExceptionError as error:
+                await self._busy(error, tries_left)
+
+    async def _write_and_read(self, block: Block, raw: Sequence[int], read: Block, found: dict[str, float]) -> bool:
+        """Write `block` and put what `read` then holds into `found`, in one request; False where that takes two."""
+        if not self._has_read_write or block.table != "holding" or len(raw) > MAX_READ_WRITE:
+            return False
+        exchange = ReadBack(block, raw, read)
+        try:
+            registers = await self._answered(exchange)
+        except DeviceExceptionError as error:
+            if error.code != NO_SUCH_FUNCTION:
+                raise
+            self._has_read_write = False
+            return False
+        found |= values_of(read, registers)
+        return True
+
+    async def _held(self, blocks: Iterable[Block]) -> dict[str, float]:
         found: dict[str, float] = {}
-        for block in self._planned((self._all[name] for name in names), max_gap=0):
-            registers = await self._request(block)
-            for point in block.points:
-                at = (point.address or 0) - block.address
-                raw = decode(registers[at : at + point.width], point.type, point.order, point.bits)
-                found[point.name], _ = judge(point, raw)
+        for block in blocks:
+            found |= values_of(block, await self._request(block))
         return found
 
     async def close(self) -> None:
@@ -230,6 +255,10 @@ class ModbusBus:
         read = self._reads.get(block)
         if read is None:
             read = self._reads[block] = Read(block)
+        return await self._answered(read)
+
+    async def _answered(self, read: Read | ReadBack) -> Sequence[int]:
+        """The registers that a request is answered with, asked for again while the device is busy."""
         for tries_left in reversed(range(_BUSY_RETRIES + 1)):
             try:
                 return read.raw_of(await self._ask(read.request), self._where)

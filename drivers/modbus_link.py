@@ -1,8 +1,8 @@
 """One wire and whoever speaks on it: one request at a time, answered by its own reply within its deadline, or not.
 
-Over TCP a reply is known by its transaction. In RTU frames there is none: after a request that was not answered in
-its way the line must fall silent before the next one goes out, and `unanswered` tells the bus that its device may be a
-reply behind (`drivers.modbus` then makes it show that it is not).
+Over TCP a reply is known by its transaction. In RTU frames there is none, and there are devices that answer with 0:
+after a request that was not answered in its way the line must fall silent before the next one goes out, and
+`unanswered` tells the bus that its device may be a reply behind (`drivers.modbus` then makes it show that it is not).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import ssl
 import time
 from collections.abc import Awaitable, Callable
 
-from drivers.bus_sections import ModbusBusSection, ModbusRtuBus, ModbusTlsBus, is_rtu
+from drivers.bus_sections import ModbusBusSection, ModbusRtuBus, ModbusTlsBus, is_numbered, is_rtu
 from drivers.modbus_frames import frames_of
 from drivers.modbus_wire import Lost, Received, Wire, open_wire
 from drivers.points import DeadlineError, LinkError, ProtocolError
@@ -47,6 +47,7 @@ class ModbusLink:
         self.unanswered = 0
         self.on_reopened: list[Callable[[], None]] = []
         self.is_rtu = is_rtu(config)
+        self.is_numbered = is_numbered(config)
         self._opener = opener
         self._tls = client_context(config) if isinstance(config, ModbusTlsBus) else None
         self._frames = frames_of(config)
@@ -90,7 +91,9 @@ class ModbusLink:
             what = "serial_port" if isinstance(self.config, ModbusRtuBus) else "host and port"
             raise LinkError(f"{where} cannot be reached: {why}; is the rig on, and {what} right?") from error
         self._quiet_since = time.monotonic()
-        self._unquiet = self.is_rtu  # adapters give noise when they are opened, and converters what was late before
+        self._unquiet = (
+            not self.is_numbered
+        )  # adapters give noise when they are opened, and converters what was late before
         self._late = 0
 
     async def explain(self, where: str) -> None:
@@ -125,16 +128,16 @@ class ModbusLink:
             if wire is None:
                 self._reconnect()
                 raise LinkError(f"{where}: the connection is lost; reconnecting every {RECONNECT_EVERY_S:g} s")
-            if self._unquiet:
-                await self._fall_silent()
             now = time.monotonic  # the loop's clock, without the way to it
             if self._gap_s > 0.0:
                 wait_s = self._quiet_since + self._gap_s - now()
                 if wait_s > 0.0:
                     await asyncio.sleep(wait_s)
+            if not self.is_numbered:
+                await self._fall_silent(wire)
             self._reply = self._refused = None
             self._waiting = (device, pdu)
-            self._unquiet = self.is_rtu  # until the reply is here, whatever ends this
+            self._unquiet = not self.is_numbered  # until the reply is here, whatever ends this
             frame = self._frames.frame(device, pdu)
             try:
                 wire.send(frame)
@@ -166,7 +169,7 @@ class ModbusLink:
         """Time that request and reply take on the line itself."""
         if self._byte_s == 0.0:
             return 0.0
-        count = int.from_bytes(pdu[3:5], "big") if pdu[0] <= 4 else 0
+        count = int.from_bytes(pdu[3:5], "big") if pdu[0] in (1, 2, 3, 4, 23) else 0
         size = 5 + (-(-count // 8) if pdu[0] <= 2 else 2 * count)
         return (len(frame) + max(size, 8)) * self._byte_s
 
@@ -188,8 +191,8 @@ class ModbusLink:
     def _failure(self, where: str, timeout_s: float) -> Exception:
         """What to raise for a request without a reply, after doing with the wire what it needs."""
         why = self._refused
-        if why is None and self._frames.dropped:
-            why = f"{self._frames.dropped} replies to another request or of another unit were not used"
+        if why is None:
+            why = self._frames.unused
         said = f" ({why})" if why is not None else ""
         if self.is_rtu and self._wire is not None:
             if self._refused is not None:
@@ -199,15 +202,19 @@ class ModbusLink:
                 self._reconnect()
             return DeadlineError(f"{where}: no answer within {timeout_s:g} s{said}")
         lost = self._wire is None or self._refused is not None
-        if lost or self.devices < 2 or self.unanswered >= 2:
+        if lost or self.devices < 2 or self.unanswered >= 2 or not self.is_numbered:
             self.drop()
             self._reconnect()
             said += "; reconnecting"
         kind = LinkError if lost else DeadlineError
         return kind(f"{where}: no answer within {timeout_s:g} s{said}")
 
-    async def _fall_silent(self) -> None:
-        """Wait until nothing has arrived for a while: what does is the end of what went before."""
+    async def _fall_silent(self, wire: Wire) -> None:
+        """Wait until nothing has arrived for a while, where something did: it is the end of what went before."""
+        if wire.take(0.0):
+            self._quiet_since, self._unquiet = time.monotonic(), True
+        if not self._unquiet:
+            return
         end = time.monotonic() + _QUIET_AT_MOST_S
         quiet_s = max(_QUIET_S, self._gap_s)
         left_s = self._quiet_since + quiet_s - time.monotonic()
@@ -218,14 +225,14 @@ class ModbusLink:
     def _received(self, data: bytes) -> None:
         if self._waiting is None:
             self._quiet_since = time.monotonic()
-            if self.is_rtu:
+            if not self.is_numbered:
                 self._unquiet = True  # someone speaks who was not asked
                 return
             device, pdu = 0, b"\0"
         else:
             device, pdu = self._waiting
         if self._reply is not None and self._waiting is not None:
-            self._unquiet = self.is_rtu
+            self._unquiet = not self.is_numbered
             return
         try:
             self._reply = self._frames.feed(data, device, pdu)

@@ -9,6 +9,7 @@ from typing import NoReturn
 from drivers.plan import BIT_TABLES, Block
 from drivers.points import DeviceExceptionError, ProtocolError
 
+NO_SUCH_FUNCTION = 1
 NO_SUCH_ADDRESS = 2
 BUSY = 6
 GATEWAY_SILENCE = 11
@@ -24,6 +25,29 @@ _EXCEPTIONS = {
     10: "gateway path unavailable",
     11: "gateway target does not answer (is device_id right?)",
 }
+
+
+class ReadBack:
+    """The one request that writes a block of holding registers and then reads one (6.17), and its reply."""
+
+    code = 23
+
+    def __init__(self, written: Block, raw: Sequence[int], read: Block) -> None:
+        self.read = read
+        counts = read.address, read.count, written.address, written.count
+        self.request = struct.pack(f">BHHHHB{len(raw)}H", self.code, *counts, 2 * len(raw), *raw)
+        self._written = written
+
+    def raw_of(self, reply: bytes, where: str) -> Sequence[int]:
+        """Registers of the block that is read; raises ProtocolError, or DeviceExceptionError of a refusal."""
+        _check_function(self.code, self._written, reply, where)
+        count = self.read.count
+        if reply[1] != 2 * count or len(reply) < 2 + 2 * count:
+            raise ProtocolError(
+                f"{where} answered {reply[1] // 2} registers where {count} were asked ({self.read}); the reply is not "
+                "used"
+            )
+        return struct.unpack_from(f">{count}H", reply, 2)
 
 
 class Read:

@@ -64,7 +64,7 @@ class Steps:
 def _shape(request: bytes) -> _Shape:
     """Function code and data bytes of the reply to a request."""
     code, count = request[0], int.from_bytes(request[3:5], "big")
-    return code, _size(code <= 2, count) if code <= 4 else 0
+    return code, _size(code <= 2, count) if code in (1, 2, 3, 4, 23) else 0
 
 
 def _size(is_bits: bool, count: int) -> int:

@@ -17,6 +17,8 @@ BIT_TABLES = ("coil", "discrete")
 READ_CODE = {"coil": 1, "discrete": 2, "holding": 3, "input": 4}
 MAX_READ = 125
 MAX_WRITE = 123
+MAX_READ_WRITE = 121
+"""Registers that function 23 may write (6.17); it may read as many as function 3."""
 MAX_READ_BITS = 2000
 MAX_WRITE_BITS = 1968
 _BITS_PER_REGISTER = 16

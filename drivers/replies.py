@@ -13,14 +13,29 @@ from drivers.points import ProtocolError
 
 _HEADER = struct.Struct(">HHHB")
 _SHORTEST, _LONGEST = 3, 254  # unit, function and one byte; unit and a PDU of 253 bytes
-_ECHOES = (5, 6, 15, 16)
+READS = (1, 2, 3, 4, 23)
+ECHOES = (5, 6, 15, 16)
 
 
 class FrameGuard:
-    """Cuts what arrives into frames. `dropped` counts whole frames that belong to no request of ours."""
+    """Cuts what arrives into frames. `dropped` counts whole frames that belong to no request of ours.
 
-    def __init__(self) -> None:
+    `zeros` are those of them that had transaction 0, and else what was asked. With `takes_zero` they are replies.
+    """
+
+    def __init__(self, *, takes_zero: bool = False) -> None:
         self.dropped = 0
+        self.zeros = 0
+        self._takes_zero = takes_zero
+        self._buffer = b""
+
+    @property
+    def holds(self) -> bool:
+        """Whether a frame has begun."""
+        return bool(self._buffer)
+
+    def clear(self) -> None:
+        """Forget what has arrived."""
         self._buffer = b""
 
     def feed(self, data: bytes, transaction: int, unit: int) -> list[bytes]:
@@ -38,12 +53,26 @@ class FrameGuard:
             if len(self._buffer) < size:
                 break
             frame, self._buffer = self._buffer[:size], self._buffer[size:]
-            if tid != transaction or sender != unit:
+            is_ours = tid == transaction or (self._takes_zero and tid == 0)
+            if not is_ours or sender != unit:
                 self.dropped += 1
+                self.zeros += tid == 0 and sender == unit
                 continue
             _check_length(frame[_HEADER.size :])
             passed.append(frame)
         return passed
+
+
+def answers(reply: bytes, request: bytes) -> bool:
+    """Whether a reply has the function and the length, or the echo, that a request asks for."""
+    code, count = request[0], int.from_bytes(request[3:5], "big")
+    if reply[0] == code | 0x80:
+        return True
+    if reply[0] != code:
+        return False
+    if code in READS:
+        return reply[1] == (-(-count // 8) if code in (1, 2) else 2 * count)
+    return reply == request[:5]
 
 
 def _check_length(pdu: bytes) -> None:
@@ -51,9 +80,9 @@ def _check_length(pdu: bytes) -> None:
     code = pdu[0]
     if code > 0x80:
         due = 2
-    elif code in (1, 2, 3, 4):
+    elif code in READS:
         due = 2 + pdu[1]
-    elif code in _ECHOES:
+    elif code in ECHOES:
         due = 5
     else:
         raise ProtocolError(f"a reply of function {code}, which was not asked for")

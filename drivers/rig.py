@@ -87,6 +87,20 @@ class RigConnection:
             if mine:
                 await bus.write(mine)
 
+    async def write_and_read_back(self, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+        """Write `values`, then ask for writable points `names` as the devices hold them; raises a DriverError.
+
+        One request where a device is said to have function 23 and all is in reach of it.
+        """
+        owners = {self._bus_of[point] for point in values}
+        if len(owners) != 1:
+            await self.write(values)
+            return await self.read_back(names)
+        (owner,) = owners
+        mine = tuple(point for point in names if self._bus_of[point] == owner)
+        found = await self._buses[owner].write_and_read_back(values, mine)
+        return found | await self.read_back(tuple(point for point in names if self._bus_of[point] != owner))
+
     async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
         """Writable points as the devices hold them; raises a DriverError."""
         found: dict[str, float] = {}

@@ -62,7 +62,7 @@ def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
     for name, bus in rig.bus.items():
         if bus.uptime is not None and not any(p.name == bus.uptime and p.bus == name for p in rig.point):
             found.append((("bus", name, "uptime"), f"bus {name}: no point {bus.uptime!r} on this bus for uptime"))
-    found += _wire_checks(rig)
+    found += _wire_checks(rig) + _message_checks(rig)
     if rig.heartbeat is not None:
         for key in ("point", "counter", "arm", "status", "watchdog"):
             named = getattr(rig.heartbeat, key)
@@ -106,7 +106,7 @@ def _wire_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
         if isinstance(bus, CanBus):
             continue
         other, shared = first.setdefault(bus.wire, (name, bus))
-        for key in ("transport", "serial_baud", "parity", "stop_bits"):
+        for key in ("transport", "transaction", "serial_baud", "parity", "stop_bits"):
             ours, theirs = getattr(bus, key, None), getattr(shared, key, None)
             if ours != theirs:
                 what = f"bus {name} has {key} {ours!r} and bus {other}, on the same wire, {theirs!r}; correct one"
@@ -115,6 +115,29 @@ def _wire_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
         if twin != name:
             what = f"bus {name} and bus {twin} are the same device on the same wire; make one section of both"
             found.append((("bus", name, "device_id"), what))
+    return found
+
+
+def _message_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
+    """Entries of CAN messages that are not read, are there twice, or take one another's frames."""
+    found: list[tuple[tuple[Any, ...], str]] = []
+    for bus, config in rig.bus.items():
+        if not isinstance(config, CanBus):
+            continue
+        read = {point.message for point in rig.point if point.bus == bus}
+        for number, entry in enumerate(config.message):
+            place = ("bus", bus, "message", number, "name")
+            if entry.name not in read:
+                found.append((place, f"bus {bus}: no point has message = {entry.name!r}; correct name, or take it out"))
+            for other in config.message[:number]:
+                if entry.name == other.name:
+                    found.append((place, f"bus {bus}: message {entry.name} is there twice; names must differ"))
+                elif entry.match.overlaps(other.match):
+                    what = (
+                        f"bus {bus}: a frame could be both {other.name} ({other.match}) and {entry.name} "
+                        f"({entry.match}); correct one, with a narrower mask or a source"
+                    )
+                    found.append((place, what))
     return found
 
 

@@ -27,6 +27,8 @@ def line_of(text: str, place: Sequence[Any]) -> int:
     else:
         if rest and section == "bus":
             section = f"bus.{rest.pop(0)}"
+        if len(rest) > 1 and isinstance(rest[1], int) and f"[[{section}.{rest[0]}]]" in text:
+            return line_of(text, (f"{section}.{rest[0]}", *rest[1:]))
         wanted = {f"[{section}]", f"[[{section}]]"}
         hits = [n for n, line in enumerate(lines) if line.split("#")[0].strip() in wanted]
         if hits:

@@ -11,9 +11,8 @@ from __future__ import annotations
 from pymodbus.framer import FramerRTU
 
 from drivers.points import ProtocolError
+from drivers.replies import ECHOES, READS, answers
 
-_READS = (1, 2, 3, 4)
-_WRITES = (5, 6, 15, 16)
 _LONGEST = 256  # Modbus over serial line V1.02, 2.5.1
 
 
@@ -30,9 +29,9 @@ def size_of(start: bytes) -> int | None:
     code = start[1]
     if code & 0x80:
         return 5
-    if code in _WRITES:
+    if code in ECHOES:
         return 8
-    if code not in _READS:
+    if code not in READS:
         raise ProtocolError(f"bytes that are no reply: {start[:8].hex(' ')}")
     return None if len(start) < 3 else 5 + start[2]
 
@@ -64,22 +63,10 @@ class RtuGuard:
             frame, self._buffer = self._buffer[:size], self._buffer[size:]
             if not FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big")):
                 raise ProtocolError(f"a reply with a wrong CRC: {frame[:8].hex(' ')}")
-            if frame[0] == device and _answers(frame[1:-2], request):
+            if frame[0] == device and answers(frame[1:-2], request):
                 passed.append(frame[1:-2])
             else:
                 self.dropped += 1
         if passed and (self._buffer or len(passed) > 1):
             raise ProtocolError("more than one reply to one request: which is ours is not known")
         return passed
-
-
-def _answers(reply: bytes, request: bytes) -> bool:
-    """Whether a reply has the function and the length, or the echo, that a request asks for."""
-    code, count = request[0], int.from_bytes(request[3:5], "big")
-    if reply[0] == code | 0x80:
-        return True
-    if reply[0] != code:
-        return False
-    if code in _READS:
-        return reply[1] == (-(-count // 8) if code in (1, 2) else 2 * count)
-    return reply == request[:5]

@@ -92,7 +92,7 @@ class _Frames(CanReceiver):
 
     def _take(self, frame: Any) -> None:
         super()._take(frame)
-        found = self._messages.get((frame.arbitration_id, frame.is_extended_id))
+        found = self._message_of(frame)
         if found is not None and not frame.is_error_frame and not frame.is_remote_frame:
             self.raw[found.name] = bytes(frame.data), time.monotonic()
 

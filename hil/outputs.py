@@ -108,12 +108,11 @@ class Outputs:
         assert self._rig.heartbeat is not None and self._rig.heartbeat.watchdog is not None
         name = self._rig.heartbeat.watchdog
         try:
-            await self._connection.write({name: seconds})
+            held = (await self._connection.write_and_read_back({name: seconds}, (name,)))[name]
         except DeviceExceptionError as error:
             raise LinkError(
                 f"not armed: the rig refuses a watchdog time-out of {seconds:g} s ({error}); correct watchdog_s"
             ) from error
-        held = (await self._connection.read_back((name,)))[name]
         if not abs(held - seconds) <= _HELD * seconds:
             raise LinkError(
                 f"not armed: {name} holds {held:g} s instead of the {seconds:g} s that the rig's own watchdog is to "

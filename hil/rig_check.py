@@ -16,6 +16,7 @@ from drivers.rigfile import load_rig, located
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
 
 def checked(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]]:
@@ -85,10 +86,20 @@ def _interlocks(rig: Rig) -> Table:
     return table
 
 
-def _frames(receiver: CanReceiver, bus: CanBus) -> str:
+def _frames(receiver: CanReceiver, bus: CanBus) -> Text:
+    from rich.text import Text
+
     often = ", ".join(f"{message} every {cycle:g} s" for message, cycle in receiver.cycle_s.items())
     signals = counted(len(receiver.points), "signal")
-    return f"{receiver.name}: {bus.place}, {signals} found in {bus.dbc.name}" + (f" ({often})" if often else "")
+    masked = [f"{receiver.name}: {m.name} is {m.match}" for m in receiver.messages if not m.match.is_exact]
+    masked += [
+        f"note: {receiver.name}: {m.name} has the null source address of J1939 and the DBC does not call it J1939, so "
+        f"that only {m.match} is read; for its PGN add a [[bus.{receiver.name}.message]]"
+        for m in receiver.messages
+        if m.match.looks_like_j1939
+    ]
+    first = f"{receiver.name}: {bus.place}, {signals} found in {bus.dbc.name}" + (f" ({often})" if often else "")
+    return Text("\n".join((first, *masked)))
 
 
 def _reads(rig: Rig, name: str, cost: Polling) -> Table:
@@ -135,5 +146,9 @@ def as_json(file: Path) -> str:
         for name, cost in polled.items()
     }
     cycles = {name: receiver.cycle_s for name, receiver in receivers.items()}
-    found = {"rig": rig.name, "period_s": rig.period_s, "modbus": plan, "can_cycle_s": cycles, "notes": unsaid(rig)}
+    frames = {name: {m.name: str(m.match) for m in receiver.messages} for name, receiver in receivers.items()}
+    found = {
+        "rig": rig.name, "period_s": rig.period_s, "modbus": plan, "can_cycle_s": cycles, "can_frames": frames,
+        "notes": unsaid(rig),
+    }  # fmt: skip
     return json.dumps(found, indent=2)

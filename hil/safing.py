@@ -64,9 +64,13 @@ async def make_safe(
 async def write_safe(connection: RigConnection, safe_values: dict[str, float]) -> str:
     """Write in order and read back, once; what went wrong, or an empty string."""
     try:
-        for name, value in safe_values.items():
-            await connection.write({name: value})
-        held = await connection.read_back(tuple(safe_values))
+        last = len(safe_values)
+        held: dict[str, float] = {}
+        for number, (name, value) in enumerate(safe_values.items(), 1):
+            if number < last:
+                await connection.write({name: value})
+            else:
+                held = await connection.write_and_read_back({name: value}, tuple(safe_values))
     except DriverError as error:
         return str(error)
     wrong = [

@@ -22,6 +22,9 @@ def import_dbc(path: Path, out: Path, bus: dict[str, Any], *, encoding: str = "u
     collector = Collector(path)
     draft = Draft(path, [DraftBus("can", keys)], collector.notes)
     lines = _lines(path, encoding)
+    for message, match in dict.fromkeys((s.message, s.match) for s in signals if s.match.pgn is not None):
+        who = "" if match.mask & 0xFF else "; where several send it, give [[bus.can.message]] name, pgn and source"
+        collector.notes.append(f"{message} is read by its {match}, at any priority{who}")
     for signal in signals:
         line = lines.get((signal.frame_id, signal.name), 1)
         if signal.multiplexed:

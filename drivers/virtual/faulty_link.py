@@ -36,12 +36,15 @@ def modbus_frames(data: bytes) -> tuple[list[bytes], bytes]:
 
 
 def rtu_frames(data: bytes) -> tuple[list[bytes], bytes]:
-    """Replies in RTU frames; what begins like none of functions 1 to 6, 15 and 16 passes uncut."""
+    """Replies in RTU frames; what begins like none of functions 1 to 6, 15, 16 and 23 passes uncut."""
     frames = []
     while len(data) >= 3:
-        size = (
-            5 if data[1] & 0x80 else 5 + data[2] if 1 <= data[1] <= 4 else 8 if data[1] in (5, 6, 15, 16) else len(data)
-        )
+        if data[1] & 0x80:
+            size = 5
+        elif data[1] in (1, 2, 3, 4, 23):
+            size = 5 + data[2]
+        else:
+            size = 8 if data[1] in (5, 6, 15, 16) else len(data)
         if len(data) < size:
             break
         frames.append(data[:size])

@@ -41,7 +41,7 @@ def too_few_registers(generator: random.Random, share: float) -> Change:
     """A well-formed reply to a read, with fewer registers than were asked for."""
 
     def change(frame: bytes) -> Pieces:
-        if len(frame) < 11 or frame[7] not in (3, 4):
+        if len(frame) < 11 or frame[7] not in (3, 4, 23):
             return [(0.0, frame)]
         keep = 2 * generator.randrange(0, (len(frame) - 9) // 2)
         pdu = bytes((frame[7], keep)) + frame[9 : 9 + keep]
@@ -51,8 +51,8 @@ def too_few_registers(generator: random.Random, share: float) -> Change:
 
 
 def wrong_function(generator: random.Random, share: float) -> Change:
-    """The reply to another function: FC 3 for FC 4 and the other way round, FC 6 for FC 16."""
-    other = {3: 4, 4: 3, 6: 16, 16: 6}
+    """The reply to another function: FC 3 for FC 4 and the other way round, FC 6 for FC 16, FC 3 for FC 23."""
+    other = {3: 4, 4: 3, 6: 16, 16: 6, 23: 3}
     return _some(
         generator, share, lambda frame: [(0.0, frame[:7] + bytes((other.get(frame[7], frame[7]),)) + frame[8:])]
     )

@@ -21,6 +21,7 @@ from drivers.points import Quality
 from drivers.rig_model import Point
 from hil.bench.report import Table
 from hil.bench.wire_can import mutate_can
+from hil.bench.wire_j1939 import mutate_j1939
 from hil.bench.wire_rtu import mutate_rtu
 
 QUICK, FULL = 1_700, 100_000
@@ -47,7 +48,9 @@ def measure(
     modbus = asyncio.run(mutate_modbus(count, seed, progress=lambda share: progress(0.8 * share)))
     rtu = mutate_rtu(count, seed)
     progress(0.9)
-    frames = asyncio.run(mutate_can(count, seed))
+    frames = asyncio.run(mutate_can(count - count // 2, seed))
+    groups = asyncio.run(mutate_j1939(count // 2, seed))
+    frames |= {f"J1939: {kind}": numbers for kind, numbers in groups.items()}
     progress(1.0)
     tables = (
         _table("modbus", "reads over Modbus/TCP with mutated replies", "reads", "values", modbus,
@@ -55,7 +58,8 @@ def measure(
         _table("rtu", "mutated RTU replies", "replies", "replies", rtu,
                "Wrong: passed on, and other registers than the device sent. The checksum covers these, too."),
         _table("can", "mutated CAN frames", "frames", "values", frames,
-               "Wrong: good, and not what the bytes of a usable frame of its message say, or beyond its range."),
+               "Wrong: good, and not what the bytes of a usable frame of its message say, or beyond its range. "
+               "J1939: of a message that is read by its PGN; wrong, too, of another sender, or while two send it."),
     )  # fmt: skip
     return tables, (), not any(wrong for found in (modbus, rtu, frames) for *_, wrong in found.values())
 

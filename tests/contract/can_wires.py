@@ -18,6 +18,7 @@ import can
 from drivers.bus_sections import CanBus
 from drivers.canbus import CanReceiver
 from drivers.points import Quality
+from drivers.rig_model import Point
 from drivers.rigfile import load_rig
 from drivers.virtual.faulty_link import FaultyLink, can_frames
 from drivers.virtual.socketcand import CanConnection, CanHub
@@ -122,9 +123,11 @@ class Heard:
 
 
 @contextlib.asynccontextmanager
-async def heard(interface: str) -> AsyncIterator[Heard]:
+async def heard(
+    interface: str, points: tuple[Point, ...] = POINTS, dbc: Path | None = None, **keys: object
+) -> AsyncIterator[Heard]:
     """A connected receiver on one interface."""
-    common = {"dbc": RIG.bus["thermocouples"].dbc, "timeout_s": 0.5}  # type: ignore[union-attr]
+    common = {"dbc": dbc or RIG.bus["thermocouples"].dbc, "timeout_s": 0.5} | keys  # type: ignore[union-attr]
     link: FaultyLink | None = None
     sender: VirtualSender | HubSender | SlcanSender
     async with contextlib.AsyncExitStack() as stack:
@@ -145,7 +148,7 @@ async def heard(interface: str) -> AsyncIterator[Heard]:
             stack.callback(server.close)
             link = await stack.enter_async_context(FaultyLink(server.sockets[0].getsockname()[1], can_frames))
             config = CanBus(transport="socketcand", port=link.port, channel="vcan0", **common)
-        bus = CanReceiver("c", config, POINTS, time.monotonic)
+        bus = CanReceiver("c", config, points, time.monotonic)
         stack.push_async_callback(bus.close)
         await bus.connect()
         if isinstance(sender, HubSender):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import random
 import struct
 
@@ -11,6 +12,7 @@ import pytest
 from drivers.points import Quality
 from drivers.virtual import faulty_replies as replies
 from tests.contract.can_wires import INTERFACES, POINTS, SlcanSender, heard
+from tests.drivers import j1939
 
 pytestmark = pytest.mark.parametrize("transport", INTERFACES)
 NAMES = [p.name for p in POINTS]
@@ -125,3 +127,62 @@ async def test_a_half_open_wire_makes_values_stale_and_comes_back(transport):
         assert Quality.GOOD not in (await rig.bus.read()).quality
         await rig.link.restore()
         await rig.good_again(4.0)
+
+
+async def test_a_pgn_is_read_from_any_source_at_any_priority_and_no_other_frame(transport, tmp_path):
+    async with heard(transport, j1939.POINTS, j1939.dbc_in(tmp_path)) as rig:
+        for number, odd in enumerate((0x18FEEF00, 0x19FEEE00, 0x18FEED00), 1):
+            rig.sender.send(odd, j1939.et1(70, 71), extended=True)
+            await rig.settled(number)
+        rig.sender.send(0x6EE, j1939.et1(70, 71))
+        rig.sender.send(0x18FEEE00, j1939.et1(70, 71)[:4], extended=True)
+        await rig.settled(5)
+        assert Quality.GOOD not in (await rig.bus.read()).quality
+        assert (rig.bus.unknown_frames, rig.bus.bad_frames) == (4, 1)
+        for number, identifier in enumerate((0x18FEEE00, 0x0CFEEE00, 0x1CFEEE00), 6):
+            rig.sender.send(identifier, j1939.et1(40 + number, 90), extended=True)
+            await rig.settled(number)
+            readings = await rig.bus.read()
+            assert (readings.values, readings.fault) == ([40.0 + number, 90.0], None)
+            assert set(readings.quality) == {Quality.GOOD}
+        rig.sender.send(0x18FEEE00, b"\xff" + j1939.et1(0, 90)[1:], extended=True)
+        await rig.settled(9)
+        assert (await rig.bus.read()).quality == [Quality.SENSOR_FAULT, Quality.GOOD]
+        await asyncio.sleep(0.35)
+        assert set((await rig.bus.read()).quality) == {Quality.STALE}
+
+
+async def test_two_sources_of_one_pgn_are_refused_and_a_source_picks_one(transport, tmp_path):
+    dbc = j1939.dbc_in(tmp_path)
+    async with heard(transport, j1939.POINTS, dbc) as rig:
+        rig.sender.send(0x18FEEE00, j1939.et1(70, 71), extended=True)
+        await rig.settled(1)
+        assert (await rig.bus.read()).values == [70.0, 71.0]
+        rig.sender.send(0x18FEEE03, j1939.et1(20, 21), extended=True)
+        rig.sender.send(0x18FEEE00, j1939.et1(72, 73), extended=True)
+        await rig.settled(3)
+        readings = await rig.bus.read()
+        assert all(math.isnan(value) for value in readings.values)
+        assert set(readings.quality) == {Quality.LINK_FAULT}
+        assert "ET1 comes from source = 0x00 and source = 0x03, and is not used" in (readings.fault or "")
+    one = ({"name": "ET1", "pgn": 0xFEEE, "source": 3},)
+    async with heard(transport, j1939.POINTS, dbc, message=one) as rig:
+        for number in range(1, 4):
+            rig.sender.send(0x18FEEE00, j1939.et1(70, 71), extended=True)
+            rig.sender.send(0x18FEEE03, j1939.et1(20, 21), extended=True)
+            await rig.settled(2 * number)
+            readings = await rig.bus.read()
+            assert (readings.values, set(readings.quality)) == ([20.0, 21.0], {Quality.GOOD})
+
+
+async def test_an_id_with_a_mask_is_read_in_the_bits_of_the_mask(transport, tmp_path):
+    entry = ({"name": "ET1", "id": 0x300, "mask": 0x7F0, "extended": False},)
+    async with heard(transport, j1939.POINTS, j1939.dbc_in(tmp_path), message=entry) as rig:
+        rig.sender.send(0x314, j1939.et1(20, 21))
+        rig.sender.send(0x304, j1939.et1(20, 21), extended=True)
+        await rig.settled(2)
+        assert Quality.GOOD not in (await rig.bus.read()).quality
+        rig.sender.send(0x304, j1939.et1(70, 71))
+        await rig.settled(3)
+        readings = await rig.bus.read()
+        assert (readings.values, set(readings.quality)) == ([70.0, 71.0], {Quality.GOOD})

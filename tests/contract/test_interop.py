@@ -64,6 +64,21 @@ async def test_our_client_on_the_server_of(stranger):
         await used(ModbusTcpBus(transport="modbus_tcp", port=port, timeout_s=1.0))
 
 
+@pytest.mark.parametrize("stranger", ["pyModbusTCP", "libmodbus", "pymodbus"])
+async def test_function_23_on_the_server_of(stranger):
+    with server(stranger) as port:
+        config = ModbusTcpBus(transport="modbus_tcp", port=port, timeout_s=1.0, read_write=True)
+        bus = ModbusBus("stranger", config, POINTS, time.monotonic)
+        try:
+            await bus.connect()
+            for value in (4321.0, 1.0):
+                held = await bus.write_and_read_back({"h10": value}, ("h10", "h11"))
+                assert held == {"h10": value, "h11": 111.0}
+            assert not bus.exceptions
+        finally:
+            await bus.close()
+
+
 async def test_our_client_on_the_npm_server_modbus_serial():
     with server("modbus-serial") as port:
         bus = ModbusBus(

@@ -44,6 +44,36 @@ async def test_writes_are_confirmed_and_read_back(on):
         assert await rig.bus.read_back(("set", "beat", "timeout")) == {"set": 700, "beat": 7, "timeout": 90}
 
 
+async def test_function_23_writes_and_reads_back_in_one_request(on):
+    async with on(read_write=True) as rig:
+        seen: list[int] = []
+
+        def note(frame: bytes) -> list[tuple[float, bytes]]:
+            seen.append(frame[7])
+            return [(0.0, frame)]
+
+        rig.break_by(note)
+        assert await rig.bus.write_and_read_back({"beat": 7}, ("beat", "timeout")) == {"beat": 7, "timeout": 100}
+        assert seen == [23]
+        held = await rig.bus.write_and_read_back({"set": 700, "timeout": 90}, ("set", "timeout"))
+        assert held == {"set": 700, "timeout": 90}
+        assert (seen[1:], rig.registers.holding[1:5]) == ([6, 23, 3], [700, 0, 7, 90])
+
+
+async def test_a_device_without_function_23_is_asked_twice_from_then_on(on):
+    async with on(read_write=True) as rig:
+        seen: list[int] = []
+
+        def none(frame: bytes) -> list[tuple[float, bytes]]:
+            seen.append(frame[7] & 0x7F)
+            return list(replies.refusal(random.Random(1), 1.0 if frame[7] == 23 else 0.0, 1)(frame))
+
+        rig.break_by(none)
+        for value in (80, 90):
+            assert await rig.bus.write_and_read_back({"timeout": value}, ("timeout",)) == {"timeout": value}
+        assert (seen, rig.registers.holding[4]) == ([23, 6, 3, 6, 3], 90)
+
+
 async def test_a_late_reply_within_the_deadline_is_used(on):
     async with on() as rig:
         rig.break_by(replies.late(random.Random(1), 1.0, 0.03, 0.05), any_frame=True)
@@ -81,6 +111,24 @@ async def test_a_fault_is_never_a_value_and_passes(on, fault):
             rig.break_by(None)
             await rig.good_again(3.0)
         assert unused or fault == "the reply before in front of this one"  # which a transaction tells apart
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+async def test_a_fault_never_confirms_a_write_that_is_read_back(on, fault):
+    make, any_frame = FAULTS[fault]
+    async with on(read_write=True) as rig:
+        confirmed = 0
+        for seed in range(3):
+            rig.break_by(make(random.Random(seed), 0.7), any_frame=any_frame)
+            for beat in range(4 * seed, 4 * seed + 3):
+                with contextlib.suppress(DriverError):
+                    held = await rig.bus.write_and_read_back({"beat": beat}, ("beat", "timeout"))
+                    assert held == {"beat": beat, "timeout": 100}
+                    confirmed += 1
+            rig.break_by(None)
+            await rig.good_again(3.0)
+        assert await rig.bus.write_and_read_back({"beat": 77}, ("beat",)) == {"beat": 77}
+        assert rig.registers.holding[3] == 77
 
 
 async def test_the_same_reply_twice_is_used_once_or_not_at_all(on):
@@ -195,6 +243,18 @@ async def test_a_storm_of_faults_gives_no_wrong_value_and_nothing_foreign_is_rai
             await asyncio.sleep(0.005)
         rig.break_by(None)
         await rig.good_again(4.0)
+
+
+async def test_a_reply_that_comes_once_more_while_nothing_is_asked_is_not_the_next_answer(on):
+    async with on(max_read=12) as rig:
+        await rig.good_again(2.0)
+        for _ in range(5):
+            rig.break_by(lambda frame: [(0.0, frame), (0.004, frame)], any_frame=True)
+            await rig.read()
+            rig.break_by(None)
+            await asyncio.sleep(0.02)
+            await rig.read()
+        await rig.good_again(3.0)
 
 
 async def test_what_a_caller_gives_up_on_does_not_shift_what_follows(on):

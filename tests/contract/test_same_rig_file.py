@@ -13,6 +13,7 @@ from drivers.rig import RigConnection
 from drivers.rigfile import load_rig
 from drivers.virtual.rig import start_virtual_rig
 from hil.bench.faults_tls import Certificates
+from hil.safing import write_safe
 from tests.contract.wires import TRANSPORTS
 
 RIGS = Path(__file__).resolve().parents[2] / "profiles" / "rigs"
@@ -28,9 +29,10 @@ async def test_the_virtual_rig_is_read_written_and_armed(transport, tmp_path: Pa
         section = {
             "tcp": f'transport = "modbus_tcp"\nport = {rig.modbus_port}\n',
             "tls": f'transport = "modbus_tls"\nport = {rig.modbus_port}\n',
+            "tcp, transaction 0": f'transport = "modbus_tcp"\ntransaction = "zero"\nport = {rig.modbus_port}\n',
             "rtu over tcp": f'transport = "modbus_rtu_tcp"\nport = {rig.rtu_port}\n',
             "rtu serial": f'transport = "modbus_rtu"\nserial_port = "{rig.serial_port}"\n',
-        }[transport]
+        }[transport] + "read_write = true\n"
         if tls is not None and certificates is not None:
             section += "".join(f'{key} = "{path}"\n' for key, path in certificates.harness.items())
         text = (RIGS / "virtual.toml").read_text(encoding="utf-8")
@@ -49,6 +51,10 @@ async def test_the_virtual_rig_is_read_written_and_armed(transport, tmp_path: Pa
             await connection.write({"heater_power_set": 400.0, "pump_speed_set": 100.0, "heartbeat": 1})
             await connection.write({"arm": 1})
             assert await connection.read_back(("heater_power_set", "arm")) == {"heater_power_set": 400.0, "arm": 1.0}
+            safe = {p.name: float(p.safe_value or 0.0) for p in connection.rig.setpoints}
+            assert await write_safe(connection, safe) == ""
+            assert await connection.read_back(tuple(safe)) == safe
+            await connection.write({"heater_power_set": 400.0})
             for beat in range(2, 20):
                 await connection.write({"heartbeat": beat})
                 snapshot = await connection.read()

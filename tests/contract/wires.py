@@ -30,7 +30,7 @@ from drivers.virtual.registers import INPUT_COUNT, Registers
 from drivers.virtual.rtu_protocol import RtuConnection
 from hil.bench.faults_tls import Certificates
 
-TRANSPORTS = ("tcp", "tls", "rtu over tcp", "rtu serial")
+TRANSPORTS = ("tcp", "tls", "tcp, transaction 0", "rtu over tcp", "rtu serial")
 POINTS = (
     *(Point(name=f"p{a}", bus="b", unit="1", table="input", address=a) for a in range(INPUT_COUNT)),
     Point(name="set", bus="b", unit="1", table="holding", address=1, access="rw"),
@@ -176,11 +176,17 @@ async def wired(transport: str, certificates: Certificates | None, **changes: ob
         stack.callback(lambda: [client.close() for client in list(clients)])
         stack.callback(server.close)
         port = server.sockets[0].getsockname()[1]
+        if transport == "tcp, transaction 0":
+            device = await stack.enter_async_context(FaultyLink(port, modbus_frames))
+            device.change = lambda frame: [(0.0, b"\0\0" + frame[2:])]
+            port = device.port
         link = await stack.enter_async_context(FaultyLink(port, rtu_frames if is_rtu else modbus_frames))
         common = {"timeout_s": TIMEOUT_S, "max_read": 6} | changes
         config: ModbusBusSection
         if transport == "tcp":
             config = ModbusTcpBus(transport="modbus_tcp", port=link.port, **common)
+        elif transport == "tcp, transaction 0":
+            config = ModbusTcpBus(transport="modbus_tcp", port=link.port, transaction="zero", **common)
         elif transport == "tls":
             assert certificates is not None
             front = await stack.enter_async_context(_tls_front(link.port, certificates))

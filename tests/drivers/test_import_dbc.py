@@ -11,6 +11,7 @@ from drivers.rigfile import load_rig
 from hil.commands.check import command as check
 from hil.commands.init import command as init
 from tests.drivers.import_files import table
+from tests.drivers.j1939 import dbc_in
 
 DBC = Path(__file__).resolve().parents[2] / "profiles" / "rigs" / "thermocouples.dbc"
 
@@ -34,3 +35,16 @@ def test_a_dbc_that_is_none_is_said_plainly(tmp_path):
     assert isinstance(done.exception, ConfigurationError)
     assert "x.dbc: is not a DBC file" in str(done.exception)
     assert not (tmp_path / "r.toml").exists()
+
+
+def test_j1939_messages_are_imported_by_their_pgn_and_that_is_said(tmp_path):
+    out = tmp_path / "rig.toml"
+    done = CliRunner().invoke(init, ["--from", str(dbc_in(tmp_path)), "--out", str(out)])
+    assert done.exit_code == 0, (done.output, done.exception)
+    text = out.read_text(encoding="utf-8")
+    assert "ET1 is read by its PGN 0xFEEE, source any, at any priority; where several send it, give" in text
+    assert "EEC1 is read by its PGN 0xF004, source 0x00, at any priority\n" in text
+    assert "PLAIN is read" not in text
+    done = CliRunner().invoke(check, [str(out)])
+    assert done.exit_code == 0
+    assert "can: ET1 is PGN 0xFEEE, source any" in done.output

@@ -191,6 +191,37 @@ async def test_writes_touch_only_what_was_asked_and_are_read_back():
     assert held == {"set": pytest.approx(612.3), "beat": 8}
 
 
+WIDE = tuple(
+    Point(name=f"w{a}", bus="b", unit="1", table="holding", address=4 * a, type="uint64", access="rw")
+    for a in range(30)
+) + tuple(Point(name=f"n{a}", bus="b", unit="1", table="holding", address=120 + a, access="rw") for a in range(3))
+
+
+@pytest.mark.parametrize(("count", "codes"), [(31, [23]), (32, [16, 3])], ids=["121 registers", "122 registers"])
+async def test_function_23_writes_at_most_121_registers_and_else_it_takes_two_requests(count, codes):
+    asked: list[int] = []
+
+    def with_23(server, tid, unit, pdu):
+        asked.append(pdu[0])
+        if pdu[0] != 23:
+            return correct(server, tid, unit, pdu)
+        read, many, to, number = struct.unpack(">4H", pdu[1:9])
+        server.registers |= dict(enumerate(struct.unpack(f">{number}H", pdu[10:]), to))
+        return bytes((23, 2 * many)) + struct.pack(
+            f">{many}H", *(server.registers[a] for a in range(read, read + many))
+        )
+
+    async with FaultyServer(with_23) as server:
+        config = ModbusTcpBus(transport="modbus_tcp", port=server.port, timeout_s=0.5, read_write=True)
+        driver = ModbusBus("plc", config, WIDE, time.monotonic)
+        await driver.connect()
+        values = {point.name: float(1 + 300 * number) for number, point in enumerate(WIDE[:count])}
+        held = await driver.write_and_read_back(values, tuple(values))
+        await driver.close()
+    assert held == values
+    assert asked == codes
+
+
 async def test_a_write_that_is_confirmed_wrongly_is_an_error():
     async with FaultyServer(
         lambda s, tid, unit, pdu: struct.pack(">BHH", pdu[0], 20, 9) if pdu[0] > 4 else correct(s, tid, unit, pdu)

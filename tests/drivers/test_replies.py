@@ -8,10 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.modbus_frames import TcpFrames
 from drivers.points import ProtocolError
 from drivers.replies import FrameGuard
 from hil.bench.wire import HARMLESS, Mutator, mutate_modbus
 from hil.bench.wire_can import mutate_can
+from hil.bench.wire_j1939 import HARMLESS as J1939_HARMLESS
+from hil.bench.wire_j1939 import mutate_j1939
 from hil.bench.wire_rtu import HARMLESS as RTU_HARMLESS
 from hil.bench.wire_rtu import mutate_rtu
 
@@ -34,6 +37,40 @@ def test_frames_of_others_are_dropped_and_counted(frame):
     guard = FrameGuard()
     assert guard.feed(frame + GOOD, 7, 1) == [GOOD]
     assert guard.dropped == 1
+
+
+ASKED = GOOD[7:8] + b"\0\0\0\2"
+
+
+def test_transaction_0_is_a_reply_where_the_rig_file_says_so_and_nothing_else_is():
+    zero = b"\0\0" + GOOD[2:]
+
+    def fed(data: bytes, pdu: bytes = ASKED) -> bytes | None:
+        frames = TcpFrames(numbered=False)
+        frames.frame(1, pdu)
+        return frames.feed(data, 1, pdu)
+
+    assert fed(zero) == GOOD[7:]
+    assert fed(b"\0\x01" + GOOD[2:]) == GOOD[7:], "its own number is as good"
+    assert fed(b"\0\x02" + GOOD[2:]) is None
+    assert fed(zero[:6] + b"\x02" + zero[7:]) is None
+    for data, pdu in (
+        (zero + zero, ASKED),
+        (zero + b"\0", ASKED),
+        (zero, b"\3" + ASKED[1:]),
+        (zero, ASKED[:4] + b"\3"),
+    ):
+        with pytest.raises(ProtocolError):
+            fed(data, pdu)
+
+
+def test_what_answers_with_transaction_0_is_told_from_what_answers_something_else():
+    frames = TcpFrames()
+    frames.frame(1, ASKED)
+    assert frames.feed(b"\0\x09" + GOOD[2:], 1, ASKED) is None
+    assert frames.unused == "1 replies to another request or of another unit were not used"
+    assert frames.feed(b"\0\0" + GOOD[2:], 1, ASKED) is None
+    assert "give transaction = 'zero' where it always does" in (frames.unused or "")
 
 
 @pytest.mark.parametrize(
@@ -101,3 +138,10 @@ async def test_no_mutated_can_frame_is_ever_a_wrong_value_that_counts_as_good():
     assert {kind: wrong for kind, (*_, wrong) in found.items() if wrong} == {}
     assert found["none"][1] > 0 and found["none"][2] == 0
     assert {kind for kind, (_, good, *_) in found.items() if good} == {"none", "any data"}
+
+
+async def test_no_mutated_frame_of_a_pgn_is_ever_a_wrong_value_that_counts_as_good():
+    found = await mutate_j1939(2800, 1)
+    assert {kind: wrong for kind, (*_, wrong) in found.items() if wrong} == {}
+    assert {kind for kind, (_, good, *_) in found.items() if good} == {*J1939_HARMLESS, "any data"}
+    assert all(found[kind][2] == 0 for kind in J1939_HARMLESS)

@@ -61,6 +61,8 @@ def test_wrong_word_order_names_line_point_and_choices(tmp_path):
         ('bus = "plc"', 'bus = "plcc"', ["no bus 'plcc'; there is plc, thermocouples"]),
         ("port = 5020", "port = 502000", ["port", "65535", "502000"]),
         ('uptime = "plc_uptime"', 'uptime = "uptime"', ["bus plc: no point 'uptime' on this bus"]),
+        ("port = 5020", 'port = 5020\ntransaction = "none"', ["'none' is not known; use 'checked' or 'zero'"]),
+        ('"modbus_tcp"', '"modbus_rtu_tcp"\ntransaction = "zero"', ["RTU frames have no transaction; take it out"]),
         ('message = "TC_A"\n', "", ["T_heater: a point on CAN needs message and signal"]),
         ("scale = 0.1", "scale = 0.0", ["a scale of 0 loses the value"]),
         ('readback = "heater_power"', 'readback = "heater"', ["no point 'heater' to read back"]),

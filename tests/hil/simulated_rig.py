@@ -126,6 +126,10 @@ class SimulatedRig:
             point = self._address[name]
             self.registers.write(point.address, [round(value / point.scale)])
 
+    async def write_and_read_back(self, values: dict[str, float], names: tuple[str, ...]) -> dict[str, float]:
+        await self.write(values)
+        return await self.read_back(names)
+
     async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
         self._reach()
         return {n: self.registers.holding[self._address[n].address] * self._address[n].scale for n in names}

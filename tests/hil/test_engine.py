@@ -253,6 +253,10 @@ async def test_making_safe_tries_again_until_the_rig_holds_the_values():
                 self.held.update(values)
                 self.order += values
 
+        async def write_and_read_back(self, values: dict[str, float], names: tuple[str, ...]) -> dict[str, float]:
+            await self.write(values)
+            return await self.read_back(names)
+
         async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
             return {name: self.held[name] for name in names}
 
