@@ -275,7 +275,7 @@ class Engine:
 
     def _lead_back(self, soak: Soak, snapshot: Snapshot, now_s: float) -> End | None:
         """One tick of soaking: go on with the profile once the rig is back, end the run where it takes too long."""
-        soak.look(snapshot, now_s)
+        soak.look(snapshot, now_s, stands=self._machine.state in WAITING)
         self._soaked_s = soak.elapsed_s
         if soak.reached and self._machine.state is State.SOAKING:
             self._soak, self._supervisor.soaks = None, False
