@@ -120,6 +120,18 @@ class Stage:
         assert self.disk is not None
         self.disk.fill(self.pid)
 
+    async def mend(self, rig_s: float) -> None:
+        """End every fault there was: wires, disk, and those of the rig's own, which are over at `rig_s` of its time."""
+        await self.plc.restore()
+        await self.can.restore()
+        if self.disk is not None:
+            self.disk.clear()
+        await self.until(lambda: self.moments()[-1].rig_s >= rig_s, rig_s)
+
+    def seen_here(self, folder: Path) -> Path:
+        """A folder of the run's as the run itself sees it."""
+        return folder if self.disk is None else self.disk.inside / folder.relative_to(self.disk.path)
+
     def kill_child(self, words: str) -> None:
         """SIGKILL to the harness's children with `words` in their command."""
         found = [pid for pid in processes.children(self.pid) if words.encode() in processes.command(pid)]
@@ -228,6 +240,11 @@ async def spawn(command: list[str], place: Path) -> asyncio.subprocess.Process:
             *command, stdin=asyncio.subprocess.DEVNULL, stdout=out, stderr=err, cwd=place, env=environment,
             start_new_session=True,
         )  # fmt: skip
+
+
+def last_line(place: Path) -> str:
+    """What was said last on the terminal in `place`; nothing where nothing was."""
+    return next(iter((place / "err.txt").read_text(encoding="utf-8", errors="replace").splitlines()[-1:]), "")
 
 
 def last_words(place: Path) -> str:
