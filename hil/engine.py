@@ -35,7 +35,10 @@ FIRST_SAMPLE_TIMEOUT_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What an operator sees of a run: `time_s` since its first tick, `profile_s` on the profile's clock."""
+    """What an operator sees of a run: `time_s` since its first tick, `profile_s` on the profile's clock.
+
+    `units` are those of set-points and of what is measured; the rig's own flags and counters have none there.
+    """
 
     state: State
     reason: str
@@ -47,6 +50,7 @@ class Status:
     setpoints: dict[str, float]
     trips: tuple[str, ...]
     warnings: tuple[str, ...]
+    units: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -153,6 +157,7 @@ class Engine:
             dict(self._outputs.values),
             standing.trips,
             standing.warnings,
+            {point.name: point.unit for point in self._rig.point if point.kind == "measured"},
         )
 
     # A run from its beginning to its end -------------------------------------------------------
