@@ -93,7 +93,7 @@ async def resume_session(
         request = request_of(manifest)
         ready = prepare(request)
         was = standing(folder)
-        require_room(folder.path, _ticks(ready))
+        require_room(folder, _ticks(ready))
         folder.control.unlink(missing_ok=True)
         tracking = await _start_tracking(request, ready)
         if tracking is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,7 +12,7 @@ from drivers.points import Quality
 from drivers.rig import RigConnection
 from hil.journal import Header, JournalError, JournalWriter
 from hil.resuming import standing
-from hil.run_folder import RunFolder, RunFolderError
+from hil.run_folder import BYTES_PER_TICK, RunFolder, RunFolderError, require_room
 from hil.states import Event, State, following
 from tests.hil.simulated_rig import SHIPPED
 
@@ -117,3 +118,12 @@ def test_a_journal_that_was_cut_while_it_was_made_says_so(tmp_path):
             database.close()
         with pytest.raises(JournalError, match="was cut while it was made, before anything moved"):
             standing(RunFolder(tmp_path / name))
+
+
+def test_a_run_that_is_nearly_over_needs_room_for_what_it_lacks_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1_000_000))
+    folder, ticks = RunFolder(tmp_path), 1000
+    with pytest.raises(RunFolderError, match=r"has 1 MB free, this run may need 2 MB; free some or move the run's fol"):
+        require_room(folder, ticks)
+    folder.journal.write_bytes(bytes(ticks * BYTES_PER_TICK - 900_000))
+    require_room(folder, ticks)
