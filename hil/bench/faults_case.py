@@ -39,8 +39,8 @@ async def run_case(
     kind_name: str, number: int, seed: int, *, thorough: bool = False, resume: bool = True, retries: int = 2
 ) -> Result:
     """One case. It is repeated where the fault came before the run, and where the machine stood still and a must was
-    broken. `thorough` waits for record and report; with `resume` such a case, one that struck at any instant and a
-    resumable one of two faults go on with `hil resume`."""
+    broken, but not where the run was not resumed. `thorough` waits for record and report; with `resume` such a case, one
+    that struck at any instant and a resumable one of two faults go on with `hil resume`."""
     for attempt in range(1, retries + 2):
         generator = random.Random(f"{seed} {kind_name} {number}")
         with tempfile.TemporaryDirectory(prefix="hil-fault-") as folder:
@@ -49,7 +49,7 @@ async def run_case(
             except Exception as error:  # a case that cannot be carried out is no reason to leave out the others
                 result = Result(kind_name, number, failures=[f"not carried out: {type(error).__name__}: {error}"])
         result.attempts = attempt
-        if result.struck and (not result.failures or result.stall_s < STALL_S):
+        if result.struck and (not result.failures or result.stall_s < STALL_S or result.resumed is False):
             break
     return result
 
