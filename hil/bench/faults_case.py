@@ -39,8 +39,8 @@ async def run_case(
     kind_name: str, number: int, seed: int, *, thorough: bool = False, resume: bool = True, retries: int = 2
 ) -> Result:
     """One case. It is repeated where the fault came before the run, and where the machine stood still and a must was
-    broken, but not where the run was not resumed. `thorough` waits for record and report; with `resume` such a case, one
-    that struck at any instant and a resumable one of two faults go on with `hil resume`."""
+    broken, but not where the run was not resumed. `thorough` waits for record and report; with `resume` such a case,
+    one that struck at any instant and a resumable one of two faults go on with `hil resume`."""
     for attempt in range(1, retries + 2):
         generator = random.Random(f"{seed} {kind_name} {number}")
         with tempfile.TemporaryDirectory(prefix="hil-fault-") as folder:
