@@ -13,6 +13,7 @@ import json
 import math
 import os
 import socket
+import struct
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -119,7 +120,10 @@ def ask(path: Path, verb: str, reason: str = "") -> dict[str, Any]:
             with client.makefile("rb") as lines:
                 line = lines.readline()
         except TimeoutError:
-            raise ControlError(f"{path.parent}: the run does not answer within {ANSWER_WITHIN_S:g} s") from None
+            raise ControlError(
+                f"{path.parent}: the run does not answer within {ANSWER_WITHIN_S:g} s; if its process hangs, the rig's "
+                f"own watchdog has cut the heater: `kill -9 {_listener(client)}`, then `hil resume` goes on with it"
+            ) from None
         except OSError as error:
             raise ControlError(
                 f"{path.parent} is no live run ({error.strerror}); `hil run` starts one, "
@@ -129,6 +133,11 @@ def ask(path: Path, verb: str, reason: str = "") -> dict[str, Any]:
         raise ControlError(f"{path.parent}: the run ended before it answered")
     answer: dict[str, Any] = json.loads(line)
     return answer
+
+
+def _listener(client: socket.socket) -> int:
+    """Process that listens at the other end of `client`."""
+    return int(struct.unpack("3i", client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[0])
 
 
 def live_runs(runs: Path) -> list[Path]:

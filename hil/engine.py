@@ -35,7 +35,10 @@ FIRST_SAMPLE_TIMEOUT_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What an operator sees of a run: `time_s` since its first tick, `profile_s` on the profile's clock."""
+    """What an operator sees of a run: `time_s` since its first tick, `profile_s` on the profile's clock.
+
+    `units` are those of set-points and of what is measured; the rig's own flags and counters have none there.
+    """
 
     state: State
     reason: str
@@ -47,6 +50,7 @@ class Status:
     setpoints: dict[str, float]
     trips: tuple[str, ...]
     warnings: tuple[str, ...]
+    units: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -153,6 +157,7 @@ class Engine:
             dict(self._outputs.values),
             standing.trips,
             standing.warnings,
+            {point.name: point.unit for point in self._rig.point if point.kind == "measured"},
         )
 
     # A run from its beginning to its end -------------------------------------------------------
@@ -275,7 +280,7 @@ class Engine:
 
     def _lead_back(self, soak: Soak, snapshot: Snapshot, now_s: float) -> End | None:
         """One tick of soaking: go on with the profile once the rig is back, end the run where it takes too long."""
-        soak.look(snapshot, now_s)
+        soak.look(snapshot, now_s, stands=self._machine.state in WAITING)
         self._soaked_s = soak.elapsed_s
         if soak.reached and self._machine.state is State.SOAKING:
             self._soak, self._supervisor.soaks = None, False

@@ -38,9 +38,14 @@ class JournalReader:
         self._path = path
         try:
             self._database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
-            meta = dict(self._database.execute("SELECT key, value FROM meta"))
+            begun = self._database.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone()
+            meta = dict(self._database.execute("SELECT key, value FROM meta")) if begun else {}
         except sqlite3.Error as error:
             raise JournalError(f"{path} is not a journal of this harness ({error})") from error
+        if "header" not in meta:
+            raise JournalError(
+                f"{path} was cut while it was made, before anything moved, or is no journal; start a new run"
+            )
         version = json.loads(meta.get("schema_version", "0"))
         if version != SCHEMA_VERSION:
             raise JournalError(f"{path} has schema {version}, this version reads {SCHEMA_VERSION}")

@@ -7,7 +7,7 @@ import enum
 from collections import deque
 from dataclasses import dataclass
 
-from hil.states import Event, State, following
+from hil.states import LIVE, UNTOUCHED, Event, State, following
 
 
 class Verb(enum.StrEnum):
@@ -20,8 +20,12 @@ class Verb(enum.StrEnum):
     ACK = "ack"
 
 
-EVENT_OF = {Verb.HOLD: Event.HOLD, Verb.PAUSE: Event.PAUSE, Verb.RESUME: Event.RESUME}
-_ALREADY = {Verb.HOLD: State.HELD, Verb.PAUSE: State.PAUSED, Verb.RESUME: State.RUNNING}
+_EVENTS = {Verb.HOLD: Event.HOLD, Verb.PAUSE: Event.PAUSE, Verb.RESUME: Event.RESUME}
+_ALREADY = {
+    Verb.HOLD: {State.HELD},
+    Verb.PAUSE: {State.PAUSED},
+    Verb.RESUME: {State.RUNNING, State.SOAKING},
+}
 
 
 class RefusedError(Exception):
@@ -66,7 +70,21 @@ class Desk:
         return asked
 
 
-def refusal(state: State, verb: Verb, trips: tuple[str, ...]) -> str | None:
+def event_of(verb: Verb, *, soaks: bool) -> Event:
+    """What `verb` is to the state table; one that `soaks`, led back to where it was cut, resumes its soak."""
+    return Event.SOAK if soaks and verb is Verb.RESUME else _EVENTS[verb]
+
+
+def unheard(state: State) -> str | None:
+    """Why a run in `state` takes no verb but abort, or None where it takes them on its next tick."""
+    if state in UNTOUCHED:
+        return f"a run that is {state} can only be aborted; ask again when it runs"
+    if state in LIVE or state is State.SOAKING:
+        return None
+    return f"the run is {state}: its outputs go to their safe values, and it takes no verb any more"
+
+
+def refusal(state: State, verb: Verb, trips: tuple[str, ...], *, soaks: bool) -> str | None:
     """Why a run in `state` with latched `trips` does not obey `verb`, or None."""
     if verb is Verb.ACK:
         return None if trips else "nothing has tripped, so there is nothing to acknowledge"
@@ -74,6 +92,6 @@ def refusal(state: State, verb: Verb, trips: tuple[str, ...]) -> str | None:
         return f"tripped: {trips[0]}; remove the cause, then `hil ctl ack`, then resume"
     if verb is Verb.RESUME and state is State.SUSPENDED:
         return "a warning suspends the run; it goes on by itself when that is gone (`hil ctl status` names it)"
-    if following(state, EVENT_OF[verb]) is None and state is not _ALREADY[verb]:
-        return f"a run that is {state} cannot {verb}"
+    if following(state, event_of(verb, soaks=soaks)) is None and state not in _ALREADY[verb]:
+        return f"a run that is {state} cannot {verb}: its outputs are at their safe values"
     return None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from drivers.points import Quality
 from drivers.rigfile import file_sha256
 from hil.journal import JournalReader
+from hil.journal_rows import SegmentRow, StateRow
 from hil.run_folder import RunFolder, RunFolderError
 from hil.run_request import RunRequest
 from hil.segments import Standing, profile_times
@@ -18,36 +20,63 @@ from hil.soaking import has_memory
 from hil.states import State
 
 AIM_TICKS = 10
-"""The temperatures of a cut are means over so many of its last ticks."""
+"""The temperatures of a cut are means over so many of the last good values."""
+AIM_WITHIN_S = 60.0
+"""No older than this: what ended the run may have taken a sensor's last values along."""
 FILES = {"rig": "--rig", "profile": "--profile", "twin": "--twin", "effects": "--with", "healthy": "--healthy"}
 """Files that a run depends on, by their name in `run.json`, and the option that says where one has been moved to."""
 
 
 def standing(folder: RunFolder) -> Standing:
     """Where the run in `folder` stood; raises JournalError, or RunFolderError where it never had a sample."""
-    reader = JournalReader(folder.journal)
+    reader = _reader(folder)
     try:
         states, segments = reader.states(), reader.segments()
         tick, wall_s = reader.last()
         if tick < 0 or not states:
-            raise RunFolderError(f"{folder.path} was cut before its first sample; start a new run with `hil run`")
-        profile_s = float(profile_times(states, np.array([tick]), reader.header.period_s)[0])
-        aim_tick = tick
-        if segments and not any(r.target == State.RUNNING and r.tick >= segments[-1].tick for r in states):
+            raise _never_began(folder)
+        header = reader.header
+        profile_s = float(profile_times(states, np.array([tick]), header.period_s)[0])
+        aim_tick = _aim_tick(states, segments, tick)
+        if segments and aim_tick < segments[-1].tick:
             # Cut while it was being led back: it still has to get to where it was before.
             aim_tick, profile_s = segments[-1].aim_tick, segments[-1].profile_s
-        samples = reader.samples(aim_tick - AIM_TICKS, AIM_TICKS)
-        header = reader.header
+        back = math.ceil(AIM_WITHIN_S / header.period_s)
+        samples = reader.samples(aim_tick - back, back)
     finally:
         reader.close()
-    good = np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
+    good = (samples.quality == Quality.GOOD) & np.isfinite(samples.values) & (samples.tick <= aim_tick)[:, None]
     aim = {}
     for index, signal in enumerate(header.signals):
-        column = good[:, index][np.isfinite(good[:, index])]
+        column = samples.values[good[:, index], index][-AIM_TICKS:]
         if has_memory(signal) and len(column):
             aim[signal.name] = float(column.mean())
     number = (segments[-1].number if segments else 1) + 1
     return Standing(tick, tick * header.period_s, wall_s, profile_s, states[-1].target, number, aim_tick, aim)
+
+
+def _reader(folder: RunFolder) -> JournalReader:
+    if not folder.journal.is_file():
+        raise _never_began(folder)
+    return JournalReader(folder.journal)
+
+
+def _never_began(folder: RunFolder) -> RunFolderError:
+    return RunFolderError(f"{folder.path} ended before its first sample; start a new run with `hil run`")
+
+
+def _aim_tick(states: Sequence[StateRow], segments: Sequence[SegmentRow], tick: int) -> int:
+    """Last tick on which the run had the profile's load, running or held; -1 where its last segment had none.
+
+    What came after, paused, suspended or waiting for somebody to acknowledge a trip, has only cooled the rig.
+    """
+    found = -1
+    for row, following in zip(states, [*states[1:], None], strict=True):
+        loaded = row.target == State.RUNNING or (row.target == State.HELD and row.source == State.RUNNING)
+        if loaded and (not segments or row.tick >= segments[-1].tick):
+            # On the tick of a transition the rig still is as it was.
+            found = tick if following is None else min(following.tick, tick)
+    return found
 
 
 def request_of(

@@ -138,20 +138,25 @@ def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
             raise RunFolderError(f"{path} cannot be made ({error}); choose another folder with --runs") from error
         break
     try:
-        require_room(path, ticks)
+        _require(path, ticks * BYTES_PER_TICK, "use --runs")
     except RunFolderError:
         path.rmdir()
         raise
     return RunFolder(path)
 
 
-def require_room(path: Path, ticks: int) -> None:
-    """Raise RunFolderError where the disk of `path` has no room for so many ticks."""
-    free, needed = shutil.disk_usage(path).free, ticks * BYTES_PER_TICK
+def require_room(folder: RunFolder, ticks: int) -> None:
+    """Raise RunFolderError where the disk has no room for what a run of so many ticks still lacks in its folder."""
+    held = sum(path.stat().st_size for path in folder.path.iterdir() if path.is_file())
+    _require(folder.path, max(ticks * BYTES_PER_TICK - held, 0), "move the run's folder to another disk")
+
+
+def _require(path: Path, needed: int, otherwise: str) -> None:
+    free = shutil.disk_usage(path).free
     if free < needed:
         raise RunFolderError(
             f"{path.parent} has {free / 1e6:.0f} MB free, this run may need {needed / 1e6:.0f} MB; "
-            "free some or use --runs"
+            f"free some or {otherwise}"
         )
 
 

@@ -31,6 +31,7 @@ from hil.segments import Resumption
 from hil.signals import interrupted, stopping
 from hil.soaking import SoakRule
 from hil.states import ENDED, State
+from hil.terminal import hours
 from hil.tracking import STATIC, Comparison, Proposed, Twins
 from hil.tracking_process import Tracking
 
@@ -92,13 +93,13 @@ async def resume_session(
         request = request_of(manifest)
         ready = prepare(request)
         was = standing(folder)
-        require_room(folder.path, _ticks(ready))
+        require_room(folder, _ticks(ready))
         folder.control.unlink(missing_ok=True)
         tracking = await _start_tracking(request, ready)
         if tracking is not None:
             stack.push_async_callback(tracking.close)
         reason = how_it_stopped(manifest, was)
-        announce(f"{reason} at {was.profile_s / 3600:.3f} h of {ready.profile.duration_s / 3600:.2f} h of the profile")
+        announce(f"{reason} at {hours(was.profile_s)} of {hours(ready.profile.duration_s)} of the profile")
         if was.wall_s > time.time():
             announce("this machine's clock has been set back since the cut: how long the gap was is not known")
         resumption = Resumption(was, rule, reason, request.speed if request.mode == "scaled" else 1.0)

@@ -8,6 +8,7 @@ either than the profile itself asks for somewhere. All else stands as the profil
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -66,22 +67,22 @@ class Soak:
                 values = profile.values[:, column]
                 low = float(point.safe_value or 0.0) if warms > 0 else float(values.min())
                 self._leads.append((point.name, low, float(values.max()), warms))
-        self._began: float | None = None
         self._inside_since: float | None = None
-        self._now = 0.0
+        self._now = math.nan
         self._off: dict[str, float] = {}
 
-    def look(self, snapshot: Snapshot, now_s: float) -> None:
-        """Take in one tick, rig time in s."""
-        self._began = now_s if self._began is None else self._began
-        self._now, self.elapsed_s = now_s, now_s - self._began
+    def look(self, snapshot: Snapshot, now_s: float, *, stands: bool = False) -> None:
+        """Take in one tick, rig time in s. While an operator has stopped the soak its clock `stands`."""
+        if not stands and math.isfinite(self._now):
+            self.elapsed_s += now_s - self._now
+        self._now = now_s
         self._off = {
             name: snapshot.values[i] - self._aim[name]
             for name, i in self._index.items()
             if snapshot.quality[i] == Quality.GOOD
         }
         inside = len(self._off) == len(self._index) and all(abs(k) <= self.rule.band_K for k in self._off.values())
-        if not inside:
+        if not inside or stands:
             self._inside_since = None
         elif self._inside_since is None:
             self._inside_since = now_s

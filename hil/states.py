@@ -12,7 +12,7 @@ safe outputs. Terms of the rig's outputs:
     idle, validating, connecting untouched
     done, aborted, faulted       left at their safe values
 
-The profile's clock goes in `running` alone.
+The profile's clock goes in `running` alone; that of a soak stands in `held` and `paused`.
 """
 
 from __future__ import annotations
@@ -74,9 +74,11 @@ TABLE: dict[tuple[State, Event], State] = {
     # What an operator stopped does not go on by itself when a warning has gone.
     (_S.HELD, _E.WARN): _S.PAUSED,
     (_S.SUSPENDED, _E.CLEAR): _S.RUNNING,
-    # A rig that is led back does not go on with the profile because a warning has gone.
+    # A rig that is led back goes on being led back, and not with the profile, whoever or whatever stopped it.
+    (_S.SOAKING, _E.HOLD): _S.HELD,
+    (_S.SOAKING, _E.PAUSE): _S.PAUSED,
     (_S.SOAKING, _E.WARN): _S.SUSPENDED,
-    (_S.SUSPENDED, _E.SOAK): _S.SOAKING,
+    **{(state, _E.SOAK): _S.SOAKING for state in (_S.HELD, _S.PAUSED, _S.SUSPENDED)},
     **{(state, _E.TRIP): _S.PAUSED for state in (_S.RUNNING, _S.HELD, _S.SUSPENDED, _S.PAUSED)},
     (_S.RUNNING, _E.COMPLETE): _S.FINISHING,
     **{
@@ -96,7 +98,7 @@ UNTOUCHED = frozenset({State.IDLE, State.VALIDATING, State.CONNECTING})
 """States in which nothing has been written to the rig yet."""
 ENDED = frozenset({State.DONE, State.ABORTED, State.FAULTED})
 LIVE = frozenset({State.RUNNING, State.HELD, State.PAUSED, State.SUSPENDED})
-"""States in which the loop ticks."""
+"""States in which the loop ticks, beside the soaking of a run that was cut."""
 HEATED = frozenset({State.SOAKING, State.RUNNING, State.HELD})
 """The only states in which an output may be away from its safe value."""
 WAITING = frozenset({State.HELD, State.PAUSED})

@@ -2,8 +2,8 @@
 
 Operators come first, interlocks have the last word. A trip ends the run, unless the rig file lets it wait for an
 acknowledgement (`acknowledge_within_s`): then the run is paused, and nothing moves until the trip is acknowledged with
-its cause gone, the rig armed again, and the run resumed. A rig that is led back to where a run was cut is not waited
-for: the run can be resumed again.
+its cause gone, the rig armed again, and the run resumed. With a trip while a rig is led back to where a run was cut
+nobody is waited for: the run can be resumed again. Hold, pause and resume are obeyed there as elsewhere.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from drivers.points import Snapshot
 from drivers.rig_model import Point, Rig
 from hil.conditions import Residuals
 from hil.interlocks import Interlocks, Judgement
-from hil.operator import EVENT_OF, Desk, RefusedError, Request, Verb, refusal
+from hil.operator import Desk, RefusedError, Request, Verb, event_of, refusal, unheard
 from hil.outputs import ARMING_TICKS
-from hil.states import HEATED, LIVE, Event, Machine, State, Transition, following
+from hil.states import HEATED, Event, Machine, State, Transition, following
 
 SECOND_REQUEST_S = 0.5
 
@@ -83,10 +83,9 @@ class Supervisor:
         if verb is Verb.ABORT:
             self.request_stop(reason)
             return "aborting: the outputs go to their safe values; the run's own terminal says when they are there"
-        if self.state not in LIVE or self.soaks:
-            what = "leads its rig back to where it was cut" if self.soaks else f"is {self.state}"
-            then = "; `hil ctl abort` leaves it safe, and `hil resume` leads it back again" if self.soaks else ""
-            raise RefusedError(f"a run that {what} can only be aborted{then}")
+        why_not = unheard(self.state)
+        if why_not is not None:
+            raise RefusedError(why_not)
         return await self._desk.ask(verb, reason)
 
     def step(
@@ -112,7 +111,7 @@ class Supervisor:
 
     def _obey(self, judgement: Judgement) -> None:
         for request in self._desk.take():
-            why_not = refusal(self.state, request.verb, self.interlocks.standing().trips)
+            why_not = refusal(self.state, request.verb, self.interlocks.standing().trips, soaks=self.soaks)
             if why_not is not None:
                 request.refuse(why_not)
             elif request.verb is Verb.ACK and self._acking is not None:
@@ -121,8 +120,9 @@ class Supervisor:
                 self._acking = request, ARMING_TICKS
                 self._note("INFO", f"acknowledged {request.reason}: {'; '.join(judgement.trips)}")
             else:
-                if following(self.state, EVENT_OF[request.verb]) is not None:
-                    self.machine.take(EVENT_OF[request.verb], request.reason)
+                event = event_of(request.verb, soaks=self.soaks)
+                if following(self.state, event) is not None:
+                    self.machine.take(event, request.reason)
                 self._obeyed.append(request)
 
     def _acknowledge(self) -> None:

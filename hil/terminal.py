@@ -228,6 +228,9 @@ class LiveRun:
             out.print(result.adoption.sentence, soft_wrap=True, markup=False)
         out.print(f"run folder: {result.folder.path}", soft_wrap=True)
         path = result.folder.path
+        if outcome.status != "done" and outcome.ticks:
+            when = "when its cause is gone, go on with it" if outcome.status == "faulted" else "go on with it"
+            out.print(f"{when}: {invocation()} resume {path}", soft_wrap=True)
         out.print(f"look at it: {invocation()} review {path}", soft_wrap=True)
         if not result.viewed:
             out.print(

@@ -39,7 +39,8 @@ async def campaign(
 ) -> list[Result]:
     """Run `cases`, `jobs` at a time; with `keep`, those whose result lies in that folder are not run again.
 
-    With `resume`, a run that was killed is resumed, which takes it a minute.
+    With `resume` the first of each kind, and each that a signal struck, goes on once its fault is over, which takes it
+    a minute.
     """
     room = asyncio.Semaphore(jobs)
 
@@ -116,6 +117,9 @@ def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
             "Detected: the harness left its running state, or the rig's watchdog cut; the earlier one.",
             "Seen: a value was recorded as not good, or a warning told, or it was detected.",
             "Samples: acknowledged, that is read by another process from the live journal; lost: not in it afterwards.",
+            "Resumed: the first of each kind, and each that came at any instant, by `hil resume` with the fault over: "
+            "wire, disk, sensor, pump or fan in order again, the rig back from its reboot, what hung killed. The "
+            "rig is led back, the profile goes on, and nothing is lost.",
             "Wrong: recorded as good and not true, by the rig's log, at any time within the staleness limit.",
             f"{cpu_s:.1f} CPU seconds a run, those kept from before not counted.",
         ),
@@ -219,6 +223,11 @@ def _musts(results: list[Result]) -> Table:
         ("age of the last durable sample at a kill, worst, s", f"{max(unsaved):.2f}" if unsaved else "-"),
         ("resumable runs resumed", f"{sum(resumed)} of {len(resumed)}" if resumed else "not tried"),
     ]
+    refused = [r.refused for r in results if r.refused is not None]
+    if refused:
+        rows.append(
+            ("over before the first sample: resume refused, with a remedy", f"{sum(refused)} of {len(refused)}")
+        )
     if deaf:
         after = [r.safe - r.detected for r in deaf if r.safe is not None and r.detected is not None]
         cut = sum(x <= WATCHDOG_S + 2 * PERIOD_S for x in after)

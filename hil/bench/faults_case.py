@@ -14,10 +14,10 @@ from pathlib import Path
 
 from hil.bench import faults_judge as judge
 from hil.bench import processes
-from hil.bench.faults_kinds import Kind
+from hil.bench.faults_kinds import MENDED_AFTER_S, Kind
 from hil.bench.faults_plan import Case, case_of
 from hil.bench.faults_rig import STALE_LIMIT_S
-from hil.bench.faults_stage import Stage, last_words, set_stage, spawn
+from hil.bench.faults_stage import Stage, last_line, last_words, set_stage, spawn
 from hil.bench.faults_verdict import REACT_S, Result, Strike, judged
 
 START_S = 40.0
@@ -39,7 +39,8 @@ async def run_case(
     kind_name: str, number: int, seed: int, *, thorough: bool = False, resume: bool = True, retries: int = 2
 ) -> Result:
     """One case. It is repeated where the fault came before the run, and where the machine stood still and a must was
-    broken. `thorough` waits for record and report, `resume` resumes what was killed."""
+    broken, but not where the run was not resumed. `thorough` waits for record and report; with `resume` such a case,
+    one that struck at any instant and a resumable one of two faults go on with `hil resume`."""
     for attempt in range(1, retries + 2):
         generator = random.Random(f"{seed} {kind_name} {number}")
         with tempfile.TemporaryDirectory(prefix="hil-fault-") as folder:
@@ -48,7 +49,7 @@ async def run_case(
             except Exception as error:  # a case that cannot be carried out is no reason to leave out the others
                 result = Result(kind_name, number, failures=[f"not carried out: {type(error).__name__}: {error}"])
         result.attempts = attempt
-        if result.struck and (not result.failures or result.stall_s < STALL_S):
+        if result.struck and (not result.failures or result.stall_s < STALL_S or result.resumed is False):
             break
     return result
 
@@ -64,8 +65,9 @@ async def _attempt(
             return result
         await _follow(stage, case, result, thorough)
         journal = await asyncio.to_thread(judged, result, case, stage, strikes)
-        if resume and case.resumable and result.heated and journal.ticks and not result.failures:
-            result.resumed = await _resumed(stage, result)
+        # A resumed run stands still for a minute, so of the kinds that leave much the same only the first goes on.
+        if resume and case.resumable and (thorough or case.early or len(case.kinds) > 1) and not result.failures:
+            await _go_on(stage, result, bool(journal.ticks), onset_s + case.apart_s + MENDED_AFTER_S)
         if result.failures:
             result.reason = (result.reason + " | " + last_words(place))[:600]
     return result
@@ -168,17 +170,36 @@ async def _ended(stage: Stage, result: Result) -> None:
         result.failures.append(f"the heater was off {after} after SIGTERM")
 
 
-async def _resumed(stage: Stage, result: Result) -> bool:
-    """`hil resume` on what the kill has left: whether the run went on, with everything that was acknowledged before."""
+async def _go_on(stage: Stage, result: Result, begun: bool, mended_s: float) -> None:
+    """`hil resume` on what is left, once the fault is over: it goes on, or says in a sentence why it cannot."""
     folder = stage.harness.folder()
-    assert folder is not None
-    before, asked_s = dict(stage.seen.rows), time.time()
-    command = [sys.executable, "-m", "hil", "resume", str(folder), "--no-viewer", "--band", "3"]
+    if folder is None:
+        return
+    await stage.mend(mended_s)
+    command = [sys.executable, "-m", "hil", "resume", str(stage.seen_here(folder)), "--no-viewer", "--band", "3"]
+    if stage.disk is not None:
+        command = stage.disk.command(command)
     stage.harness.process = await spawn(command, stage.truth.parent)
+    if begun:
+        result.resumed = await _resumed(stage, result)
+    else:
+        # Of a run that was over before its first sample there is nothing to go on with.
+        ended = await stage.until(lambda: not stage.harness.running, START_S)
+        said = last_line(stage.truth.parent)
+        result.refused = ended and stage.harness.process.returncode != 0 and "start a new run" in said
+        if not result.refused:
+            result.failures.append(f"a resume that cannot be was not refused with a remedy: {said}")
+    if "Traceback" in stage.harness.said():
+        result.failures.append("a resume ended with a traceback instead of a sentence")
+    await stage.harness.finish()
+
+
+async def _resumed(stage: Stage, result: Result) -> bool:
+    """Whether the run went on, with everything that was acknowledged before."""
+    before, asked_s = dict(stage.seen.rows), time.time()
 
     def running() -> bool:
-        states = judge.read_states(stage.harness.journal)
-        return any(wall_s > asked_s and target == "running" for wall_s, target in states)
+        return any(wall_s > asked_s and target == "running" for wall_s, target in judge.read_states(stage.look()))
 
     went_on = await stage.until(lambda: running() or not stage.harness.running, RESUME_S)
     went_on = went_on and stage.harness.running
@@ -194,7 +215,10 @@ async def _resumed(stage: Stage, result: Result) -> bool:
     if gone or not set(before) <= set(journal.ticks) or not journal.sound:
         result.failures.append(f"{gone} acknowledged samples lost by resuming")
     result.lost += gone
-    result.wrong += await asyncio.to_thread(judge.wrong_values, journal, stage.moments())
+    wrong = await asyncio.to_thread(judge.wrong_values, journal, stage.moments())
+    if wrong:
+        result.failures.append(f"{len(wrong)} wrong values recorded as good by resuming: {wrong[0]}")
+    result.wrong += wrong
     return went_on
 
 

@@ -72,6 +72,11 @@ class OwnDisk:
                         size //= 2
                 break
 
+    def clear(self) -> None:
+        """Room again."""
+        with contextlib.suppress(OSError):
+            (self.path / "ballast").unlink()
+
     def copied(self, journal: Path, to: Path) -> Path:
         """The journal as it is now: SQLite would follow the way to another namespace back to ours.
 

@@ -36,6 +36,9 @@ class Stage(Protocol):
 
 Act = Callable[[Stage], Awaitable[None]]
 
+MENDED_AFTER_S = 15.0
+"""A sensor, pump or fan is mended so long after it failed, s: many times as long as it may take the run to end."""
+
 
 @dataclass(frozen=True, slots=True)
 class Kind:
@@ -217,10 +220,12 @@ KINDS: dict[str, Kind] = {
 
 
 def effect_text(kind: Kind, generator: random.Random, channels: tuple[str, ...], onset_s: float) -> str:
-    """The effects file of a fault that the rig itself has, from `onset_s` of rig time on."""
+    """The effects file of a fault that the rig itself has, from `onset_s` of rig time on, for `MENDED_AFTER_S`."""
     values = {
         "channel": generator.choice(channels),
         "jump": f"{generator.choice((-1, 1)) * generator.uniform(8.0, 30.0):.2f}",
         "period": f"{generator.uniform(0.6, 3.0):.2f}",
     }
-    return f"[[effect]]\n{kind.effect.format(**values)}onset_s = {onset_s:.1f}\n"
+    return (
+        f"[[effect]]\n{kind.effect.format(**values)}onset_s = {onset_s:.1f}\nend_s = {onset_s + MENDED_AFTER_S:.1f}\n"
+    )

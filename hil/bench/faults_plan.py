@@ -41,8 +41,10 @@ class Case:
 
     @property
     def resumable(self) -> bool:
-        """Whether the run that it leaves is there to be resumed, on a rig that is well."""
+        """Whether the run that it leaves can go on once the fault is over; of two, that it can although one is not."""
         names = self.name.split(AND)
+        if len(names) == 1:
+            return True
         others = [kind for name, kind in zip(names, self.kinds, strict=True) if name != "SIGKILL"]
         return "SIGKILL" in names and all(kind.ending in ("rides", "either") for kind in others)
 

@@ -29,6 +29,8 @@ from hil.bench.faults_tls import Certificates, make_certificates
 
 ROOT = Path(__file__).resolve().parents[2]
 LOOK_EVERY_S = 0.2
+SPIN_UP_S = 30.0
+"""No fan takes longer than this to get there."""
 FANS_PCT = 70.0
 """Fans that are this fast when the command is started are at full speed when it has a rig."""
 
@@ -119,6 +121,26 @@ class Stage:
         """No byte more for the harness."""
         assert self.disk is not None
         self.disk.fill(self.pid)
+
+    async def mend(self, rig_s: float) -> None:
+        """End every fault there was: wires, disk, and those of the rig's own, which are over at `rig_s` of its time.
+
+        A fan that was mended is so when it turns again: as before the first start, see `FANS_PCT`.
+        """
+        await self.plc.restore()
+        await self.can.restore()
+        if self.disk is not None:
+            self.disk.clear()
+
+        def mended() -> bool:
+            now = self.moments()[-1]
+            return now.rig_s >= rig_s and now.fan_pct >= FANS_PCT
+
+        await self.until(mended, rig_s + SPIN_UP_S)
+
+    def seen_here(self, folder: Path) -> Path:
+        """A folder of the run's as the run itself sees it."""
+        return folder if self.disk is None else self.disk.inside / folder.relative_to(self.disk.path)
 
     def kill_child(self, words: str) -> None:
         """SIGKILL to the harness's children with `words` in their command."""
@@ -228,6 +250,11 @@ async def spawn(command: list[str], place: Path) -> asyncio.subprocess.Process:
             *command, stdin=asyncio.subprocess.DEVNULL, stdout=out, stderr=err, cwd=place, env=environment,
             start_new_session=True,
         )  # fmt: skip
+
+
+def last_line(place: Path) -> str:
+    """What was said last on the terminal in `place`; nothing where nothing was."""
+    return next(iter((place / "err.txt").read_text(encoding="utf-8", errors="replace").splitlines()[-1:]), "")
 
 
 def last_words(place: Path) -> str:

@@ -45,6 +45,8 @@ class Result:
     stall_s: float = 0.0
     attempts: int = 1
     resumed: bool | None = None
+    refused: bool | None = None
+    """Whether a resume of a run that was over before its first sample was refused in a sentence with a remedy."""
     wire_down: bool = False
     """Of two faults: whether the harness knew while its wire to the heater was down, so that only the rig could act."""
     struck: bool = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -62,14 +63,28 @@ def _only_one(runs: Path) -> Path:
 
 
 def _show(folder: Path, status: dict[str, Any]) -> None:
-    hours, whole = status["profile_s"] / 3600.0, status["duration_s"] / 3600.0
+    from hil.terminal import hours
+
     click.echo(f"{status['state']}: {status['reason']}")
-    click.echo(
-        f"{folder}: {hours:.2f} h of {whole:.2f} h of the profile, {status['time_s'] / 3600.0:.2f} h since start"
-    )
-    for title in ("setpoints", "values"):
-        cells = (f"{name} {'-' if value is None else f'{value:.1f}'}" for name, value in status[title].items())
-        click.echo("  ".join(cells))
     for level in ("trips", "warnings"):
         for sentence in status[level]:
             click.echo(f"{level.removesuffix('s')}: {sentence}")
+    profile_s, duration_s, time_s = (hours(status[key]) for key in ("profile_s", "duration_s", "time_s"))
+    click.echo(f"{profile_s} of {duration_s} of the profile, {time_s} since the start, in {folder}")
+    units = status["units"]
+    for title, key in (("set", "setpoints"), ("measured", "values")):
+        cells = [_cell(name, value, units[name]) for name, value in status[key].items() if name in units]
+        click.echo(_columns(title, cells))
+
+
+def _cell(name: str, value: float | None, unit: str) -> str:
+    said = "not known" if value is None else f"{value:.1f} {'°C' if unit == 'degC' else '' if unit == '1' else unit}"
+    return f"{name} {said}".rstrip()
+
+
+def _columns(title: str, cells: list[str]) -> str:
+    """`title` and cells in columns as many as the terminal has room for."""
+    width = max(map(len, cells), default=0) + 3
+    count = max((shutil.get_terminal_size((100, 24)).columns - 11) // width, 1)
+    lines = ("".join(cell.ljust(width) for cell in cells[k : k + count]) for k in range(0, len(cells), count))
+    return "\n".join(f"{'' if k else title:<11}{line}".rstrip() for k, line in enumerate(lines))

@@ -46,7 +46,7 @@ def command(
     viewer: bool | None,
     as_json: bool,
 ) -> None:
-    """Go on with RUN, a folder of runs/, that a crash, a power cut, a fault or an abort stopped.
+    """Go on with RUN, a folder of runs/, that a crash, a power cut, a fault or an abort stopped, when that is over.
 
     Rig file, profile and twin must be what they were. The calibrators are brought back from the journal. The rig is
     made safe, then heated and cooled until every temperature has stood within --band of where it was for a minute.

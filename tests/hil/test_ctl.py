@@ -49,6 +49,11 @@ def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_term
         assert "held at" in ctl(tmp_path, "hold").stdout
         held = json.loads(ctl(tmp_path, "status", "--json").stdout)["status"]
         assert (held["state"], held["setpoints"]["heater_power_set"]) == ("held", 700.0)
+        shown = ctl(tmp_path, "status").stdout
+        assert "heater_power_set 700.0 W" in shown
+        assert "T_tank " in shown and " °C" in shown
+        assert "plc_uptime" not in shown  # of no use to an operator; --json has it
+        assert max(map(len, shown.splitlines())) <= max(100, len(str(folder)) + 80)
         paused = ctl(tmp_path, "pause", "--reason", "topping up")
         assert "safe values read back" in paused.stdout
         later = json.loads(ctl(tmp_path, "status", str(folder), "--json").stdout)["status"]
@@ -78,6 +83,15 @@ def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_term
     ]  # fmt: skip
     lane = [word for _, word in read_words(folder / "review.rrd", "/state")]
     assert lane == ["running", "held", "paused", "running", "aborted"]
+
+
+def test_a_process_that_hangs_is_named_with_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.setattr("hil.control.ANSWER_WITHIN_S", 0.3)
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "control.sock"))
+        listener.listen()
+        with pytest.raises(ControlError, match=f"does not answer within 0.3 s; .*`kill -9 {os.getpid()}`"):
+            ask(tmp_path / "control.sock", "status")
 
 
 class Answering:

@@ -62,6 +62,19 @@ def test_a_loop_that_hangs_or_was_killed_is_cut_by_the_rigs_own_watchdog(results
     assert gone.unsaved_s < 1.0
 
 
+AFTER = ("link drop", "disk full", "thermocouple open", "rig reboot")
+
+
+@pytest.mark.timeout(600)
+def test_a_run_goes_on_after_a_link_a_disk_a_sensor_and_a_rig_that_are_in_order_again():
+    found = asyncio.run(campaign([(name, 0) for name in AFTER], SEED, jobs=4))
+    broken = [f"{r.kind}: {'; '.join(r.failures)} [{r.reason}]" for r in found if r.failures]
+    assert not broken, "\n".join(broken)
+    assert [r.resumed for r in found] == [True] * len(AFTER)
+    assert not any(r.lost or r.wrong for r in found)
+    assert dict(tables(found, 1.0)[1].rows)["resumable runs resumed"] == "4 of 4"
+
+
 TWO_AT_A_TIME = ("thermocouple stuck + link drop", "pump stop + disk full", "late replies, brief + loop hangs")
 
 
@@ -97,6 +110,7 @@ def test_what_comes_of_two_faults_is_what_comes_of_the_graver():
     assert case_of("server restart + loop hangs", 0, 0).ending == "killed"
     assert case_of("calibrator crash + viewer killed", 0, 0).ending == "rides"
     assert case_of("garbled replies, brief + SIGKILL", 0, 0).resumable
+    assert case_of("pump stop", 0, 0).resumable
     assert not case_of("pump stop + SIGKILL", 0, 0).resumable
     assert 0.0 < case_of("SIGTERM + pump stop", 0, 0).apart_s < 1.0
     assert not case_of("SIGTERM + pump stop", 0, 0).early

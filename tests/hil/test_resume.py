@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -19,8 +20,10 @@ import pytest
 from hil.diagnosing import read_columns
 from hil.journal import JournalReader
 from hil.record import Record, read_record
+from hil.resuming import standing
 from hil.review.rerun_io import read_words
 from hil.run_folder import RunFolder, RunFolderError
+from hil.soaking import has_memory
 from hil.terminal import cut_time
 from twin.twinfile import load
 
@@ -39,8 +42,8 @@ def hil(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*HIL, *map(str, arguments)], capture_output=True, text=True, cwd=PROJECT, timeout=240)
 
 
-def killed(place: Path, after: int, *arguments: object) -> Path:
-    """The folder of a run that SIGKILL ended at or after tick `after`."""
+def killed(place: Path, after: int, *arguments: object, by: signal.Signals = signal.SIGKILL) -> Path:
+    """The folder of a run that SIGKILL, or another signal, ended at or after tick `after`."""
     command = [*HIL, "run", str(place / "load.csv"), "--no-viewer", "--runs", str(place / "runs"), *map(str, arguments)]
     process = subprocess.Popen(command, cwd=PROJECT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     deadline = time.monotonic() + 90
@@ -51,6 +54,8 @@ def killed(place: Path, after: int, *arguments: object) -> Path:
                 break
             assert time.monotonic() < deadline and process.poll() is None, process.stderr.read().decode()
             time.sleep(0.02)
+        process.send_signal(by)
+        process.communicate(timeout=60)
     finally:
         process.kill()
         process.communicate()
@@ -225,6 +230,43 @@ def test_a_run_that_is_over_or_goes_on_is_refused(story):
     assert (live.returncode, "still goes on" in live.stderr) == (2, True)
     with story.folder.owned(), pytest.raises(RunFolderError), story.folder.owned():
         pass
+
+
+@pytest.mark.parametrize("by", [signal.SIGTERM, signal.SIGINT])
+def test_a_run_that_a_signal_aborted_goes_on(tmp_path, by):
+    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    folder = RunFolder(killed(tmp_path, 1500, "--virtual", "--lockstep", "--no-twin", by=by))
+    cut = folder.read_manifest()
+    assert (cut["exit_status"], cut["safe"]) == ("aborted", True)
+    done = hil("resume", folder.path, "--no-viewer", "--json")
+    assert done.returncode == 0, done.stderr
+    manifest = folder.read_manifest()
+    assert manifest["exit_status"] == "done"
+    assert manifest["segments"][0]["why"].startswith("the run aborted (stopped by ")
+    profile_s = read_record(folder.record).columns["profile_s"]
+    assert sorted(set(profile_s.tolist())) == list(range(8401))
+
+
+def test_a_run_whose_trip_has_its_cause_still_is_refused_by_name_and_stays_as_it_was(tmp_path):
+    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    effect = '[[effect]]\nkind = "sensor"\nwhere = "T_pm2_C"\ndriver = "constant"\nopen_circuit = true\nonset_s = 900\n'
+    (tmp_path / "open.toml").write_text(effect, encoding="utf-8")
+    asked = ("--virtual", "--lockstep", "--no-twin", "--with", tmp_path / "open.toml", "--no-viewer")
+    tripped = hil("run", tmp_path / "load.csv", *asked, "--runs", tmp_path / "runs")
+    assert tripped.returncode == 1
+    assert "when its cause is gone, go on with it: " in tripped.stdout
+    folder = RunFolder(next((tmp_path / "runs").iterdir()))
+    before = rows(folder.journal)
+    for _ in range(2):
+        refused = hil("resume", folder.path, "--no-viewer")
+        assert refused.returncode == 1
+        assert "not started: T_pm2 has been without a good value for 5 s: sensor fault" in refused.stdout
+    after = rows(folder.journal)
+    assert after["values"] == pytest.approx(np.array(before["values"]), nan_ok=True)
+    was = standing(folder)
+    assert was.tick == before["tick"][-1]
+    assert was.number == 2
+    assert set(was.aim) == {s.name for s in JournalReader(folder.journal).header.signals if has_memory(s)}
 
 
 def test_a_run_that_was_killed_while_its_report_was_written_gets_it(story, tmp_path):

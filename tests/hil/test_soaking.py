@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import numpy as np
 import pytest
 
 from drivers.points import Quality
 from hil.journal_rows import StateRow
-from hil.operator import Verb
+from hil.operator import RefusedError, Verb
 from hil.segments import profile_times
 from hil.soaking import SETTLE_S
+from hil.states import Event, State
+from hil.supervisor import Supervisor
 from tests.hil.engine_bench import EngineBench, cut_at
-from tests.hil.simulated_rig import rig_with
+from tests.hil.simulated_rig import SimulatedRig, rig_with
 
 AIM = {"T_heater": 40.0, "T_tank": 38.0}
 
@@ -100,7 +104,7 @@ def test_a_warning_suspends_the_soak_which_goes_on_and_not_the_profile():
         bench.residuals = {("static", "T_tank"): 5.0}
         bench.ticks(1)
         assert (bench.state, bench.rig.heater_W) == ("suspended", 0.0)
-        assert "leads its rig back" in bench.ask(Verb.PAUSE)
+        assert "by itself" in bench.ask(Verb.RESUME)
         bench.residuals = {}
         bench.ticks(8)
         assert bench.state == "soaking"
@@ -121,14 +125,105 @@ def test_a_rig_that_still_heats_is_safe_before_anything_else_even_where_the_run_
             assert bench.outcome.reason.startswith("not started: T_pm4")
 
 
-def test_an_operator_may_only_abort():
+def test_a_pause_makes_a_soak_safe_and_stops_its_clock_and_resume_goes_on_soaking():
+    with EngineBench(rig_with(), resumption=cut_at(120.0, AIM, timeout_s=100.0)) as bench:
+        bench.ticks(50)
+        assert bench.ask(Verb.RESUME) == "soaking at 120 s of the profile"  # it does already
+        assert bench.ask(Verb.PAUSE) == "paused at 120 s of the profile; safe values read back"
+        assert bench.rig.heater_W == 0.0
+        bench.ticks(500)
+        assert (bench.state, bench.rig.armed) == ("paused", True)
+        assert "cannot hold: its outputs are at their safe values" in bench.ask(Verb.HOLD)
+        assert bench.ask(Verb.RESUME) == "soaking at 120 s of the profile"
+        heat = []
+        for _ in range(7):
+            heat.append(bench.rig.heater_W)
+            bench.ticks()
+        assert heat == pytest.approx([100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0])
+        bench.ticks(35)
+        assert bench.state == "soaking"  # of its 100 s the pause took none
+        bench.ticks(15)
+        assert bench.outcome.reason.startswith("not resumed: after 100 s of soaking")
+        assert not bench.violations
+        steps = [(row[3], row[4], row[5], row[6]) for row in bench.journal.states]
+        assert ("soaking", "pause", "paused", "by the test") in steps
+        assert ("paused", "soak", "soaking", "by the test") in steps
+
+
+def test_hold_keeps_the_outputs_that_lead_and_stops_the_clock_of_the_soak():
+    with EngineBench(rig_with(), resumption=cut_at(120.0, AIM, timeout_s=100.0)) as bench:
+        there(bench, 1.0)
+        bench.ticks(20)
+        assert bench.ask(Verb.HOLD) == "held at 120 s of the profile"
+        there(bench, 10.0)
+        bench.ticks(300)
+        assert (bench.state, bench.rig.heater_W) == ("held", pytest.approx(350.0))
+        bench.ask(Verb.RESUME)
+        bench.ticks(5)
+        assert (bench.state, bench.rig.heater_W) == ("soaking", 0.0)
+        assert not bench.violations
+
+
+@pytest.mark.parametrize("verb", [Verb.HOLD, Verb.PAUSE])
+def test_a_rig_that_gets_there_while_its_soak_is_stopped_does_not_start_by_itself(verb):
+    with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
+        there(bench)
+        bench.ticks(int(SETTLE_S) - 5)
+        bench.ask(verb)
+        bench.ticks(200)
+        assert (bench.state, bench.engine.status().profile_s) == ({"hold": "held", "pause": "paused"}[verb], 120.0)
+        bench.ask(Verb.RESUME)
+        bench.ticks(int(SETTLE_S) - 1)
+        assert bench.state == "soaking"  # the minute begins anew
+        bench.ticks(1)
+        assert (bench.state, bench.engine.status().profile_s) == ("running", 120.0)
+
+
+def test_a_warning_pauses_a_soak_that_is_held_and_one_that_is_active_suspends_its_resume():
+    with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
+        bench.ticks(20)
+        bench.ask(Verb.HOLD)
+        bench.residuals = {("static", "T_tank"): 5.0}
+        bench.ticks(1)
+        assert (bench.state, bench.rig.heater_W) == ("paused", 0.0)
+        assert bench.ask(Verb.RESUME).startswith("suspended")
+        assert bench.ask(Verb.PAUSE).startswith("paused")
+        bench.residuals = {}
+        bench.ticks(20)
+        assert bench.state == "paused"
+        bench.ask(Verb.RESUME)
+        assert bench.state == "soaking"
+        assert not bench.violations
+
+
+@pytest.mark.parametrize("first", [None, Verb.HOLD, Verb.PAUSE])
+def test_a_soak_is_aborted_whatever_it_is_at(first):
     with EngineBench(rig_with(500.0), resumption=cut_at(120.0, AIM)) as bench:
         bench.ticks(20)
-        for verb in (Verb.HOLD, Verb.PAUSE, Verb.RESUME):
-            assert "can only be aborted" in bench.ask(verb)
+        if first is not None:
+            bench.ask(first)
         bench.ask(Verb.ABORT)
         bench.ticks(2)
         assert (bench.state, bench.rig.heater_W) == ("aborted", 0.0)
+        assert "takes no verb any more" in bench.ask(Verb.PAUSE)
+
+
+async def test_what_is_asked_while_a_run_is_armed_is_obeyed_before_anything_moves():
+    rig = rig_with()
+    points = tuple(point for point in rig.point if point.access == "r")
+    supervisor = Supervisor(rig, points, log=lambda step: None, note=lambda level, text: None)
+    with pytest.raises(RefusedError, match="a run that is idle can only be aborted"):
+        await supervisor.ask(Verb.PAUSE, "too early")
+    for event in (Event.VALIDATE, Event.CONNECT, Event.SOAK):
+        supervisor.machine.take(event, "")
+    asked = asyncio.create_task(supervisor.ask(Verb.PAUSE, "the tank is open"))
+    await asyncio.sleep(0)
+    assert not asked.done()
+    supervisor.machine.take(Event.START, "armed")
+    assert supervisor.step(await SimulatedRig(rig).read(), 0.0, {}, {}) is None
+    assert (supervisor.state, supervisor.machine.reason) == (State.PAUSED, "the tank is open")
+    supervisor.answer("paused")
+    assert await asked == "paused"
 
 
 def test_a_profile_that_was_over_is_not_run_again():

@@ -1,0 +1,129 @@
+"""Where a run stood that was cut, aborted, tripped or paused, told from its journal."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from drivers.points import Quality
+from drivers.rig import RigConnection
+from hil.journal import Header, JournalError, JournalWriter
+from hil.resuming import standing
+from hil.run_folder import BYTES_PER_TICK, RunFolder, RunFolderError, require_room
+from hil.states import Event, State, following
+from tests.hil.simulated_rig import SHIPPED
+
+SIGNALS = RigConnection(SHIPPED, lambda: 0.0).signals
+HOT_C, COOL_C = 45.0, 25.0
+
+
+class Story:
+    """A journal, stretch by stretch; a temperature is `HOT_C` while the run heats and `COOL_C` at safe values."""
+
+    def __init__(self, folder: Path, period_s: float = 1.0) -> None:
+        folder.mkdir(exist_ok=True)
+        self.folder = RunFolder(folder)
+        self.period_s = period_s
+        self._journal = JournalWriter(self.folder.journal, Header(SIGNALS, {}, (), "load", 9000.0, period_s, {}))
+        self._state, self._tick, self._profile_s = State.SOAKING, 0, 0.0
+
+    def then(self, event: Event, ticks: int, temperature_C: float, bad: tuple[str, ...] = ()) -> Story:
+        """Take `event`, then `ticks` at a temperature; `bad` sensors have no good value."""
+        target = following(self._state, event)
+        assert target is not None
+        # The tick of the transition has been recorded still as it was.
+        at = max(self._tick - 1, 0)
+        self._journal.state(at, at * self.period_s, self._profile_s, self._state, event, target, "the test")
+        self._state = target
+        for tick in range(self._tick, self._tick + ticks):
+            self._journal.sample(
+                tick, tick * self.period_s, 1e9 + tick * self.period_s, 0.001,
+                [temperature_C if signal.unit == "degC" else 1.0 for signal in SIGNALS],
+                [int(Quality.STALE if signal.name in bad else Quality.GOOD) for signal in SIGNALS],
+                [0.0] * len(SIGNALS),
+            )  # fmt: skip
+            self._profile_s += self.period_s if target is State.RUNNING else 0.0
+        self._tick += ticks
+        return self
+
+    def end(self) -> RunFolder:
+        self._journal.close()
+        return self.folder
+
+
+@pytest.mark.parametrize(
+    ("first", "then"),
+    [
+        (Event.ABORT, ()),  # SIGTERM, SIGINT, `hil ctl abort`
+        (Event.FAIL, ()),  # a trip, a lost link, a full disk, a defect
+        (Event.PAUSE, ()),  # killed while somebody topped up the tank
+        (Event.PAUSE, (Event.ABORT,)),
+        (Event.WARN, ()),
+        (Event.WARN, (Event.PAUSE, Event.FAIL)),
+        (Event.TRIP, (Event.FAIL,)),  # nobody acknowledged it
+    ],
+)
+def test_a_rig_is_led_back_to_where_the_profile_left_it_not_to_where_it_cooled_since(tmp_path, first, then):
+    story = Story(tmp_path).then(Event.START, 300, HOT_C)
+    for event in (first, *then):
+        story.then(event, 200 if event is not Event.FAIL else 0, COOL_C)
+    found = standing(story.end())
+    assert set(found.aim.values()) == {HOT_C}
+    assert len(found.aim) == sum(signal.unit == "degC" and signal.role != "T_ambient" for signal in SIGNALS)
+    assert found.profile_s == pytest.approx(300.0, abs=1.0)
+
+
+def test_what_was_held_is_led_back_to_where_the_hold_had_brought_it(tmp_path):
+    story = Story(tmp_path).then(Event.START, 300, COOL_C).then(Event.HOLD, 200, HOT_C).then(Event.PAUSE, 100, COOL_C)
+    found = standing(story.end())
+    assert set(found.aim.values()) == {HOT_C}
+    assert found.profile_s == pytest.approx(300.0, abs=1.0)
+
+
+@pytest.mark.parametrize("period_s", [0.1, 1.0])
+def test_a_sensor_whose_loss_ended_the_run_is_still_led_back_to_its_last_good_values(tmp_path, period_s):
+    ticks = round(6.0 / period_s)
+    story = Story(tmp_path, period_s).then(Event.START, 900, HOT_C)
+    story.then(Event.HOLD, 0, HOT_C).then(Event.RESUME, ticks, HOT_C, bad=("T_pm2", "T_tank"))
+    found = standing(story.then(Event.FAIL, 0, COOL_C).end())
+    assert found.aim["T_pm2"] == found.aim["T_tank"] == found.aim["T_heater"] == HOT_C
+
+
+def test_a_sensor_that_was_lost_for_long_is_not_led_back_to_what_it_said_long_ago(tmp_path):
+    story = Story(tmp_path).then(Event.START, 300, COOL_C).then(Event.HOLD, 120, HOT_C, bad=("T_pm2",))
+    found = standing(story.end())
+    assert "T_pm2" not in found.aim
+    assert found.aim["T_heater"] == HOT_C
+
+
+def test_a_run_that_never_had_a_sample_says_so(tmp_path):
+    sentence = "ended before its first sample; start a new run"
+    with pytest.raises(RunFolderError, match=sentence):
+        standing(RunFolder(tmp_path))
+    with pytest.raises(RunFolderError, match=sentence):
+        standing(Story(tmp_path / "a").then(Event.FAIL, 0, COOL_C).end())
+
+
+def test_a_journal_that_was_cut_while_it_was_made_says_so(tmp_path):
+    for name, statement in (("empty", None), ("half", "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)")):
+        (tmp_path / name).mkdir()
+        path = tmp_path / name / "journal.sqlite"
+        path.touch()
+        if statement is not None:
+            database = sqlite3.connect(path)
+            database.execute(statement)
+            database.close()
+        with pytest.raises(JournalError, match="was cut while it was made, before anything moved"):
+            standing(RunFolder(tmp_path / name))
+
+
+def test_a_run_that_is_nearly_over_needs_room_for_what_it_lacks_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1_000_000))
+    folder, ticks = RunFolder(tmp_path), 1000
+    with pytest.raises(RunFolderError, match=r"has 1 MB free, this run may need 2 MB; free some or move the run's fol"):
+        require_room(folder, ticks)
+    folder.journal.write_bytes(bytes(ticks * BYTES_PER_TICK - 900_000))
+    require_room(folder, ticks)
