@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 from collections.abc import Callable, Sequence
 from typing import Self
 
@@ -78,13 +79,16 @@ class FaultyLink:
         """Frames of the rig that passed, and those that were changed."""
         self._split = split
         self._muted = False
-        self._server: asyncio.Server | None = None
+        self._listener: socket.socket | None = None
         self._talks: dict[asyncio.Task[None], tuple[asyncio.StreamWriter, ...]] = {}
 
     async def start(self) -> None:
         """Listen; on the same port as before when it was stopped."""
-        self._server = await asyncio.start_server(self._serve, HOST, self.port, reuse_address=True)
-        self.port = int(self._server.sockets[0].getsockname()[1])
+        listener = socket.create_server((HOST, self.port))
+        listener.setblocking(False)
+        self.port = int(listener.getsockname()[1])
+        self._listener = listener
+        asyncio.get_running_loop().add_reader(listener, self._accept, listener)
 
     async def stop(self) -> None:
         """Close everything."""
@@ -103,15 +107,18 @@ class FaultyLink:
 
     def reset(self) -> None:
         """Reset every connection; new ones are served."""
-        for writers in self._talks.values():
+        for talk, writers in self._talks.items():
             for writer in writers:
                 writer.transport.abort()
+            if not writers:
+                talk.cancel()
 
     def drop(self) -> None:
         """Reset every connection and refuse new ones."""
-        if self._server is not None:
-            self._server.close()
-            self._server = None
+        if self._listener is not None:
+            asyncio.get_running_loop().remove_reader(self._listener)
+            self._listener.close()
+            self._listener = None
         self.reset()
 
     def mute(self) -> None:
@@ -124,38 +131,59 @@ class FaultyLink:
         if self._muted:
             self._muted = False
             self.reset()
-        if self._server is None:
+        if self._listener is None:
             await self.start()
 
     def say(self, frame: bytes) -> None:
         """Send a frame of our own to everyone on the harness's side."""
         for writers in self._talks.values():
-            writers[0].write(frame)
+            for writer in writers[:1]:
+                writer.write(frame)
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def _accept(self, listener: socket.socket) -> None:
+        # asyncio's own server loses, and never closes, a connection that it accepts in the moment of its closing.
+        try:
+            connection, _ = listener.accept()
+        except OSError:
+            return
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        talk = asyncio.create_task(self._serve(connection))
+        self._talks[talk] = ()
+        talk.add_done_callback(lambda done: self._ended(done, connection))
+
+    def _ended(self, talk: asyncio.Task[None], connection: socket.socket) -> None:
+        self._talks.pop(talk, None)
+        connection.close()
+
+    async def _serve(self, connection: socket.socket) -> None:
         task = asyncio.current_task()
         assert task is not None
-        self._talks[task] = (writer,)
-        try:
-            if self._muted:
-                await self._swallow(reader)
-                return
-            far_reader, far_writer = await asyncio.open_connection(HOST, self.target)
-            self._talks[task] = (writer, far_writer)
-            there = asyncio.create_task(self._up(reader, far_writer))
-            back = asyncio.create_task(self._down(far_reader, writer))
+        with contextlib.suppress(OSError, asyncio.CancelledError):
+            reader, writer = await asyncio.open_connection(sock=connection)
+            self._talks[task] = (writer,)
             try:
-                await asyncio.wait((there, back), return_when=asyncio.FIRST_COMPLETED)
+                if self._muted:
+                    await self._swallow(reader)
+                else:
+                    await self._relay(task, reader, writer)
             finally:
-                for half in (there, back):
-                    half.cancel()
-                await asyncio.gather(there, back, return_exceptions=True)
-                far_writer.transport.abort()
-        except (OSError, asyncio.CancelledError):
-            pass
+                writer.transport.abort()
+
+    async def _relay(
+        self, task: asyncio.Task[None], reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        far_reader, far_writer = await asyncio.open_connection(HOST, self.target)
+        self._talks[task] = (writer, far_writer)
+        there = asyncio.create_task(self._up(reader, far_writer))
+        back = asyncio.create_task(self._down(far_reader, writer))
+        try:
+            await asyncio.wait((there, back), return_when=asyncio.FIRST_COMPLETED)
         finally:
-            self._talks.pop(task, None)
-            writer.transport.abort()
+            for half in (there, back):
+                half.cancel()
+            await asyncio.gather(there, back, return_exceptions=True)
+            far_writer.transport.abort()
 
     async def _swallow(self, reader: asyncio.StreamReader) -> None:
         while await reader.read(65536):
