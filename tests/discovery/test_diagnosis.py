@@ -74,6 +74,20 @@ def test_beside_heat_that_is_there_at_once_a_lesser_effect_is_told(bench: Bench,
     assert EXACT_SHARE < (two / one) ** 2 < SECOND_SHARE
 
 
+def test_beside_lost_rejection_a_lesser_effect_is_told_by_its_own_beginning(bench: Bench, healthy: Columns) -> None:
+    ua = bench.network.parameters["fins.UA_100"].value
+    record = bench.record(changed=bench.with_values(fins__UA_100=0.97 * ua), onset_h=3.0)
+    error = np.where(record.time_s >= 8.0 * 3600.0, 0.1, 0.0)[:, None] * np.array([0.0, 0.0, 0.0, 1.0])
+    found = diagnose(bench.network, replace(record, measured=record.measured + error), healthy)
+    assert found.verdict == "effect found"
+    first, second = sorted(found.effects, key=lambda e: e.onset_s)
+    assert (first.kind, first.where) == ("heat_rejection", "radiator")
+    assert (second.kind, second.where) == ("sensor", bench.network.sensor_names[3])
+    assert second.onset_s == pytest.approx(8.0 * 3600.0, abs=900.0)
+    one, two = (rung.best_z for rung in found.ladder[:2])
+    assert EXACT_SHARE < (two / one) ** 2 < SECOND_SHARE
+
+
 def test_what_no_candidate_can_be_is_left_unexplained_at_its_place(bench: Bench, healthy: Columns) -> None:
     """Heat that comes and goes: no candidate ends."""
     heated = bench.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 150.0})
