@@ -76,8 +76,8 @@ def test_beside_heat_that_is_there_at_once_a_lesser_effect_is_told(bench: Bench,
 
 def test_beside_lost_rejection_a_lesser_effect_is_told_by_its_own_beginning(bench: Bench, healthy: Columns) -> None:
     ua = bench.network.parameters["fins.UA_100"].value
-    record = bench.record(changed=bench.with_values(fins__UA_100=0.97 * ua), onset_h=3.0)
-    error = np.where(record.time_s >= 8.0 * 3600.0, 0.1, 0.0)[:, None] * np.array([0.0, 0.0, 0.0, 1.0])
+    record = bench.record(changed=bench.with_values(fins__UA_100=0.99 * ua), onset_h=3.0)
+    error = np.where(record.time_s >= 8.0 * 3600.0, 0.025, 0.0)[:, None] * np.array([0.0, 0.0, 0.0, 1.0])
     found = diagnose(bench.network, replace(record, measured=record.measured + error), healthy)
     assert found.verdict == "effect found"
     first, second = sorted(found.effects, key=lambda e: e.onset_s)
