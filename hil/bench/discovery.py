@@ -35,7 +35,8 @@ COMMISSIONING_SEED = 77
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How much is tried: numbers of cases and of further healthy records, length in h, with or without the wires."""
+    """How much is tried: numbers of cases, of further healthy records and of further ones with two effects, length in
+    h, with or without the wires."""
 
     cases: tuple[int, ...]
     healthy: tuple[int, ...]
@@ -43,6 +44,13 @@ class Size:
     direct: bool
     twin: str = "loop"
     ablations: bool = True
+    doubles: tuple[int, ...] = ()
+
+    @property
+    def jobs(self) -> tuple[tuple[str, int], ...]:
+        """Kind and number of each record."""
+        each = (("case", self.cases), ("healthy", self.healthy), ("double", self.doubles))
+        return tuple((kind, number) for kind, numbers in each for number in numbers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,18 +86,18 @@ class Trial:
         for worker in (self._injector, self._answerer, self._ablation):
             worker.close()
 
-    def run(self, number: int, *, healthy: bool) -> Finished:
-        """One case, unless it is there already."""
-        name = f"{'healthy' if healthy else 'case'}_{number}"
+    def run(self, kind: str, number: int) -> Finished:
+        """One record of a kind, unless it is there already."""
+        name = f"{kind}_{number}"
         kept = self._base / f"{name}.json"
         if kept.is_file():
             return _read(kept)
-        case = setting(number, self.seed + (1_000_003 if healthy else 0), self.size.hours)
+        case = setting(number, self.seed, self.size.hours, kind)
         good, twin = self._commissioned(case.unit)
         folder = self._open / name
         folder.mkdir(exist_ok=True)
         record = folder / "record.parquet"
-        asked = {"setting": dataclasses.asdict(case), "draw": self.seed, "healthy": healthy}
+        asked = {"setting": dataclasses.asdict(case), "draw": self.seed, "kind": kind}
         try:
             if self.size.direct:
                 sealed = self._injector.ask(do="direct", record=str(record), **asked)["sealed"]
@@ -108,7 +116,7 @@ class Trial:
             self._ledger.write(name, "opened", sha256_of(truth))
             hidden, answer = opened(truth), json.loads(path.read_text(encoding="utf-8"))
             ablation = None
-            if self.size.ablations and not (healthy and number >= 40):
+            if self.size.ablations and not (kind == "healthy" and number >= 40):
                 try:
                     made = str(record) if self.size.direct else ""
                     shown = self._injector.ask(do="without", record=made, folder=str(folder), **asked)["records"]
@@ -174,15 +182,14 @@ class Trial:
 
 
 def measure(size: Size, seed: int, work: Path, progress: Callable[[float, str], None]) -> list[Finished]:
-    """All cases, then all healthy records. `progress` is told the share done and what came out last."""
+    """All records. `progress` is told the share done and what came out last."""
     trial = Trial(size, seed, work)
-    jobs = [(n, False) for n in size.cases] + [(n, True) for n in size.healthy]
     done = []
     try:
-        for k, (number, healthy) in enumerate(jobs):
-            finished = trial.run(number, healthy=healthy)
+        for k, (kind, number) in enumerate(size.jobs):
+            finished = trial.run(kind, number)
             done.append(finished)
-            progress((k + 1) / len(jobs), f"{finished.outcome.case}: {finished.outcome.verdict}")
+            progress((k + 1) / len(size.jobs), f"{finished.outcome.case}: {finished.outcome.verdict}")
     finally:
         trial.close()
     return done

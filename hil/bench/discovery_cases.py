@@ -15,6 +15,8 @@ import numpy as np
 from hil.profile import Profile
 from twin.network import Array
 
+KINDS = ("case", "healthy", "double")
+"""Of records: as they come, without anything hidden, or with two effects of the catalogue."""
 GROUPS = ("none", "one", "two", "outside")
 """Nothing; one or two effects that the catalogue has; something that it cannot express."""
 LOADS = ("battle", "steps", "busy", "constant fan and pump")
@@ -29,6 +31,7 @@ _ONE_MODULE_SHARE = 0.15
 _BARELY, _LARGE = 0.15, 3.0
 """Sizes are log-uniform between these multiples of a form's usual size."""
 _NONE_SHARE, _OUTSIDE_SHARE, _DOUBLE_SHARE = 0.25, 0.25, 0.3
+_FURTHER = 1_000_003
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,22 +63,25 @@ class Truth:
         return asdict(self)
 
 
-def setting(number: int, seed: int, hours: float) -> Setting:
-    """Public part of case `number`."""
-    rng = np.random.default_rng([seed, number, 0])
+def setting(number: int, seed: int, hours: float, kind: str = "case") -> Setting:
+    """Public part of record `number` of a kind."""
+    rng = np.random.default_rng([seed + _FURTHER * KINDS.index(kind), number, 0])
     unit = int(rng.choice(UNITS))
     load = LOADS[int(rng.choice(len(LOADS), p=(0.3, 0.35, 0.2, 0.15)))]
     return Setting(number, int(rng.integers(1_000, 1_000_000)), unit, load, hours)
 
 
-def truth(number: int, seed: int, hours: float, *, healthy: bool = False) -> Truth:
-    """Hidden part of case `number`; `healthy` draws nothing."""
-    if healthy:
+def truth(number: int, seed: int, hours: float, kind: str = "case") -> Truth:
+    """Hidden part of record `number` of a kind."""
+    end = hours * 3600.0
+    if kind == "healthy":
         return Truth("none", "nothing", (), ())
+    if kind == "double":
+        rng = np.random.default_rng([seed, number, 3])
+        return _two(rng, end, _inside(rng, end))
     rng = np.random.default_rng([seed, number, 1])
     # A stratified draw: each four cases in a row hold one of each quarter, in an order that nobody is told.
     quarter = int(np.random.default_rng([seed, number // 4, 2]).permutation(4)[number % 4])
-    end = hours * 3600.0
     if quarter == 0:
         return Truth("none", "nothing", (), ())
     if quarter == 1:
@@ -84,14 +90,20 @@ def truth(number: int, seed: int, hours: float, *, healthy: bool = False) -> Tru
     first = _inside(rng, end)
     if rng.uniform() >= _DOUBLE_SHARE:
         return Truth("one", first[0], (first[1],), (first[2],))
-    while True:
-        second = _inside(rng, end)
-        if second[2][:2] != first[2][:2]:
-            break
-    return Truth("two", f"{first[0]} + {second[0]}", (first[1], second[1]), (first[2], second[2]))
+    return _two(rng, end, first)
 
 
 Drawn = tuple[str, dict[str, Any], tuple[str, str, str]]
+
+
+def _two(rng: np.random.Generator, end: float, first: Drawn) -> Truth:
+    """The first effect and another one, of another kind or at another place."""
+    while True:
+        second = _inside(rng, end)
+        if second[2][:2] != first[2][:2]:
+            return Truth("two", f"{first[0]} + {second[0]}", (first[1], second[1]), (first[2], second[2]))
+
+
 Outside = tuple[str, tuple[dict[str, Any], ...], tuple[str, str, str]]
 
 

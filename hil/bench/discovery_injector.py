@@ -40,10 +40,10 @@ class Injector:
             self._stop()
             return {}
         case = Setting(**request["setting"])
-        hidden = truth(case.number, request["draw"], case.hours, healthy=request["healthy"])
-        name = "healthy" if request["healthy"] else "case"
-        digest = seal(hidden, self._sealed / f"{name}_{case.number}.json")
-        effects = self._effects(hidden, f"{name}_{case.number}")
+        hidden = truth(case.number, request["draw"], case.hours, request["kind"])
+        name = f"{request['kind']}_{case.number}"
+        digest = seal(hidden, self._sealed / f"{name}.json")
+        effects = self._effects(hidden, name)
         if request["do"] == "direct":
             self._direct(case, effects, Path(request["record"]))
             return {"sealed": digest}

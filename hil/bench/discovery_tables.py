@@ -257,5 +257,6 @@ def _failures(done: Sequence[Finished], size: Size) -> Table:
             rows.append((o.case, what, o.what, o.load, o.verdict, o.said, o.z, " and ".join(each) or "-", o.confidence))
     columns = ("case", "failure", "truth", "load", "verdict", "answer", "z", "z of the truth", "confidence")
     how = "direct" if size.direct else "wire"
-    again = f"one again: --{how} --hours {size.hours:g} --twin {size.twin} --case NUMBER, or --healthy-case NUMBER"
+    named = "--case NUMBER, --healthy-case NUMBER or --double-case NUMBER"
+    again = f"one again: --{how} --hours {size.hours:g} --twin {size.twin} {named}"
     return Table("failures", "Failures", columns, tuple(rows), (again,))

@@ -88,6 +88,8 @@ def ablations_command(data: Path, name: str, minutes: float, seed: int, out: Pat
 @click.option("--case", "only", multiple=True, type=int, help="This case alone; may be repeated.")
 @click.option("--healthy", default=0, show_default=True, help="Further records without any effect.")
 @click.option("--healthy-case", "only_healthy", multiple=True, type=int, help="This healthy record alone.")
+@click.option("--doubles", default=0, show_default=True, help="Further records with two effects of the catalogue.")
+@click.option("--double-case", "only_doubles", multiple=True, type=int, help="This record with two effects alone.")
 @click.option("--hours", default=24.0, show_default=True, help="Length of each record.")
 @click.option(
     "--direct/--wire", default=True, show_default=True,
@@ -112,6 +114,8 @@ def discovery_command(
     only: tuple[int, ...],
     healthy: int,
     only_healthy: tuple[int, ...],
+    doubles: int,
+    only_doubles: tuple[int, ...],
     hours: float,
     direct: bool,
     twin: str,
@@ -130,6 +134,7 @@ def discovery_command(
       hil bench discovery --blind --quick
       hil bench discovery --blind --case 17
       hil bench discovery --blind --cases 100 --healthy 300 --out docs/results
+      hil bench discovery --blind --cases 0 --doubles 40
       hil bench discovery --records
     """
     if records:
@@ -141,9 +146,11 @@ def discovery_command(
     from hil.bench.discovery_tables import tables
     from hil.terminal import Steps
 
-    numbers = only or (() if only_healthy else tuple(range(12 if quick else cases)))
-    further = only_healthy or tuple(range(0 if only else healthy))
-    size = discovery.Size(numbers, further, hours, direct, twin, not no_ablations)
+    alone = bool(only or only_healthy or only_doubles)
+    numbers = only if alone else tuple(range(12 if quick else cases))
+    further = only_healthy if alone else tuple(range(healthy))
+    pairs = only_doubles if alone else tuple(range(doubles))
+    size = discovery.Size(numbers, further, hours, direct, twin, not no_ablations, pairs)
     with Steps("diagnosing", 1.0, quiet=as_json) as steps:
         done = discovery.measure(size, seed, work, steps.update)
     finish("discovery", seed, tables(done, size), discovery.left_out(), out, as_json)

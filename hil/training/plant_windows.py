@@ -63,7 +63,7 @@ def campaign(features: Features, seed: int, number: int) -> Campaign:
     rng = np.random.default_rng([seed, number, 7])
     specimen = specimen_of(features, seed, number // PER_RIG)
     case = Setting(number, int(rng.integers(1_000_000, 2**31)), specimen.unit, _load(rng), HOURS)
-    hidden = truth(number, seed + 1_000_003, HOURS, healthy=bool(rng.uniform() < HEALTHY))
+    hidden = truth(number, seed + 1_000_003, HOURS, "healthy" if rng.uniform() < HEALTHY else "case")
     if hidden.effects and rng.uniform() < TRACKED:
         hidden = _tracked(rng)
     effects = _loaded(effects_text(hidden.effects)) if hidden.effects else ()

@@ -17,7 +17,7 @@ from drivers.rigfile import load_rig
 from drivers.virtual.effects import load_effects
 from drivers.virtual.thermocouple_module import ThermocoupleModule
 from hil.bench import discovery
-from hil.bench.discovery_cases import effects_text, profile, profile_text, setting, truth
+from hil.bench.discovery_cases import KINDS, effects_text, profile, profile_text, setting, truth
 from hil.bench.discovery_direct import direct_record
 from hil.bench.discovery_injector import RIG, opened, seal
 from hil.bench.discovery_ledger import Ledger, LedgerError, sha256_of
@@ -182,6 +182,14 @@ def test_cases_are_quarters_and_valid(tmp_path: Path) -> None:
             assert len(load_effects(path)) == len(hidden.effects)
 
 
+def test_records_of_a_kind_are_their_own(tmp_path: Path) -> None:
+    pairs = [truth(n, 3, 24.0, "double") for n in range(20)]
+    assert {t.group for t in pairs} == {"two"}
+    assert all(a[:2] != b[:2] for a, b in (t.labels for t in pairs))
+    assert truth(0, 3, 24.0, "healthy").group == "none"
+    assert len({setting(4, 3, 24.0, kind).seed for kind in KINDS}) == len(KINDS)
+
+
 def test_a_profile_is_one_that_hil_run_reads(tmp_path: Path) -> None:
     made = profile(setting(5, 0, 24.0))
     path = tmp_path / "case.csv"
@@ -247,7 +255,7 @@ def test_a_direct_record_is_like_one_over_the_wire(tmp_path: Path) -> None:
     case = setting(5, 0, 0.5)
     path = tmp_path / "record.parquet"
     try:
-        trial._over_the_wire(case, path, {"setting": dataclasses.asdict(case), "draw": 0, "healthy": True})
+        trial._over_the_wire(case, path, {"setting": dataclasses.asdict(case), "draw": 0, "kind": "healthy"})
     finally:
         trial.close()
     wire = read_record(path)
