@@ -245,4 +245,4 @@ def cut_time(manifest: dict[str, Any]) -> str:
         return ""
     times = "once" if len(segments) == 1 else f"{len(segments)} times"
     gap_s, soaked_s = (sum(segment.get(key, 0.0) for segment in segments) for key in ("gap_s", "soaked_s"))
-    return f" (cut {times}: {hours(gap_s)} without a row, {hours(soaked_s)} until the rig was back where it was)"
+    return f" (cut {times}: {hours(gap_s)} without a row, {hours(soaked_s)} of leading the rig back)"

@@ -307,7 +307,7 @@ def test_a_resumed_run_is_diagnosed_on_its_longest_part_and_says_what_the_gap_co
     assert not any("cut" in message for message in messages)
     said = cut_time(story.folder.read_manifest())
     assert said.startswith(" (cut once: ")
-    assert said.endswith("until the rig was back where it was)")
+    assert said.endswith("of leading the rig back)")
     assert cut_time(story.whole.read_manifest()) == ""
 
 
