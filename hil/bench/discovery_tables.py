@@ -14,6 +14,8 @@ from hil.bench.report import Cell, Table, number
 Z_EDGES = (0.0, 3.0, 6.0, 10.0, 20.0, 50.0, math.inf)
 SEEN = 5.0
 """Score of the truth from which it is asked to be named."""
+CLEAR = 20.0
+"""Score from which chance has little to say in an effect's size."""
 COVERAGES = (0.25, 0.5, 0.75, 0.9, 1.0)
 GROUP_NAMES = {
     "none": "nothing", "one": "one effect of the catalogue", "two": "two of them", "outside": "not in the catalogue",
@@ -118,16 +120,20 @@ def _numbers(outcomes: Sequence[Outcome]) -> Table:
     times = [o.seconds for o in outcomes if o.seconds == o.seconds]
     onset = [o.onset_min for o in one if o.onset_min is not None]
     size = [100.0 * o.size for o in one if o.size is not None]
+    clear = [100.0 * o.size for o in one if o.size is not None and (o.z_truth or 0.0) >= CLEAR]
+    floor = [o.errors_K[0] for o in outcomes if o.group == "none" and o.errors_K]
     sets = [float(o.set_size) for o in inside if o.set_size is not None]
     rows: list[tuple[Cell, ...]] = [
         ("error of the onset, minutes", median(onset), max(onset, default=float("nan")), len(onset)),
         ("error of the size, %", median(size), max(size, default=float("nan")), len(size)),
+        (f"the same, true score of {CLEAR:g} or more", median(clear), max(clear, default=float("nan")), len(clear)),
         ("causes not excluded", median(sets), max(sets, default=float("nan")), len(sets)),
         ("causes not excluded, mean", sum(sets) / len(sets) if sets else float("nan"), None, len(sets)),
         ("held out, re-tuned, K", median([e[0] for e in errors]), max((e[0] for e in errors), default=float("nan")),
          len(errors)),
         ("held out, with the effects, K", median([e[1] for e in errors]),
          max((e[1] for e in errors), default=float("nan")), len(errors)),
+        ("held out, healthy records, re-tuned, K", median(floor), max(floor, default=float("nan")), len(floor)),
         ("noise of the thermometers, K", median([e[2] for e in errors]), None, len(errors)),
         ("seconds a record", median(times), max(times, default=float("nan")), len(times)),
     ]  # fmt: skip
