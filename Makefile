@@ -27,8 +27,9 @@ WITH ?= profiles/effects/modules_heat.toml
 demo: $(STAMP)
 	$(BIN)/hil run profiles/loads/battle_40h.csv --virtual --lockstep $(if $(WITH),--with $(WITH))
 
+# Two workers: many tests wait for clocks, and a file's fixtures (a rig, a run) are made once.
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(STAMP)
 	$(BIN)/ruff check .

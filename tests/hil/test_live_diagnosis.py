@@ -190,7 +190,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 def run(place: Path, *more: object) -> RunFolder:
     command = [sys.executable, "-m", "hil", "run", place / "load.csv", "--virtual", "--lockstep", "--no-viewer"]
     command += ["--runs", place / "runs", "--json", "--calibrator", "least_squares", *more]
-    done = subprocess.run([*map(str, command)], capture_output=True, text=True, cwd=PROJECT, timeout=280)
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, cwd=PROJECT, timeout=550)
     assert done.returncode == 0, done.stderr
     return RunFolder(Path(json.loads(done.stdout)["folder"]))
 
