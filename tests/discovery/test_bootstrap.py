@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery import widening
 from twin.discovery.basis import Columns, basis, free_run
 from twin.discovery.bootstrap import bootstrap
 from twin.discovery.drawn import drawn
 from twin.discovery.grid import on_grid
+from twin.discovery.kept import cached
 from twin.discovery.part import Part
 from twin.discovery.widening import Bootstrap, keep, kept
 
@@ -55,12 +55,16 @@ def test_gaps_and_single_thermometers_are_drawn_too(bench: Bench, healthy: Colum
     measured[100:200, 1] = np.nan
     name = bench.network.sensor_names[0]
     single = healthy.measured[:, :1] + np.array([0.3, -0.1, -0.2])
+    single[50:60], single[70:80, 1] = np.nan, np.nan
     gappy = replace(healthy, measured=measured, members={name: single})
     known = basis(bench.network, gappy, on_grid(bench.network, gappy.time_s, gappy.inputs, gappy.measured))
     made = next(drawn(bench.network, known, gappy, np.random.default_rng(1)))
     assert np.array_equal(np.isnan(made.measured), np.isnan(measured))
-    assert made.members[name].mean(axis=1) == pytest.approx(made.measured[:, 0])
-    assert (made.members[name] - made.measured[:, :1]).mean(axis=0) == pytest.approx([0.3, -0.1, -0.2], abs=0.01)
+    assert np.array_equal(np.isnan(made.members[name]), np.isnan(single))
+    whole = np.isfinite(single).all(axis=1)
+    assert made.members[name][whole].mean(axis=1) == pytest.approx(made.measured[whole, 0])
+    away = (made.members[name] - made.measured[:, :1])[whole].mean(axis=0)
+    assert away == pytest.approx([0.3, -0.1, -0.2], abs=0.01)
 
 
 @pytest.mark.usefixtures("own_cache")
@@ -100,11 +104,23 @@ def test_what_was_kept_raises_the_threshold_of_that_twin_alone(bench: Bench, hea
 
 
 @pytest.mark.usefixtures("own_cache")
+def test_a_full_disk_loses_no_diagnosis(bench: Bench, healthy: Columns, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    arrays = (healthy.time_s, healthy.inputs, healthy.measured)
+    keep(CALM, bench.network, *arrays)
+    monkeypatch.setattr(Path, "write_text", full)
+    keep(ROUGH, bench.network, *arrays)
+    assert kept(bench.network, *arrays) == CALM
+
+
+@pytest.mark.usefixtures("own_cache")
 @pytest.mark.parametrize("text", ["", "{", '{"scores": [1], "thresholds": [2], "alarms": 0}', '{"scores": "abc"}'])
 def test_a_damaged_file_is_as_none(bench: Bench, healthy: Columns, text: str) -> None:
     arrays = (healthy.time_s, healthy.inputs, healthy.measured)
     keep(CALM, bench.network, *arrays)
-    path = widening.cached("bootstrap", bench.network, *arrays)
+    path = cached("bootstrap", bench.network, *arrays)
     assert path is not None
     path.write_text(text)
     assert kept(bench.network, *arrays) is None

@@ -46,7 +46,8 @@ def _members(mean: Array, healthy: Array, network: Network, name: str, rng: np.r
     """Single readings (N, c) whose mean is `mean` (N,), each as far from it on average as in the healthy record."""
     count = healthy.shape[1]
     own = network.sigma[network.sensor_names.index(name)] * np.sqrt(count) * rng.standard_normal(healthy.shape)
-    away = np.nanmean(healthy - np.nanmean(healthy, axis=1, keepdims=True), axis=0)
+    whole = healthy[np.isfinite(healthy).all(axis=1)]
+    away = (whole - whole.mean(axis=1, keepdims=True)).mean(axis=0) if len(whole) else np.zeros(count)
     single: Array = mean[:, None] + away + own - own.mean(axis=1, keepdims=True)
     single[~np.isfinite(healthy)] = np.nan
     return single

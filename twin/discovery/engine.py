@@ -213,7 +213,7 @@ def foresee(network: Network, record: Columns, healthy: Columns | None = None) -
     """
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
     known = basis(network, healthy, grid)
-    return forecast(known.probe, known.book, known.noise, known.prior, grid)
+    return forecast(known, grid)
 
 
 def foresee_plan(network: Network, time: Array, inputs: Array, healthy: Columns) -> Forecast:
@@ -228,4 +228,4 @@ def foresee_plan(network: Network, time: Array, inputs: Array, healthy: Columns)
     grid = plan_of(network, time, inputs)
     known = basis(network, healthy, grid)
     rest = steady_state(network, inputs[0]).reshape(-1)
-    return forecast(known.probe, known.book, known.noise, known.prior, grid, rest)
+    return forecast(known, grid, rest)

@@ -10,14 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.discovery.basis import Basis
 from twin.discovery.contest import Contest
 from twin.discovery.grid import Grid
-from twin.discovery.laws import Book, Law
-from twin.discovery.noise import Noise
+from twin.discovery.laws import Law
 from twin.discovery.null import FALSE_ALARMS, null_scores
 from twin.discovery.probe import Probe
 from twin.elements.base import Candidate
-from twin.gauss_newton import Prior
 from twin.network import Array, Network
 
 CONFUSED = 0.98
@@ -62,29 +61,22 @@ def planned(probe: Probe, grid: Grid, state: Array | None = None) -> tuple[Grid,
     return replace(grid, measured=probe.run(grid, start).readings), start
 
 
-def forecast(probe: Probe, book: Book, noise: Noise, prior: Prior, grid: Grid, state: Array | None = None) -> Forecast:
+def forecast(known: Basis, grid: Grid, state: Array | None = None) -> Forecast:
     """What inputs like the grid's could show.
 
     Args:
         grid: its readings are not looked at. state: initial temperatures (k,); from the grid's readings by default.
     """
-    own, start = planned(probe, grid, state)
-    run = probe.run(own, start)
-    return sight(Contest(probe, own, start, run, noise, prior), book.laws(own, run), book.candidates)
-
-
-def sight(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> Forecast:
-    """What a record could show, whose contest this is.
-
-    Args:
-        found: the laws that do anything on it. candidates: the whole catalogue.
-    """
+    own, start = planned(known.probe, grid, state)
+    run = known.probe.run(own, start)
+    contest = Contest(known.probe, own, start, run, known.noise, known.prior)
+    found, candidates = known.book.laws(own, run), known.book.candidates
     vectors = np.stack([contest.vector(law) for law in found])
     flat = vectors.reshape(len(found), -1)
     gram = flat @ contest.gram @ flat.T
     norm = np.sqrt(np.maximum(np.diag(gram), 0.0))
     bare = np.sqrt(np.maximum(contest.bare(flat), 1e-30))
-    threshold = null_scores(contest, found).quantile(FALSE_ALARMS)
+    threshold = null_scores(contest, found).raised(known.wider).quantile(FALSE_ALARMS)
     here = {law.candidate.id for law in found}
     seen, unseen = [], [c for c in candidates if c.id not in here]
     for law, n, b in zip(found, norm, bare, strict=True):

@@ -8,15 +8,13 @@ agree on every record of that rig: an answer that names one of them has to name 
 from __future__ import annotations
 
 import contextlib
-import json
-import os
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from twin.commission import weak_prior
 from twin.discovery.grid import BIN_S, Grid
-from twin.discovery.kept import cached
+from twin.discovery.kept import store, stored
 from twin.discovery.laws import Book
 from twin.discovery.probe import Probe
 from twin.network import Array, Network
@@ -49,18 +47,13 @@ class Lint:
 
 def lint(network: Network) -> Lint:
     """Groups of a twin's catalogue; from the cache where this very twin has been looked at before."""
-    path = cached("lint", network)
-    if path is not None:
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            held = json.loads(path.read_text(encoding="utf-8"))
+    held = stored("lint", network)
+    if held is not None:
+        with contextlib.suppress(ValueError, KeyError, TypeError):
             groups = tuple(tuple((k, w, d) for k, w, d in g) for g in held["groups"])
             return Lint(groups, tuple((k, w, d) for k, w, d in held["unseen"]))
     found = examine(network)
-    if path is not None:
-        with contextlib.suppress(OSError):
-            unfinished = path.with_suffix(f".{os.getpid()}")
-            unfinished.write_text(json.dumps({"groups": found.groups, "unseen": found.unseen}), encoding="utf-8")
-            unfinished.replace(path)
+    store("lint", asdict(found), network)
     return found
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from twin.discovery.kept import cached
+from twin.discovery.kept import store, stored
 from twin.discovery.null import FALSE_ALARMS, Null
 from twin.network import Array, Network
 
@@ -52,20 +51,17 @@ class Bootstrap:
 
 def keep(found: Bootstrap, network: Network, *healthy: Array) -> None:
     """Keep a bootstrap for later diagnoses with this twin and the arrays of its healthy record, if there is a cache."""
-    path = cached("bootstrap", network, *healthy)
-    if path is not None:
-        path.write_text(json.dumps(asdict(found)), encoding="utf-8")
+    store("bootstrap", asdict(found), network, *healthy)
 
 
 def kept(network: Network, *healthy: Array) -> Bootstrap | None:
     """The bootstrap that was kept for this twin and the arrays of its healthy record, if any."""
-    path = cached("bootstrap", network, *healthy)
-    if path is None:
+    found = stored("bootstrap", network, *healthy)
+    if found is None:
         return None
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
         result = Bootstrap(tuple(found["scores"]), tuple(found["thresholds"]), int(found["alarms"]))
         numbers = (*result.scores, *result.thresholds)
         return result if result.draws >= FEWEST and all(map(math.isfinite, numbers)) else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError):
         return None
