@@ -93,7 +93,7 @@ def command(
     from hil.experiment_file import limits_of, rig_of, write_experiment
     from hil.forecasting import foretell
     from hil.terminal import Steps, console, invocation
-    from twin.discovery.basis import NotHealthyError
+    from twin.discovery.health import NotHealthyError
     from twin.network import TwinFileError
     from twin.twinfile import load
 
@@ -183,8 +183,8 @@ def command(
 def _bootstrap(network: Network, healthy: Columns, named: Path | None, draws: int, *, quiet: bool) -> None:
     """Draw, commission and diagnose healthy records, and keep what came of them for this and later diagnoses."""
     from hil.terminal import Steps
-    from twin.discovery.basis import NotHealthyError
     from twin.discovery.bootstrap import bootstrap
+    from twin.discovery.health import NotHealthyError
     from twin.discovery.widening import keep
     from twin.network import TwinFileError
 

@@ -46,16 +46,17 @@ def test_what_lasts_is_not_said_to_have_ended(bench: Bench, healthy: Columns) ->
     assert (found.effects[0].kind, found.effects[0].where) == ("heat_source", "tank")
 
 
-def test_an_answer_that_the_held_out_part_contradicts_is_withdrawn() -> None:
+def test_an_answer_that_the_held_out_part_contradicts_is_withdrawn(bench: Bench) -> None:
     """Squares of all sensors count; one that is a little off beside a large gain does not contradict."""
 
     def off(before: float, after: float) -> SensorError:
         return SensorError(before, before, after, 0.05, (before, before, after))
 
-    assert contradicted({"T": off(0.5, 0.4)})
-    assert not contradicted({"T": off(2.0, 0.2)})
-    assert not contradicted({"T": off(0.1, 0.1)})  # within three times the noise
-    assert not contradicted({"T": off(2.0, 0.1), "U": off(0.1, 0.2)})
+    network, (one, other) = bench.network, bench.network.sensor_names[:2]
+    assert contradicted({one: off(0.5, 0.4)}, network)
+    assert not contradicted({one: off(2.0, 0.2)}, network)
+    assert not contradicted({one: off(0.1, 0.1)}, network)  # within three times the noise
+    assert not contradicted({one: off(2.0, 0.1), other: off(0.1, 0.2)}, network)
 
 
 def test_what_shows_in_the_held_out_part_alone_is_found(bench: Bench, healthy: Columns) -> None:

@@ -8,25 +8,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.commission import inflation, weak_prior
+from twin.commission import weak_prior
 from twin.discovery import noise as noises
 from twin.discovery.contest import Contest
-from twin.discovery.grid import Grid, filled, on_grid
+from twin.discovery.grid import Grid
+from twin.discovery.health import Health
 from twin.discovery.laws import Book
-from twin.discovery.probe import Probe, Run, posterior
-from twin.discovery.search import Structure, scan, structure_of
+from twin.discovery.probe import Probe, free_run
+from twin.discovery.search import scan
+from twin.discovery.structure import Structure
 from twin.discovery.widening import Bootstrap, kept
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
-
-WIDEN = 4.0
-"""Factor on the variance that commissioning quotes for the tunables: what it quotes is of one record."""
-UNHEALTHY = 6.0
-"""Times the noise of a bin that a healthy record's residual may reach."""
-
-
-class NotHealthyError(TwinFileError):
-    """The record that is said to be healthy is not, or not of this twin; the message is about that record."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +53,8 @@ class Basis:
     Attributes:
         tried: (2, c) lowest and highest inputs, but for short moments, of the healthy record, or of the record where
             there is none.
+        structure: what the twin's structure leaves, as far as the healthy record says. plain: the noise where none of
+            that is known.
         bootstrap: what healthy records drawn from this twin came to, where that was found out (`bootstrap`).
     """
 
@@ -69,7 +64,8 @@ class Basis:
     prior: Prior
     warnings: tuple[str, ...]
     tried: Array
-    structure: Mapping[str, Structure] = field(default_factory=dict)
+    plain: noises.Noise | None = None
+    structure: Structure | None = None
     bootstrap: Bootstrap | None = None
 
     @property
@@ -89,24 +85,20 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
     probe, book = Probe(network, ids), Book(network)
     if healthy is not None:
-        grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
-        state, run, residual, good = free_run(probe, grid)
-        rms = np.sqrt(np.nanmean(np.where(good, residual, np.nan) ** 2, axis=0))
-        raw = network.sigma
-        worst = int(np.nanargmax(rms / raw))
-        if rms[worst] > UNHEALTHY * raw[worst]:
-            raise NotHealthyError(
-                f"the healthy record does not fit the twin: {network.sensor_names[worst]} is off by {rms[worst]:.2f} K "
-                f"(noise {raw[worst]:.2f} K); commission the twin on this record first, or give one that is healthy"
-            )
-        known = posterior(network, probe, grid, state, inflation(np.where(good, residual, np.nan), grid.sigma), WIDEN)
-        learned = noises.learn(residual, grid.sigma, grid.step_s, run.readings)
-        known_structure = structure_of(Contest(probe, grid, state, run, learned, known), book.laws(grid, run))
-        if learned.step_s != record.step_s:
-            learned = learned.at_step(record.step_s)
-        whole = kept(network, healthy.time_s, healthy.inputs, healthy.measured)
-        return Basis(probe, book, learned, known, (), _tried(grid), known_structure, whole)
-    state, _, residual, good = free_run(probe, record)
+        health = Health.of(network, probe, book, healthy)
+        same = health.noise.step_s == record.step_s
+        return Basis(
+            probe=probe,
+            book=book,
+            noise=health.less if same else health.less.at_step(record.step_s),
+            plain=health.noise if same else health.noise.at_step(record.step_s),
+            prior=health.prior,
+            warnings=(),
+            tried=_tried(health.grid),
+            structure=health.structure,
+            bootstrap=kept(network, healthy.time_s, healthy.inputs, healthy.measured),
+        )
+    state, _, residual, _ = free_run(probe, record)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)
     learned = noises.learn(residual, record.sigma, record.step_s)
     warning = (
@@ -139,11 +131,3 @@ def _from_itself(probe: Probe, book: Book, grid: Grid, state: Array, noise: nois
         left = contest.left_over(np.array(chosen), sizes, moved)
         noise = noises.learn_blocks(left, grid.sigma, contest.step_s, grid.step_s, noise)
     return noise
-
-
-def free_run(probe: Probe, grid: Grid) -> tuple[Array, Run, Array, np.ndarray]:
-    state = probe.first_state(grid)
-    run = probe.run(grid, state)
-    off = grid.measured - run.readings
-    good = np.isfinite(off)
-    return state, run, filled(off, good), good

@@ -45,7 +45,7 @@ def bootstrap(
     known = basis(network, healthy, on_grid(network, healthy.time_s, healthy.inputs, healthy.measured))
     scores, thresholds, alarms = [], [], 0
     for i in range(draws):
-        records = drawn(network, known, healthy, np.random.default_rng([seed, i]))
+        records = drawn(known, healthy, np.random.default_rng([seed, i]))
         first, second = next(records), next(records)
         again = commission(network, first.time_s, first.inputs, first.measured, starts=1)
         found = diagnose(again.network, second, first)

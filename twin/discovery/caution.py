@@ -1,4 +1,6 @@
-"""What may be claimed where no healthy record tells the twin's own error: less.
+"""What may be claimed where little tells an effect from the twin's own error: less.
+
+A weak effect, true or not, is claimed where it foretells what no fit saw: blocks left out, or the record's end.
 
 A lumped twin of a rig that is not leaves a residual that looks like effects, and only a healthy record tells how much
 of it is usual. Without one, the twin file itself says what the twin left on data that its commissioning had not seen.
@@ -28,6 +30,12 @@ SHARE = 0.25
 """Of what the first effect wins that a further one must win."""
 FITTED = 6
 """Effects that are fitted again, each alone."""
+WEAK = 8.0
+"""Score up to which an effect has to foretell something."""
+FORETOLD, GAINED = 0.4, 0.3
+"""Share of its gain that it wins on blocks left out, or what it takes from the squares of the last part, all sensors
+together, in squares of their noise: true weak effects of blind trials win 0.48 or 0.32 and more, false alarms 0.35 and
+0.28 at most."""
 
 
 def as_commissioned(network: Network, errors: Mapping[str, SensorError]) -> bool:
@@ -38,6 +46,15 @@ def as_commissioned(network: Network, errors: Mapping[str, SensorError]) -> bool
     known = network.revision.error_after_K
     times = AS_GOOD if known else NEVER
     return bool(errors) and all(e.before <= times * max(known.get(name, 0.0), e.noise) for name, e in errors.items())
+
+
+def unconfirmed(finding: Finding, errors: Mapping[str, SensorError]) -> bool:
+    """Whether weak effects foretell neither the blocks that were left out nor the part that no fit saw."""
+    assert finding.fit is not None
+    gain = finding.start - finding.fit.total
+    left_out = sum(f.gain for f in finding.folds)
+    late = sum((e.before**2 - e.after**2) / e.noise**2 for e in errors.values())
+    return gain < WEAK**2 and left_out < FORETOLD * gain and late < GAINED
 
 
 def nothing(finding: Finding) -> Finding:

@@ -12,9 +12,9 @@ what keeps a term from being credited with what re-tuning does (Plumlee, J. Am. 
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,11 +25,16 @@ from twin.discovery.probe import Probe, Run
 from twin.gauss_newton import Prior
 from twin.network import Array
 
+if TYPE_CHECKING:
+    from twin.discovery.structure import Structure
+
 MOST_BLOCKS = 240
 LEAST_BLOCK_BINS = 6
 FORGOTTEN = 0.05
 ANCHOR = 6
 """Blocks on either side of a gap that the line across it rests on."""
+NARROW = 0.03
+"""Standard deviations of noise along a direction below which what a structure leaves open there is nothing."""
 
 
 def block_edges(bins: int, most: int = MOST_BLOCKS) -> np.ndarray:
@@ -37,6 +42,14 @@ def block_edges(bins: int, most: int = MOST_BLOCKS) -> np.ndarray:
     blocks = max(min(most, bins // LEAST_BLOCK_BINS), 2)
     edges: np.ndarray = np.linspace(0, bins, blocks + 1).round().astype(np.intp)
     return edges
+
+
+def narrowed(whitened: Array, opened: tuple[Array, Array]) -> Array:
+    """Whitened (r, ...), whitened for what is open along orthonormal directions (r, d) too, which count less (d,)."""
+    directions, less = opened
+    flat = whitened.reshape(len(whitened), -1)
+    out: Array = (flat - directions @ (less[:, None] * (directions.T @ flat))).reshape(whitened.shape)
+    return out
 
 
 @dataclass(frozen=True)
@@ -58,6 +71,8 @@ class Contest:
     Args:
         noise: what a healthy residual looks like; it is scaled to how much this run moves.
         prior: of [tunables z, initial state].
+        structure: what the twin's structure leaves all along, in the terms of the `laws` of this record; by what it
+            amounts to the residual is less, and how far it is open is noise. None where nothing tells.
 
     Attributes:
         edges, hours: block borders, bins, and their beginnings, h from the record's. b, sites: numbers of blocks and of
@@ -71,7 +86,10 @@ class Contest:
         memo: what a search has worked out from `gram` and will want again.
     """
 
-    def __init__(self, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: Prior) -> None:
+    def __init__(
+        self, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: Prior,
+        structure: Structure | None = None, laws: Sequence[Law] = (),
+    ) -> None:  # fmt: skip
         self.probe, self.grid, self.prior = probe, grid, prior
         self.noise = noise.where_moved(run.readings, grid.step_s)
         self.edges = block_edges(len(grid.time))
@@ -83,11 +101,13 @@ class Contest:
         heat = probe.blocks(grid, state, self.edges)
         after = np.abs(heat[:, :, 0, :]).sum(axis=(1, 2))
         self.memory = int(np.flatnonzero(after > FORGOTTEN * after.max())[-1]) + 1
-        self.slopes = self.features(probe.sensitivities(grid, state))
         onto = np.eye(self.b * self.m).reshape(self.b, self.m, self.b, self.m)
         # Columns go place by place, blocks within a place.
         columns = np.concatenate([heat, onto], axis=3).transpose(0, 1, 3, 2).reshape(self.b, self.m, -1)
         self._columns = self._white(filled(columns, self.known, ANCHOR)).reshape(self.b * self.m, -1)
+        self._open, self._less = self._left_by(structure, laws)
+        self._columns = self._narrowed(self._columns)
+        self.slopes = self.features(probe.sensitivities(grid, state))
         self._normal = self.slopes.T @ self.slopes + prior.precision
         cross = self.slopes.T @ self._columns
         self._taken = np.linalg.solve(self._normal, cross)
@@ -131,11 +151,34 @@ class Contest:
     def features(self, values: Array) -> Array:
         """Whitened block means (b * m, ...) of a residual or of signatures (n, m, ...)."""
         means = self._white(self._seen_means(values))
-        return means.reshape(self.b * self.m, *values.shape[2:])
+        return self._narrowed(means.reshape(self.b * self.m, *values.shape[2:]))
+
+    def residual_of(self, readings: Array) -> Array:
+        """Whitened (b * m,): measured less `readings` (n, m), and less what the twin's structure leaves."""
+        return self.features(np.where(self.present, self.grid.measured - readings, 0.0)) - self._less
+
+    def _left_by(self, structure: Structure | None, laws: Sequence[Law]) -> tuple[tuple[Array, Array] | None, Array]:
+        """Orthonormal whitened directions (b * m, r) that a structure leaves open, with the shares (r,) by which they
+        count less, and what it amounts to (b * m,), so narrowed."""
+        known = {law.candidate.id: law for law in laws}
+        here = [] if structure is None else [i for i, c in enumerate(structure.candidates) if c.id in known]
+        if structure is None or not here:
+            return None, np.zeros(self.b * self.m)
+        vectors = np.stack([self.vector(known[structure.candidates[i].id]) for i in here])
+        signatures = self.signatures(vectors)
+        values, axes = np.linalg.eigh(structure.covariance[np.ix_(here, here)])
+        spread = signatures @ (axes * np.sqrt(np.maximum(values, 0.0)))
+        directions, singular, _ = np.linalg.svd(spread, full_matrices=False)
+        kept = singular > NARROW
+        opened = directions[:, kept], 1.0 - 1.0 / np.sqrt(1.0 + singular[kept] ** 2)
+        return opened, narrowed(signatures @ structure.sizes[here], opened)
+
+    def _narrowed(self, whitened: Array) -> Array:
+        return whitened if self._open is None else narrowed(whitened, self._open)
 
     def look_at(self, run: Run, moved: Array | None = None) -> None:
         """Take the residual of a run, whose tunables and state stand `moved` (q + k,) away from the prior's mean."""
-        residual = self.features(self.grid.measured - run.readings)
+        residual = self.residual_of(run.readings)
         self.residual = residual
         pull = self.slopes.T @ residual
         if moved is not None:

@@ -6,19 +6,22 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twin.discovery.basis import WIDEN, Basis, Columns, free_run
+from twin.discovery.basis import Basis, Columns
 from twin.discovery.grid import on_grid
+from twin.discovery.health import WIDEN
+from twin.discovery.probe import free_run
 from twin.kernel import simulate
 from twin.network import Array, Network
 
 
-def drawn(network: Network, known: Basis, healthy: Columns, rng: np.random.Generator) -> Iterator[Columns]:
+def drawn(known: Basis, healthy: Columns, rng: np.random.Generator) -> Iterator[Columns]:
     """Records of one rig under the inputs of the healthy one, without end.
 
     The rig is the twin with parameters drawn from what commissioning knows of them. A record has noise of all periods
     as it was learned, white noise in every sample, and gaps where the healthy record has them. Single thermometers of
     a sensor keep their mean distance from it.
     """
+    network = known.probe.network
     grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
     noise = known.noise.at_step(grid.step_s)
     state, *_ = free_run(known.probe, grid)

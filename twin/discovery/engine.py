@@ -8,14 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from twin.discovery.basis import Columns, basis
-from twin.discovery.caution import as_commissioned, first_alone, nothing
+from twin.discovery.caution import as_commissioned, first_alone, nothing, unconfirmed
+from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.experiment import Limits
+from twin.discovery.fitting import Fit, fit
 from twin.discovery.forecast import Forecast, forecast, plan_of, too_little, unseen_kinds
 from twin.discovery.grid import Grid, on_grid
 from twin.discovery.held_out import binned, contradicted, errors
 from twin.discovery.ladder import SECOND_SHARE, search, weighed
 from twin.discovery.members import Members, members
+from twin.discovery.model import Model
 from twin.discovery.part import Part
 from twin.discovery.ranking import Finding, enough
 from twin.discovery.readings import Stuck, stuck
@@ -75,6 +78,7 @@ def diagnose(
     doubted = False
     if not _begins_late(whole, train, split):
         finding, doubted = _searched(train, say)
+        finding = _foretelling(finding, train, network, record, grid, split)
     most = max(split, int(bins * (1.0 - held_out * STILL_HELD)))
     later, why = split, ""
     if finding is None or (finding.fit is None and whole.best_z >= train.threshold):
@@ -83,7 +87,7 @@ def diagnose(
         why = f"something changed at {onset_s / 3600.0:.1f} h, inside the part that was to be kept out of the fit"
         if later <= split:
             later, why = most, "what stands out does so in the part that was to be kept out of the fit"
-    elif finding.fit is not None and contradicted(errors(finding, network, record, grid, split)):
+    elif finding.fit is not None and contradicted(errors(finding, network, record, grid, split), network):
         later, doubted = most, True
         why = "on the part that was to be kept out of the fit the best answer was far off"
     elif any(e.shape.onset_s > LATE * split * grid.step_s for e in finding.entries):
@@ -94,6 +98,7 @@ def diagnose(
         train = part(grid.part(0, split))
     if finding is None:
         finding, doubted = _searched(train, say, doubted)
+        finding = _foretelling(finding, train, network, record, grid, split)
     further: list[Part] = []
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
@@ -102,7 +107,7 @@ def diagnose(
         notes += said
     off = errors(finding, network, record, grid, split)
     usual = healthy is None and as_commissioned(network, off)
-    if usual:
+    if usual or (finding.fit is not None and not more and unconfirmed(finding, off)):
         finding = nothing(finding)
         off = {name: replace(e, after=e.before, means=(*e.means[:2], e.means[1])) for name, e in off.items()}
     elif healthy is None and finding.fit is not None and not more:
@@ -150,8 +155,37 @@ def _searched(train: Part, say: Callable[[str], None], doubted: bool = False) ->
     if not doubted and finding.beside is not None and not _good(finding):
         further = search(train, say, 0.0)
         if _good(further) and further.beside is None:
-            return further, True
-    return finding, doubted
+            finding, doubted = further, True
+    return _as_used(finding, train), doubted
+
+
+def _foretelling(finding: Finding, part: Part, network: Network, record: Columns, grid: Grid, split: int) -> Finding:
+    """The finding without those of its last effects that make the part that no fit saw no better."""
+    while finding.shorter is not None:
+        shorter = _as_used(finding.shorter, part)
+        longer, without = (
+            sum((e.after / e.noise) ** 2 for e in errors(f, network, record, grid, split).values())
+            for f in (finding, shorter)
+        )
+        if longer < without:
+            break
+        finding = replace(shorter, refuted=True)
+    return finding
+
+
+def _as_used(finding: Finding, part: Part) -> Finding:
+    """The finding with the values that foretell best by themselves: a twin does not know what its structure leaves."""
+    known = part.basis
+    if known.plain is None:
+        return finding
+    contest = Contest(known.probe, part.grid, part.state, part.run, known.plain, known.prior)
+
+    def again(found: Fit) -> Fit:
+        contest.look_at(part.run)
+        used = fit(contest, Model.of(known.probe, found.entries), part.state)
+        return replace(used, total=found.total, chi=found.chi)
+
+    return replace(finding, retuned=again(finding.retuned), fit=None if finding.fit is None else again(finding.fit))
 
 
 def _good(finding: Finding) -> bool:

@@ -74,7 +74,6 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
     steps[q : q + k] = _STATE_STEP
     steps[q + k : first_time] = [_SIZE_STEP * x.candidate.typical for x in entries]
     steps[first_time:first_growth], steps[first_growth:] = 6.0 * hours, 0.05
-    target, present = contest.grid.measured, contest.present
 
     def shapes_at(v: Array) -> tuple[Shape, ...]:
         found = [x.shape for x in entries]
@@ -98,7 +97,7 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
         """Whitened residual (rows,) and its slopes (rows, q + k + e)."""
         sign = np.where(v + steps > high, -steps, steps)
         readings = run(v + np.vstack([np.zeros(v.size), np.diag(sign)]))
-        residual = contest.features(np.where(present, target - readings[0], 0.0))
+        residual = contest.residual_of(readings[0])
         change = np.moveaxis(readings[1:] - readings[0], 0, 2) / sign
         return residual, contest.features(change)
 

@@ -69,8 +69,8 @@ def forecast(known: Basis, grid: Grid, state: Array | None = None) -> Forecast:
     """
     own, start = planned(known.probe, grid, state)
     run = known.probe.run(own, start)
-    contest = Contest(known.probe, own, start, run, known.noise, known.prior)
     found, candidates = known.book.laws(own, run), known.book.candidates
+    contest = Contest(known.probe, own, start, run, known.noise, known.prior, known.structure, found)
     vectors = np.stack([contest.vector(law) for law in found])
     flat = vectors.reshape(len(found), -1)
     gram = flat @ contest.gram @ flat.T

@@ -14,14 +14,18 @@ from twin.discovery.ranking import Finding
 from twin.network import Array, Network
 
 FAR_OFF, FAR_SHARE = 3.0, 0.25
-"""Times a sensor's noise that block means may be off where a fit was not shown them, and the share of the squares that
-re-tuning alone leaves: beyond both an answer is contradicted."""
+"""Times a thermometer's noise that block means may be off where a fit was not shown them, and the share of the squares
+that re-tuning alone leaves: beyond both an answer is contradicted."""
 
 
-def contradicted(found: Mapping[str, SensorError]) -> bool:
-    """Whether an answer does badly where no fit was shown the record: its form, or what it follows, is another."""
+def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
+    """Whether an answer does badly where no fit was shown the record: its form, or what it follows, is another.
+
+    The mean of several thermometers is off by more of its noise than one is: what a twin leaves does not average out.
+    """
+    single = {name: network.parameters[f"{name}.sigma"].value for name in found}
     before, after = (sum((e.means[k] / e.noise) ** 2 for e in found.values()) for k in (1, 2))
-    worst = max((e.means[2] / e.noise for e in found.values()), default=0.0)
+    worst = max((e.means[2] / single[name] for name, e in found.items()), default=0.0)
     return worst > FAR_OFF and after > FAR_SHARE * before
 
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from twin.discovery.catalogue import LATE
-from twin.discovery.diagnosis import Fold, Rung
+from twin.discovery.diagnosis import Rung
 from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.model import Model
 from twin.discovery.part import Part, finalists, fitted, varied
-from twin.discovery.ranking import Finding, Ranked, enough, piled_up, rank
+from twin.discovery.ranking import Finding, Ranked, enough, piled_up, rank, unusual
 from twin.discovery.search import EARLY_S, Entry, possible, scan, together
 from twin.discovery.validation import validate
 from twin.discovery.weighing import weigh
@@ -22,6 +22,8 @@ SECOND_SHARE, EXACT_SHARE = 0.06, 0.003
 """A further effect must win this share of the first one's gain, since an effect is seldom of quite the form assumed, or
 that one where the first ones have no form to be wrong in (an error of reading that is there at once, or heat that is
 and follows what is measured), or where it comes in at a time of its own."""
+BESIDE_SHARE = 0.25
+"""The same where what is slow is joined by heat in its own place, which its first temperature asks for alone."""
 _EXACT = ("heat_source", "heat_loss")
 _FORMED = (*LATE, "time_of_day")
 """Drivers of effects that bring a form of their own."""
@@ -50,9 +52,9 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     part.reset()
     chosen: tuple[Entry, ...] = ()
     best: Fit | None = None
-    ranked: tuple[Ranked, ...] = ()
     entries, first_gain = part.entries, 0.0
     beside: Entry | None = None
+    climbed: list[tuple[Fit, tuple[Ranked, ...]]] = []
     while entries and entries[0].z >= threshold:
         beside = entries[0]
         small = _share((*chosen, beside), chosen, second_share) * first_gain
@@ -82,7 +84,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
                 break
         order = rank(trials, contest, start)
         winner = order[0].fit
-        if best is None and start - winner.total < threshold**2:
+        if best is None and start - winner.total - unusual(winner.entries) < threshold**2:
             break
         if best is not None:
             small = _share(winner.entries, chosen, second_share) * first_gain
@@ -94,13 +96,14 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
             say("exchanging effects")
             order = _exchanged(part, trials, order, start)
             winner = order[0].fit
-        best, ranked, chosen, beside = winner, order, winner.entries, None
+        best, chosen, beside = winner, winner.entries, None
+        climbed.append((winner, order))
         if not first_gain:
             first_gain = max(ladder[0].chi * contest.count - winner.total, 1.0)
         part.reset()
         again = fit(contest, Model.of(probe, chosen), part.state, rounds=2)
         given = np.stack([e.placed(contest) for e in again.entries])
-        entries = varied(scan(contest, part.laws, given, part.basis.structure))
+        entries = varied(scan(contest, part.laws, given))
         entries.sort(key=lambda e: -e.gain)
         ladder.append(
             Rung(
@@ -109,16 +112,12 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
                 entries[0].z if entries else 0.0,
             )
         )
-    folds: tuple[Fold, ...] = ()
-    if best is not None:
-        say("leaving out blocks of time")
-        folds = validate(contest, Model.of(probe, best.entries), best)
-    part.reset()
-    return Finding(
-        entries=chosen,
-        fit=best,
+    say("leaving out blocks of time")
+    found = Finding(
+        entries=(),
+        fit=None,
         retuned=retuned,
-        ranked=ranked,
+        ranked=(),
         scanned=tuple(part.entries),
         start=ladder[0].chi * contest.count,
         count=contest.count,
@@ -126,9 +125,17 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         contest=contest,
         state=part.state,
         null=part.null,
-        folds=folds,
-        beside=beside if chosen else None,
     )
+    shorter: Finding | None = None
+    for rung, (fitted_best, order) in enumerate(climbed, start=2):
+        part.reset()
+        folds = validate(contest, Model.of(probe, fitted_best.entries), fitted_best)
+        shorter = replace(
+            found, entries=fitted_best.entries, fit=fitted_best, ranked=order, folds=folds, ladder=tuple(ladder[:rung]),
+            shorter=shorter,
+        )  # fmt: skip
+    part.reset()
+    return found if shorter is None else replace(shorter, beside=beside)
 
 
 def _exact(entry: Entry) -> bool:
@@ -141,6 +148,8 @@ def _share(entries: tuple[Entry, ...], chosen: tuple[Entry, ...], second_share: 
     before = {e.candidate.id for e in chosen}
     known = [e for e in entries if e.candidate.id in before]
     further = [e for e in entries if e.candidate.id not in before]
+    if any(k.candidate.driver in LATE and k.candidate.where == e.candidate.where for k in known for e in further):
+        return max(second_share, BESIDE_SHARE)
     own = all(_exact(k) or _apart(e, k) for k in known for e in further)
     return min(second_share, EXACT_SHARE) if own else second_share
 
@@ -193,7 +202,7 @@ def _exchanged(
             taken = {e.candidate.id for e in rest}
             part.reset()
             given = np.stack([e.placed(part.contest) for e in rest])
-            found = varied(scan(part.contest, part.laws, given, part.basis.structure))
+            found = varied(scan(part.contest, part.laws, given))
             found = sorted((e for e in found if e.candidate.id not in taken), key=lambda e: -e.gain)
             near = [e for e in found if e.gain > found[0].gain - max(10.0 * width(found[0].gain), 40.0)]
             groups += [(*rest[:i], e, *rest[i:]) for e in near[:EXCHANGED]]
@@ -219,7 +228,7 @@ def _pairs(part: Part) -> list[tuple[Entry, ...]]:
     part.reset()
     found: list[tuple[float, tuple[Entry, ...]]] = []
     for first in list(firsts.values())[:PAIRED]:
-        seconds = scan(part.contest, part.laws, first.vector[None], part.basis.structure)[:3]
+        seconds = scan(part.contest, part.laws, first.vector[None])[:3]
         for second in seconds:
             again = scan(part.contest, [first.law], second.vector[None])[:1]
             pair, fitted = together(part.contest, (again[0] if again else first, second))

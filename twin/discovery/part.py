@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from twin.discovery.basis import Basis, free_run
+from twin.discovery.basis import Basis
 from twin.discovery.contest import Contest
 from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit, fit
@@ -13,7 +13,7 @@ from twin.discovery.grid import Grid
 from twin.discovery.laws import Law
 from twin.discovery.model import Model
 from twin.discovery.null import FALSE_ALARMS, Null, null_scores
-from twin.discovery.probe import Run
+from twin.discovery.probe import Run, free_run
 from twin.discovery.search import Entry, refine, scan
 from twin.elements.base import Candidate
 from twin.network import Array
@@ -38,9 +38,9 @@ class Part:
     @classmethod
     def of(cls, known: Basis, grid: Grid) -> Part:
         state, run, _, _ = free_run(known.probe, grid)
-        contest = Contest(known.probe, grid, state, run, known.noise, known.prior)
         found = known.book.laws(grid, run)
-        entries = [refine(contest, e) for e in varied(scan(contest, found, None, known.structure))]
+        contest = Contest(known.probe, grid, state, run, known.noise, known.prior, known.structure, found)
+        entries = [refine(contest, e) for e in varied(scan(contest, found))]
         entries.sort(key=lambda e: -e.gain)
         return cls(known, grid, state, run, contest, found, entries)
 
@@ -48,18 +48,18 @@ class Part:
         """Of what comes in many forms, those that score better at each place than the catalogue's own."""
         best: dict[str, Entry] = {}
         for entry in self.entries:
-            if entry.candidate.near is not None and entry.gain == entry.bare_gain:
+            if entry.candidate.near is not None:
                 best.setdefault(entry.candidate.where, entry)
         found = []
         for first in best.values():
-            closest, top = first.candidate, first.bare_gain
+            closest, top = first.candidate, first.gain
             while closest.near is not None:
                 laws = self.basis.book.laws(self.grid, self.run, closest.near())
                 better = scan(self.contest, laws)
-                if not better or better[0].bare_gain < top:
+                if not better or better[0].gain < top:
                     break
-                closest, top = better[0].candidate, better[0].bare_gain
-            if top > first.bare_gain + WORTH:
+                closest, top = better[0].candidate, better[0].gain
+            if top > first.gain + WORTH:
                 found.append(closest)
         return tuple(found)
 
@@ -69,7 +69,7 @@ class Part:
             return
         laws = self.basis.book.laws(self.grid, self.run, candidates)
         self.laws = [*self.laws, *laws]
-        entries = [refine(self.contest, e) for e in varied(scan(self.contest, laws, None, self.basis.structure))]
+        entries = [refine(self.contest, e) for e in varied(scan(self.contest, laws))]
         self.entries = sorted([*self.entries, *entries], key=lambda e: -e.gain)
 
     @property

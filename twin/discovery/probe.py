@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from twin.discovery.grid import Grid, centred
+from twin.discovery.grid import Grid, centred, filled
 from twin.discovery.shared_kernels import SharedKernels
 from twin.elements import Parameter
 from twin.elements.base import Status
@@ -194,3 +194,11 @@ def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, t
         digest="",
     )  # fmt: skip
     return probed, tuple(gains), reads
+
+
+def free_run(probe: Probe, grid: Grid) -> tuple[Array, Run, Array, np.ndarray]:
+    state = probe.first_state(grid)
+    run = probe.run(grid, state)
+    off = grid.measured - run.readings
+    good = np.isfinite(off)
+    return state, run, filled(off, good), good

@@ -15,11 +15,11 @@ from twin.discovery.null import FALSE_ALARMS, Null
 from twin.discovery.search import EARLY_S, Entry
 from twin.network import Array
 
-LEFT = 1.3
-"""Misfit that a twin with the right effects may leave, over what noise alone leaves."""
+LEFT, QUIET = 1.3, 3.0
+"""Misfit that a twin with the right effects may leave, over what noise leaves; and where nothing known scores in it."""
 LEFT_SHARE = 0.03
 """Or this share of the misfit that it began with: no effect is of quite the form assumed."""
-_TYPICALS = 20.0
+_TYPICALS, _MOST_UNUSUAL = 20.0, 20.0
 KINDS = {
     "heat_source": 1.0, "heat_loss": 1.0, "heat_rejection": 1.0, "flow": 0.7, "thermal_mass": 0.7, "sensor": 0.7,
     "coupling": 0.4, "delay": 0.5, "actuator": 0.3,
@@ -30,9 +30,13 @@ _MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "hea
 _RARE = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
 
 
-def enough(chi: float, start: float, contest: Contest) -> bool:
-    """Whether a misfit per block and sensor is as small as can be asked, for a twin that began with `start`."""
-    return chi <= max(LEFT * contest.expected, LEFT_SHARE * start)
+def enough(chi: float, start: float, contest: Contest, *, quiet: bool = False) -> bool:
+    """Whether a misfit per block and sensor is as small as can be asked, for a twin that began with `start`.
+
+    Args:
+        quiet: nothing of the catalogue scores in what is left, so that it is of the twin's structure.
+    """
+    return chi <= max((QUIET if quiet else LEFT) * contest.expected, LEFT_SHARE * start)
 
 
 def piled_up(entries: tuple[Entry, ...]) -> bool:
@@ -79,7 +83,11 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Finding:
-    """What the search ended with; `fit` is None where nothing passed the threshold, `beside` still scores with it."""
+    """What the search ended with; `fit` is None where nothing passed the threshold, `beside` still scores with it.
+
+    `shorter` is what it had found before its last effect, None where that was the only one; `refuted` where one more
+    scored, but did not foretell.
+    """
 
     entries: tuple[Entry, ...]
     fit: Fit | None
@@ -94,6 +102,8 @@ class Finding:
     null: Null
     folds: tuple[Fold, ...] = ()
     beside: Entry | None = None
+    shorter: Finding | None = None
+    refuted: bool = False
 
     @property
     def threshold(self) -> float:
@@ -112,8 +122,7 @@ def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest, start: f
         for e in fitted.entries:
             free = 1.0 + (e.shape.onset_s > 0.0) + (e.shape.name != "step")
             cost += free * math.log(contest.count)
-            cost += min((e.size / (_TYPICALS * e.candidate.typical)) ** 2, 20.0)
-        costs.append(cost)
+        costs.append(cost + unusual(fitted.entries))
     limit = width(max(start - min(f.total for f, _ in trials), 0.0))
     for i, (fitted, _) in enumerate(trials):
         if any(costs[k] < costs[i] + limit for k in _without_growth(fitted.entries, trials)):
@@ -125,6 +134,11 @@ def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest, start: f
     total = sum(raw)
     order = sorted(range(len(costs)), key=lambda i: -raw[i])
     return tuple(Ranked(trials[i][0], costs[i], raw[i] / total) for i in order)
+
+
+def unusual(entries: tuple[Entry, ...]) -> float:
+    """Cost of sizes far beyond the typical in -2 log likelihood: a kilowatt of which a record holds the edge alone."""
+    return sum(min((e.size / (_TYPICALS * e.candidate.typical)) ** 2, _MOST_UNUSUAL) for e in entries)
 
 
 def _without_growth(entries: tuple[Entry, ...], trials: list[tuple[Fit, tuple[Entry, ...]]]) -> list[int]:

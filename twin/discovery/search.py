@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -16,32 +14,11 @@ from twin.discovery.sweep import LAST_SHARE, Courses, Given, Squares
 from twin.elements.base import Candidate
 from twin.network import Array
 
-BEYOND = 6.0
-"""Score that the difference to a healthy record must have."""
-STRUCTURE = 0.25
-"""Typical sizes that what a twin's structure leaves may amount to."""
 EARLY_S, EARLY_SHARE = 3600.0, 0.1
 """Onsets up to this, or to this share of what is searched, are as good as the beginning: little tells them from it."""
 WORTH_GROWING = 4.0
 """Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
 _TINY = 1e-12
-
-
-@dataclass(frozen=True)
-class Structure:
-    """A law's size in a healthy record, where it is nothing but what the twin's structure leaves, and its error."""
-
-    size: float
-    sd: float
-
-    def gated(self, gain: Array, size: Array, bottom: Array) -> Array:
-        """The gain of sizes fitted with squares `bottom`, unless it is no more than what is there in health too."""
-        beyond = (size - self.size) ** 2 / (1.0 / bottom + self.sd**2)
-        kept: Array = np.where(beyond >= BEYOND**2, gain, np.minimum(gain, beyond))
-        return kept
-
-
-NO_STRUCTURE: Mapping[str, Structure] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +32,6 @@ class Entry:
     sd: float
     gain: float
     onset_sd_s: float = 0.0
-    bare_gain: float = 0.0
 
     @property
     def candidate(self) -> Candidate:
@@ -93,21 +69,15 @@ def allowed(candidate: Candidate, size: float) -> bool:
     return candidate.lower <= size <= candidate.upper
 
 
-def scan(
-    contest: Contest, laws: list[Law], given: Array | None = None, structure: Mapping[str, Structure] = NO_STRUCTURE
-) -> list[Entry]:
+def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[Entry]:
     """Best onset of each law in each of its shapes, by falling gain.
 
     Args:
         given: vectors (e, sites, b) of effects that are already known; their sizes are fitted along.
-        structure: what the same laws seem to be in a healthy record, by candidate. The twin is lumped and the rig is
-            not; of an effect that is there from the beginning only the difference to that counts.
     """
     known = Courses.of(contest)
     onsets, steps, grown, courses = known.onsets, known.steps, known.grown, known.growths
     beside = Given(contest, given) if given is not None and len(given) else None
-    early_s = max(EARLY_S, EARLY_SHARE * contest.grid.span_s)
-    soon = np.array([shape.onset_s <= early_s and shape.growth_s <= 4.0 * EARLY_S for shape in grown])
     found: list[Entry] = []
     for law in laws:
         squares = Squares.of(contest, law)
@@ -120,30 +90,20 @@ def scan(
         least = _TINY * max(float(squares.steps.max()), _TINY)
         bottom = np.maximum(bottom, least)
         size, gain = _gains(law, score @ steps, bottom)
-        bare = gain.copy()
-        healthy = structure.get(law.candidate.id)
         gain[np.abs(size) < law.candidate.lumped] = 0.0
-        if healthy is not None:
-            early = onsets <= early_s
-            gain[early] = healthy.gated(gain[early], size[early], bottom[early])
         best = int(np.argmax(gain))
         if gain[best] > 0.0:
             vector = p * steps[:, best]
             shape = Shape("step", float(onsets[best]))
-            found.append(_entry(law, shape, vector, size[best], bottom[best], gain[best], bare[best]))
+            found.append(_entry(law, shape, vector, size[best], bottom[best], gain[best]))
         if law.candidate.shapes == ("step",) or gain[best] < WORTH_GROWING:
             continue
         bottom = np.maximum(growing, least)
         size, gain = _gains(law, score @ courses, bottom)
-        bare = gain.copy()
-        if healthy is not None:
-            gain[soon] = healthy.gated(gain[soon], size[soon], bottom[soon])
         for first in range(0, len(grown), len(onsets[::3])):
             best = first + int(np.argmax(gain[first : first + len(onsets[::3])]))
             if gain[best] > 0.0:
-                found.append(
-                    _entry(law, grown[best], p * courses[:, best], size[best], bottom[best], gain[best], bare[best])
-                )
+                found.append(_entry(law, grown[best], p * courses[:, best], size[best], bottom[best], gain[best]))
     found.sort(key=lambda e: -e.gain)
     return found
 
@@ -156,23 +116,8 @@ def _gains(law: Law, top: Array, bottom: Array) -> tuple[Array, Array]:
     return size, gain
 
 
-def _entry(law: Law, shape: Shape, vector: Array, size: float, bottom: float, gain: float, bare: float) -> Entry:
-    return Entry(law, shape, vector, float(size), float(bottom) ** -0.5, float(gain), bare_gain=float(bare))
-
-
-def structure_of(contest: Contest, laws: list[Law]) -> dict[str, Structure]:
-    """What each law seems to be in a healthy record, all along and of a possible sign."""
-    found = {}
-    for law in laws:
-        gram, score = contest.small(contest.vector(law))
-        bottom = float(gram.sum())
-        if bottom > 0.0:
-            c = law.candidate
-            prior, error = (STRUCTURE * c.typical) ** 2, 1.0 / bottom
-            size = float(score.sum()) / bottom * prior / (prior + error)
-            spread = (prior * error / (prior + error)) ** 0.5
-            found[c.id] = Structure(min(max(size, c.lower), c.upper), spread)
-    return found
+def _entry(law: Law, shape: Shape, vector: Array, size: float, bottom: float, gain: float) -> Entry:
+    return Entry(law, shape, vector, float(size), float(bottom) ** -0.5, float(gain))
 
 
 def refine(contest: Contest, entry: Entry) -> Entry:
@@ -199,11 +144,9 @@ def _better(contest: Contest, entry: Entry, shape: Shape, p: Array, gram: Array,
     course = shape.block_means(contest.edges * contest.grid.step_s)
     bottom = max(float(course @ gram @ course), _TINY)
     top = float(score @ course)
-    if top**2 / bottom <= entry.bare_gain or not allowed(entry.candidate, top / bottom):
+    if top**2 / bottom <= entry.gain or not allowed(entry.candidate, top / bottom):
         return entry
-    bare = top**2 / bottom
-    gain = bare if entry.gain == entry.bare_gain else entry.gain
-    return Entry(entry.law, shape, p * course, top / bottom, bottom**-0.5, gain, bare_gain=bare)
+    return Entry(entry.law, shape, p * course, top / bottom, bottom**-0.5, top**2 / bottom)
 
 
 def together(contest: Contest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry, ...], Estimate]:

@@ -59,7 +59,7 @@ def came_and_went(contest: Contest, laws: list[Law], lasting: list[Entry], chose
     if not lasting:
         return None
     together = explained(contest, laws, chosen)
-    rival = max(e.bare_gain for e in lasting)
+    rival = max(e.gain for e in lasting)
     if len(chosen) == 1:
         rival = max(rival, together)
     found = [s for law in laws if (s := _best(contest, law)) is not None]

@@ -43,6 +43,8 @@ _USUAL = (
     "re-tuned, the twin is as good on the part that no fit saw as when it was commissioned; whether what it left as it "
     "was means anything, only a healthy record could tell"
 )
+CALM = 1.5
+"""Times the threshold that something may score that no fit confirms, and the twin still be adequate."""
 SURE = 0.8
 """Share of the weight that one kind at one place must have to be named alone."""
 
@@ -76,8 +78,11 @@ def conclude(
     start = float(grid.time[0])
     scale = finding.count
     left = finding.retuned.chi if finding.fit is None else finding.fit.chi
-    good = enough(left, 0.0 if doubted else finding.start / scale, finding.contest) and not piled_up(finding.entries)
-    good = good and holds(finding.folds) and not contradicted(errors)
+    quiet = finding.beside is None and (finding.refuted or finding.ladder[-1].best_z < finding.threshold)
+    quiet = quiet and not doubted
+    good = enough(left, 0.0 if doubted else finding.start / scale, finding.contest, quiet=quiet)
+    good = good and not piled_up(finding.entries)
+    good = good and holds(finding.folds) and not contradicted(errors, network)
     good = good and not (doubted and finding.beside)
     verdict: Verdict
     effects: tuple[Effect, ...] = ()
@@ -92,7 +97,8 @@ def conclude(
     told = finding.entries and found and not any(e.candidate.driver in LATE for e in finding.entries)
     good = good and not (told and outdone(explained(whole, laws, finding.entries), found[0]))
     claimed = finding.fit is not None and good
-    adequate = finding.fit is None and (usual or enough(finding.start / scale, 0.0, finding.contest))
+    calm = finding.ladder[0].best_z < CALM * finding.threshold
+    adequate = finding.fit is None and (usual or enough(finding.start / scale, 0.0, finding.contest, quiet=calm))
     spell = None if adequate else came_and_went(whole, laws, lasting, finding.entries if claimed else ())
     if adequate:
         verdict = "adequate"

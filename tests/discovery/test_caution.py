@@ -1,0 +1,64 @@
+"""Weak effects are claimed where they foretell what no fit saw, and sizes beyond measure where much asks for them."""
+
+from dataclasses import replace
+
+import pytest
+
+from tests.discovery.conftest import Bench
+from twin.discovery.basis import Columns, basis
+from twin.discovery.caution import unconfirmed
+from twin.discovery.diagnosis import Fold, SensorError
+from twin.discovery.engine import diagnose
+from twin.discovery.grid import on_grid
+from twin.discovery.ladder import search
+from twin.discovery.part import Part
+from twin.discovery.ranking import Finding, unusual
+
+SAME = {"T_tank_C": SensorError(0.06, 0.055, 0.055, 0.05)}
+LESS = {"T_tank_C": SensorError(0.09, 0.060, 0.052, 0.05)}
+
+
+@pytest.fixture(scope="module")
+def weak_record(bench: Bench) -> Columns:
+    changed = bench.with_element("unknown", {"kind": "heat_source", "node": "tank", "power": 0.4})
+    return bench.record(12.0, seed=2, changed=changed, onset_h=3.0)
+
+
+@pytest.fixture(scope="module")
+def weak(bench: Bench, healthy: Columns, weak_record: Columns) -> Finding:
+    grid = on_grid(bench.network, weak_record.time_s, weak_record.inputs, weak_record.measured)
+    found = search(Part.of(basis(bench.network, healthy, grid), grid), lambda _: None)
+    assert found.fit is not None
+    assert 5.0 < found.ladder[0].best_z < 8.0
+    return found
+
+
+def folds(*gains: float) -> tuple[Fold, ...]:
+    return tuple(Fold(0.0, 3600.0, 240, gain) for gain in gains)
+
+
+def test_what_foretells_nothing_is_not_confirmed(weak: Finding) -> None:
+    assert weak.fit is not None
+    gain = weak.start - weak.fit.total
+    assert unconfirmed(replace(weak, folds=folds(-7.0, 8.0)), SAME)
+    assert unconfirmed(replace(weak, folds=()), SAME)
+    assert not unconfirmed(replace(weak, folds=folds(0.3 * gain, 0.2 * gain)), SAME)
+    assert not unconfirmed(replace(weak, folds=()), LESS)
+
+
+def test_what_is_strong_needs_no_such_confirmation(weak: Finding) -> None:
+    assert not unconfirmed(replace(weak, start=weak.start + 64.0, folds=()), SAME)
+
+
+def test_a_true_weak_effect_foretells(bench: Bench, healthy: Columns, weak_record: Columns) -> None:
+    found = diagnose(bench.network, weak_record, healthy)
+    assert found.verdict in ("effect found", "ambiguous")
+    assert found.effects[0].where == "tank"
+
+
+def test_sizes_far_beyond_the_typical_have_to_win_more(weak: Finding) -> None:
+    (entry,) = weak.entries
+    typical = entry.candidate.typical
+    assert unusual((replace(entry, size=typical),)) < 0.01
+    assert unusual((replace(entry, size=70.0 * typical),)) == pytest.approx(12.25)
+    assert unusual((replace(entry, size=1e6 * typical), entry)) < 20.1

@@ -1,0 +1,89 @@
+"""A twin's healthy record: what it says of the noise, of the tunables and of what the twin's structure leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.commission import inflation
+from twin.discovery import noise as noises
+from twin.discovery.contest import Contest
+from twin.discovery.grid import Grid, on_grid
+from twin.discovery.laws import Book, Law
+from twin.discovery.noise import Noise
+from twin.discovery.probe import Probe, Run, free_run, posterior
+from twin.discovery.structure import Structure, structure_of
+from twin.gauss_newton import Prior
+from twin.network import Array, Network, TwinFileError
+
+if TYPE_CHECKING:
+    from twin.discovery.basis import Columns
+
+WIDEN = 4.0
+"""Factor on the variance that commissioning quotes for the tunables: what it quotes is of one record."""
+FORETOLD = 0.5
+"""Share of what the structure amounts to that is thought to come back as it was; the rest is noise."""
+UNHEALTHY = 6.0
+"""Times the noise of a thermometer that a healthy record's residual may reach."""
+
+
+class NotHealthyError(TwinFileError):
+    """The record that is said to be healthy is not, or not of this twin; the message is about that record."""
+
+
+@dataclass(frozen=True)
+class Health:
+    """What a healthy record says: noise as it is, `less` of it where the structure is known, and the rest."""
+
+    grid: Grid
+    noise: Noise
+    less: Noise
+    prior: Prior
+    structure: Structure
+
+    @classmethod
+    def of(cls, network: Network, probe: Probe, book: Book, healthy: Columns) -> Health:
+        """Read a healthy record with a twin that was commissioned on it.
+
+        Raises:
+            NotHealthyError: the record does not fit the twin.
+        """
+        grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
+        state, run, residual, good = free_run(probe, grid)
+        known = np.where(good, residual, np.nan)
+        rms = np.sqrt(np.nanmean(known**2, axis=0))
+        single = np.array([network.parameters[f"{s.name}.sigma"].value for s in network.sensors])
+        worst = int(np.nanargmax(rms / single))
+        if rms[worst] > UNHEALTHY * single[worst]:
+            raise NotHealthyError(
+                f"the healthy record does not fit the twin: {network.sensor_names[worst]} is off by {rms[worst]:.2f} K "
+                f"(noise {single[worst]:.2f} K); commission the twin on this record first, or give one that is "
+                "healthy"
+            )
+        prior = posterior(network, probe, grid, state, inflation(known, grid.sigma), WIDEN)
+        noise = noises.learn(residual, grid.sigma, grid.step_s, run.readings)
+        laws = book.laws(grid, run)
+        structure = structure_of(Contest(probe, grid, state, run, noise, prior), laws)
+        amount = _readings(structure, probe, grid, state, run, noise, prior, laws)
+        less = noises.learn(residual - FORETOLD * amount, grid.sigma, grid.step_s, run.readings)
+        structure = structure_of(Contest(probe, grid, state, run, less, prior), laws)
+        return cls(grid, noise, less, prior, structure)
+
+
+def _readings(
+    structure: Structure, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: Prior, laws: list[Law]
+) -> Array:
+    """What a structure, and the tunables with it, amount to in the readings (n, m), K."""
+    contest = Contest(probe, grid, state, run, noise, prior, structure, laws)
+    size = dict(zip((c.id for c in structure.candidates), structure.sizes, strict=True))
+    heat, reading = np.zeros_like(run.temperatures), np.zeros_like(run.readings)
+    for law in laws:
+        if law.candidate.id in size:
+            heat = heat if law.heat is None else heat + size[law.candidate.id] * law.heat
+            reading = reading if law.reading is None else reading + size[law.candidate.id] * law.reading
+    changed = probe.run(grid, state, injected=heat).readings - run.readings + reading
+    moved = contest.moved(np.empty((0, contest.sites, contest.b)), np.empty(0))
+    amount: Array = changed + probe.sensitivities(grid, state) @ moved
+    return amount

@@ -1,0 +1,68 @@
+"""What a twin's structure leaves of a rig, in the words of the catalogue, as far as a healthy record says.
+
+A twin is lumped and its rig is not: water on its way through a tank of three zones reads like two litres of hose, a
+heater's element like a late heater. All of that is there in health, so it is no finding; left out, it would be found in
+the next record under those names, or bend what is there. So before anything is looked for, every law of the catalogue
+that does not follow time is given an amplitude all along: a priori normal about none, with one and the same multiple of
+the laws' typical sizes as standard deviation, which the healthy record chooses by its evidence. What that record leaves
+them at, jointly, is taken from the next one, and how far it leaves them open is part of that record's noise.
+
+Source: Kennedy & O'Hagan, J. R. Stat. Soc. B 63 (2001) 425 (a discrepancy beside a calibrated simulator), with a basis
+of physical laws; the width by type II maximum likelihood (Rasmussen & Williams, Gaussian Processes, 2006, sec. 5.4.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from twin.discovery.contest import Contest
+from twin.discovery.laws import Law
+from twin.elements.base import Candidate
+from twin.network import Array
+
+WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+"""Typical sizes that are tried as the standard deviation of amplitudes."""
+_OF_TIME = ("elapsed_time", "time_of_day")
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Amplitudes of laws all along.
+
+    Attributes:
+        candidates: l of them. sizes: (l,) in their units. covariance: (l, l).
+    """
+
+    candidates: tuple[Candidate, ...]
+    sizes: Array
+    covariance: Array
+
+
+def structure_of(contest: Contest, laws: list[Law]) -> Structure:
+    """What each law amounts to in the healthy record that the contest holds, all of them together."""
+    used = [law for law in laws if belongs(law.candidate, contest)]
+    gram, score = contest.joint(np.stack([contest.vector(law) for law in used]))
+    # The noise was learned from the same record and holds the structure: it is not taken for more than it is.
+    closer = max(contest.expected / max(contest.chi, 1e-9), 1.0)
+    gram, score = closer * gram, closer * score
+    typical = np.array([law.candidate.typical for law in used])
+    scaled, pull = gram * np.outer(typical, typical), score * typical
+    best: tuple[float, Array, Array] | None = None
+    for width in WIDTHS:
+        precision = np.eye(len(used)) + width**2 * scaled
+        factor = cho_factor(precision, lower=True)
+        sizes = width**2 * cho_solve(factor, pull)
+        evidence = 0.5 * float(pull @ sizes) - float(np.log(np.diag(factor[0])).sum())
+        if best is None or evidence > best[0]:
+            covariance = width**2 * cho_solve(factor, np.eye(len(used)))
+            best = evidence, sizes, covariance
+    assert best is not None
+    return Structure(tuple(law.candidate for law in used), best[1] * typical, best[2] * np.outer(typical, typical))
+
+
+def belongs(candidate: Candidate, contest: Contest) -> bool:
+    """Whether a law may be part of a twin's structure: it does not follow time, and nothing tunes it anyway."""
+    return candidate.driver not in _OF_TIME and not set(candidate.changes) <= set(contest.probe.scaling.ids)
