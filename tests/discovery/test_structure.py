@@ -12,6 +12,7 @@ from twin.discovery.engine import diagnose
 from twin.discovery.grid import Grid, on_grid
 from twin.discovery.part import Part
 
+
 @pytest.fixture(scope="module")
 def rig(bench: Bench) -> Bench:
     """A rig with a late thermometer, for which no tunable of the twin stands."""
