@@ -23,7 +23,7 @@ def drawn(known: Basis, healthy: Columns, rng: np.random.Generator) -> Iterator[
     """
     network = known.probe.network
     grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
-    noise = known.noise.at_step(grid.step_s)
+    noise = (known.plain or known.noise).at_step(grid.step_s)
     state, *_ = free_run(known.probe, grid)
     q, scaling = known.probe.q, known.probe.scaling
     spread = np.linalg.inv(known.prior.precision[:q, :q]) / WIDEN

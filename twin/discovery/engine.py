@@ -73,7 +73,7 @@ def diagnose(
 
     whole.add(other_forms)
     train = part(grid.part(0, split))
-    notes = [] if known.bootstrap is None else [known.bootstrap.sentence]
+    notes = [told.sentence for told in (known.structure, known.bootstrap) if told is not None and told.sentence]
     finding: Finding | None = None
     doubted = False
     if not _begins_late(whole, train, split):
@@ -183,7 +183,9 @@ def _as_used(finding: Finding, part: Part) -> Finding:
     def again(found: Fit) -> Fit:
         contest.look_at(part.run)
         used = fit(contest, Model.of(known.probe, found.entries), part.state)
-        return replace(used, total=found.total, chi=found.chi)
+        # What by itself vanishes or turns round is better left as it was found.
+        same = all(a.size * b.size > 0.0 for a, b in zip(used.entries, found.entries, strict=True))
+        return replace(used, total=found.total, chi=found.chi) if same else found
 
     return replace(finding, retuned=again(finding.retuned), fit=None if finding.fit is None else again(finding.fit))
 

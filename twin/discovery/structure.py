@@ -20,11 +20,14 @@ from scipy.linalg import cho_factor, cho_solve
 
 from twin.discovery.contest import Contest
 from twin.discovery.laws import Law
+from twin.discovery.words import said
 from twin.elements.base import Candidate
 from twin.network import Array
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 """Typical sizes that are tried as the standard deviation of amplitudes."""
+NAMED, PLAIN = 3, 3.0
+"""Laws that are named to an operator at most, and the score from which one is."""
 _OF_TIME = ("elapsed_time", "time_of_day")
 
 
@@ -39,6 +42,19 @@ class Structure:
     candidates: tuple[Candidate, ...]
     sizes: Array
     covariance: Array
+
+    @property
+    def sentence(self) -> str:
+        """What is plainest of it, for an operator; "" where nothing is."""
+        z = np.abs(self.sizes) / np.sqrt(np.diag(self.covariance))
+        plain: dict[tuple[str, str, str], str] = {}
+        for i in np.argsort(-z)[: int((z > PLAIN).sum())]:
+            c = self.candidates[i]
+            plain.setdefault((c.kind, c.where, c.driver), said(c, float(self.sizes[i])))
+        told = "; ".join(list(plain.values())[:NAMED])
+        return (
+            f"in health this twin already leaves what reads like this, and it is taken as known: {told}" if told else ""
+        )
 
 
 def structure_of(contest: Contest, laws: list[Law]) -> Structure:
