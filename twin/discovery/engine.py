@@ -98,6 +98,11 @@ def diagnose(
         train = part(grid.part(0, split))
     if finding is None:
         finding, doubted = _searched(train, say, doubted)
+        if finding.fit is None and split < most and whole.best_z >= train.threshold:
+            # What grows shows late.
+            split, train = most, part(grid.part(0, most))
+            notes.append(f"it showed nothing yet; so the fit was given {split * grid.step_s / 3600.0:.1f} h")
+            finding, doubted = _searched(train, say, doubted)
         finding = _foretelling(finding, train, network, record, grid, split)
     further: list[Part] = []
     if more and len(finding.ranked) > 1:

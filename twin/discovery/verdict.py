@@ -99,6 +99,8 @@ def conclude(
     claimed = finding.fit is not None and good
     calm = finding.ladder[0].best_z < CALM * finding.threshold
     adequate = finding.fit is None and (usual or enough(finding.start / scale, 0.0, finding.contest, quiet=calm))
+    late = bool(lasting) and lasting[0].z >= finding.threshold and contradicted(errors, network)
+    adequate = adequate and (usual or not late)
     spell = None if adequate else came_and_went(whole, laws, lasting, finding.entries if claimed else ())
     if adequate:
         verdict = "adequate"
