@@ -161,13 +161,15 @@ def _searched(train: Part, say: Callable[[str], None], doubted: bool = False) ->
         further = search(train, say, 0.0)
         if _good(further) and further.beside is None:
             finding, doubted = further, True
-    return _as_used(finding, train), doubted
+    again = _as_used(train)
+    fitted = None if finding.fit is None else again(finding.fit)
+    return replace(finding, retuned=again(finding.retuned), fit=fitted), doubted
 
 
 def _foretelling(finding: Finding, part: Part, network: Network, record: Columns, grid: Grid, split: int) -> Finding:
     """The finding without those of its last effects that make the part that no fit saw no better."""
-    while finding.shorter is not None:
-        shorter = _as_used(finding.shorter, part)
+    while finding.shorter is not None and finding.shorter.fit is not None:
+        shorter = replace(finding.shorter, retuned=finding.retuned, fit=_as_used(part)(finding.shorter.fit))
         longer, without = (
             sum((e.after / e.noise) ** 2 for e in errors(f, network, record, grid, split).values())
             for f in (finding, shorter)
@@ -178,11 +180,11 @@ def _foretelling(finding: Finding, part: Part, network: Network, record: Columns
     return finding
 
 
-def _as_used(finding: Finding, part: Part) -> Finding:
-    """The finding with the values that foretell best by themselves: a twin does not know what its structure leaves."""
+def _as_used(part: Part) -> Callable[[Fit], Fit]:
+    """Gives fits the values that foretell best by themselves: a twin does not know what its structure leaves."""
     known = part.basis
     if known.plain is None:
-        return finding
+        return lambda found: found
     contest = Contest(known.probe, part.grid, part.state, part.run, known.plain, known.prior)
 
     def again(found: Fit) -> Fit:
@@ -192,7 +194,7 @@ def _as_used(finding: Finding, part: Part) -> Finding:
         same = all(a.size * b.size > 0.0 for a, b in zip(used.entries, found.entries, strict=True))
         return replace(used, total=found.total, chi=found.chi) if same else found
 
-    return replace(finding, retuned=again(finding.retuned), fit=None if finding.fit is None else again(finding.fit))
+    return again
 
 
 def _good(finding: Finding) -> bool:

@@ -112,7 +112,8 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
                 entries[0].z if entries else 0.0,
             )
         )
-    say("leaving out blocks of time")
+    if climbed:
+        say("leaving out blocks of time")
     found = Finding(
         entries=(),
         fit=None,

@@ -197,6 +197,7 @@ def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, t
 
 
 def free_run(probe: Probe, grid: Grid) -> tuple[Array, Run, Array, np.ndarray]:
+    """First state (k,), the run from it, its residual (n, m) in K with gaps closed, and where (n, m) one was read."""
     state = probe.first_state(grid)
     run = probe.run(grid, state)
     off = grid.measured - run.readings

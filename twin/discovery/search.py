@@ -14,8 +14,8 @@ from twin.discovery.sweep import LAST_SHARE, Courses, Given, Squares
 from twin.elements.base import Candidate
 from twin.network import Array
 
-EARLY_S, EARLY_SHARE = 3600.0, 0.1
-"""Onsets up to this, or to this share of what is searched, are as good as the beginning: little tells them from it."""
+EARLY_S = 3600.0
+"""Onsets up to this are as good as the beginning: little tells them from it."""
 WORTH_GROWING = 4.0
 """Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
 _TINY = 1e-12
