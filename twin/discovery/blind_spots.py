@@ -37,7 +37,7 @@ def twins_of(finding: Finding, groups: Lint, known: tuple[Alternative, ...]) -> 
         # What grows, or was a step, follows the time for its twin too.
         label = _own(entry)
         for kind, where, driver in groups.beside(label):
-            shown = (kind, where, entry.driver if entry.shape.name != "step" else driver)
+            shown = (kind, where, entry.driver if entry.shape.grows else driver)
             if (kind, where) != label[:2] and shown not in named and shown not in out:
                 out[shown] = Alternative(*shown, confidence=weights.get(shown, 0.0))
     return tuple(out.values())

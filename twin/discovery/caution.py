@@ -48,13 +48,22 @@ def as_commissioned(network: Network, errors: Mapping[str, SensorError]) -> bool
     return bool(errors) and all(e.before <= times * max(known.get(name, 0.0), e.noise) for name, e in errors.items())
 
 
+def weak(finding: Finding) -> bool:
+    """Whether the first effect wins so little that it has to foretell something."""
+    while finding.shorter is not None:
+        finding = finding.shorter
+    return finding.fit is not None and finding.start - finding.fit.total < WEAK**2
+
+
 def unconfirmed(finding: Finding, errors: Mapping[str, SensorError]) -> bool:
     """Whether weak effects foretell neither the blocks that were left out nor the part that no fit saw."""
+    if not weak(finding):
+        return False
     assert finding.fit is not None
     gain = finding.start - finding.fit.total
     left_out = sum(f.gain for f in finding.folds)
     late = sum((e.before**2 - e.after**2) / e.noise**2 for e in errors.values())
-    return gain < WEAK**2 and left_out < FORETOLD * gain and late < GAINED
+    return left_out < FORETOLD * gain and late < GAINED
 
 
 def nothing(finding: Finding) -> Finding:

@@ -56,6 +56,7 @@ class SensorError:
     """RMSE in K of free runs over the held-out part; `means` are the same of means over ten seconds or a sample.
 
     stale: the twin as it was. before: its tunables fitted anew. after: with the effects. noise: of the thermometer.
+    usual: of such means, what a healthy record lets expect where the rig moves as it does there; 0 without one.
     """
 
     stale: float
@@ -63,6 +64,7 @@ class SensorError:
     after: float
     noise: float
     means: tuple[float, float, float] = (float("nan"),) * 3
+    usual: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from twin.discovery.basis import Columns, basis
-from twin.discovery.caution import as_commissioned, first_alone, nothing, unconfirmed
+from twin.discovery.caution import as_commissioned, first_alone, nothing, unconfirmed, weak
 from twin.discovery.contest import Contest
-from twin.discovery.diagnosis import Diagnosis
+from twin.discovery.diagnosis import Diagnosis, SensorError
 from twin.discovery.experiment import Limits
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.forecast import Forecast, forecast, plan_of, too_little, unseen_kinds
@@ -71,6 +71,9 @@ def diagnose(
         made.add(other_forms)
         return made
 
+    def on_unseen(finding: Finding) -> dict[str, SensorError]:
+        return errors(finding, network, record, grid, split, known.plain)
+
     whole.add(other_forms)
     train = part(grid.part(0, split))
     notes = [told.sentence for told in (known.structure, known.bootstrap) if told is not None and told.sentence]
@@ -87,8 +90,8 @@ def diagnose(
         why = f"something changed at {onset_s / 3600.0:.1f} h, inside the part that was to be kept out of the fit"
         if later <= split:
             later, why = most, "what stands out does so in the part that was to be kept out of the fit"
-    elif finding.fit is not None and contradicted(errors(finding, network, record, grid, split), network):
-        later, doubted = most, True
+    elif finding.fit is not None and contradicted(on_unseen(finding), network):
+        later, doubted = most, not weak(finding)
         why = "on the part that was to be kept out of the fit the best answer was far off"
     elif any(e.shape.onset_s > LATE * split * grid.step_s for e in finding.entries):
         later, why = most, "an effect begins so late that the fit saw little of it"
@@ -104,20 +107,24 @@ def diagnose(
             notes.append(f"it showed nothing yet; so the fit was given {split * grid.step_s / 3600.0:.1f} h")
             finding, doubted = _searched(train, say, doubted)
         finding = _foretelling(finding, train, network, record, grid, split)
+    answers = [e.candidate for r in finding.ranked for e in r.entries]
+    whole.know(answers)
     further: list[Part] = []
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
         further = [part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
+        for each in further:
+            each.know(answers)
         finding, said = weighed(finding, train, further)
         notes += said
-    off = errors(finding, network, record, grid, split)
+    off = on_unseen(finding)
     usual = healthy is None and as_commissioned(network, off)
     if usual or (finding.fit is not None and not more and unconfirmed(finding, off)):
         finding = nothing(finding)
         off = {name: replace(e, after=e.before, means=(*e.means[:2], e.means[1])) for name, e in off.items()}
     elif healthy is None and finding.fit is not None and not more:
         finding = first_alone(finding, train)
-        off = errors(finding, network, record, grid, split)
+        off = on_unseen(finding)
     if finding.fit is None:
         poor = too_little(whole.contest, whole.laws, known.book.candidates)
         if poor:

@@ -126,6 +126,7 @@ def unseen_kinds(contest: Contest, found: list[Law], candidates: tuple[Candidate
 
 def hidden(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> dict[str, float]:
     """Share of each kind's entries, place by place, that would have to be very large to show from the beginning."""
+    found = [law for law in found if not law.candidate.begins]
     visible = {
         (law.candidate.kind, law.candidate.where)
         for law, norm in zip(found, _norms(contest, found), strict=True)

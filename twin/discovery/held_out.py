@@ -10,12 +10,13 @@ from twin.discovery.basis import Columns
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.grid import Grid, bridged
 from twin.discovery.model import Model
+from twin.discovery.noise import Noise
 from twin.discovery.ranking import Finding
 from twin.network import Array, Network
 
-FAR_OFF, FAR_SHARE = 3.0, 0.25
-"""Times a thermometer's noise that block means may be off where a fit was not shown them, and the share of the squares
-that re-tuning alone leaves: beyond both an answer is contradicted."""
+FAR_OFF, UNUSUAL, FAR_SHARE = 3.0, 1.5, 0.25
+"""Times a thermometer's noise, and what is usual there, that block means may be off where a fit was not shown them, and
+the share of the squares that re-tuning alone leaves: beyond all of them an answer is contradicted."""
 
 
 def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
@@ -25,12 +26,18 @@ def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
     """
     single = {name: network.parameters[f"{name}.sigma"].value for name in found}
     before, after = (sum((e.means[k] / e.noise) ** 2 for e in found.values()) for k in (1, 2))
-    worst = max((e.means[2] / single[name] for name, e in found.items()), default=0.0)
-    return worst > FAR_OFF and after > FAR_SHARE * before
+    far = any(e.means[2] > max(FAR_OFF * single[name], UNUSUAL * e.usual) for name, e in found.items())
+    return far and after > FAR_SHARE * before
 
 
-def errors(finding: Finding, network: Network, record: Columns, grid: Grid, split: int) -> dict[str, SensorError]:
-    """RMSE per sensor over the held-out part, of free runs from the record's beginning."""
+def errors(
+    finding: Finding, network: Network, record: Columns, grid: Grid, split: int, healthy: Noise | None = None
+) -> dict[str, SensorError]:
+    """RMSE per sensor over the held-out part, of free runs from the record's beginning.
+
+    Args:
+        healthy: noise with all that the twin's structure leaves, as a healthy record tells it.
+    """
     time, inputs = record.time_s, bridged(network, record.time_s, record.inputs)
     late = time >= grid.time[split]
     runs = []
@@ -44,13 +51,18 @@ def errors(finding: Finding, network: Network, record: Columns, grid: Grid, spli
         runs.append(model.run(time, inputs, state[None, : len(network.nodes)], values[None, :], sizes)[0])
     if finding.fit is None:
         runs.append(runs[1])
+    usual = np.zeros(len(network.sensors))
+    if healthy is not None:
+        here = finding.contest.probe.run(grid, finding.state).readings[split:]
+        usual = healthy.where_moved(here, grid.step_s).rms(len(here))
     out = {}
     for j, name in enumerate(network.sensor_names):
         off = [np.where(late, record.measured[:, j] - run[:, j], np.nan) for run in runs]
         raw = [_rms(x) for x in off]
         means = [_rms(binned(x, time, grid)) for x in off]
         if np.isfinite(raw[0]):
-            out[name] = SensorError(raw[0], raw[1], raw[2], float(network.sigma[j]), (means[0], means[1], means[2]))
+            of_means = (means[0], means[1], means[2])
+            out[name] = SensorError(raw[0], raw[1], raw[2], float(network.sigma[j]), of_means, float(usual[j]))
     return out
 
 

@@ -12,9 +12,10 @@ from twin.discovery.diagnosis import Rung
 from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.model import Model
-from twin.discovery.part import Part, finalists, fitted, varied
+from twin.discovery.part import Part, finalists, fitted, timed, varied
 from twin.discovery.ranking import Finding, Ranked, enough, piled_up, rank, unusual
-from twin.discovery.search import EARLY_S, Entry, possible, scan, together
+from twin.discovery.search import Entry, possible, scan, together
+from twin.discovery.shapes import EARLY_S
 from twin.discovery.validation import validate
 from twin.discovery.weighing import weigh
 
@@ -23,7 +24,8 @@ SECOND_SHARE, EXACT_SHARE = 0.06, 0.003
 that one where the first ones have no form to be wrong in (an error of reading that is there at once, or heat that is
 and follows what is measured), or where it comes in at a time of its own."""
 BESIDE_SHARE = 0.25
-"""The same where what is slow is joined by heat in its own place, which its first temperature asks for alone."""
+"""The same where what is slow is joined by heat in its own place, which its first temperature asks for alone, or
+where what is slow comes second: a lumped twin is full of it, more or less so wherever the rig works."""
 _EXACT = ("heat_source", "heat_loss")
 _FORMED = (*LATE, "time_of_day")
 """Drivers of effects that bring a form of their own."""
@@ -96,6 +98,12 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
             say("exchanging effects")
             order = _exchanged(part, trials, order, start)
             winner = order[0].fit
+        finer = timed(part, winner)
+        if finer:
+            say("trying time constants")
+            order = rank([*((r.fit, r.entries) for r in order), *finer], contest, start)
+            winner = order[0].fit
+            part.know(e.candidate for e in winner.entries)
         best, chosen, beside = winner, winner.entries, None
         climbed.append((winner, order))
         if not first_gain:
@@ -149,16 +157,20 @@ def _share(entries: tuple[Entry, ...], chosen: tuple[Entry, ...], second_share: 
     before = {e.candidate.id for e in chosen}
     known = [e for e in entries if e.candidate.id in before]
     further = [e for e in entries if e.candidate.id not in before]
-    if any(k.candidate.driver in LATE and k.candidate.where == e.candidate.where for k in known for e in further):
+    slow = any(k.candidate.driver in LATE and k.candidate.where == e.candidate.where for k in known for e in further)
+    if slow or (second_share and any(e.candidate.driver == "history" for e in further)):
         return max(second_share, BESIDE_SHARE)
     own = all(_exact(k) or _apart(e, k) for k in known for e in further)
     return min(second_share, EXACT_SHARE) if own else second_share
 
 
 def _apart(entry: Entry, other: Entry) -> bool:
-    """Whether an effect comes in at once, at a time of its own, so that it stands for no error of form of the other."""
-    late = entry.shape.name == "step" and entry.shape.onset_s > EARLY_S
-    return late and abs(entry.shape.onset_s - other.shape.onset_s) > EARLY_S
+    """Whether an effect comes in at once, at a time of its own, so that it stands for no error of form of the other.
+
+    Not what is late: what a lumped twin leaves shows when the load first moves.
+    """
+    own = entry.shape.name == "step" and entry.shape.onset_s > EARLY_S and entry.candidate.driver not in LATE
+    return own and abs(entry.shape.onset_s - other.shape.onset_s) > EARLY_S
 
 
 def weighed(finding: Finding, first: Part, later: list[Part]) -> tuple[Finding, tuple[str, ...]]:

@@ -45,11 +45,17 @@ def temperatures(network: Network, grid: Grid, run: Run) -> Array:
 
 
 class Book:
-    """The candidates of a network with their formulas, which are made once for all records."""
+    """The candidates of a network with their formulas, which are made once for all records.
+
+    Attributes:
+        candidates: all but those of `put_in`, other forms of some of them with a temperature of their own to begin at.
+    """
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self.candidates = catalogue(network)
+        every = catalogue(network)
+        self.candidates = tuple(c for c in every if not c.begins)
+        self.put_in = tuple(c for c in every if c.begins)
         self._base = Formulas(network)
         self._made: dict[str, Formulas] = {}
 
@@ -74,6 +80,8 @@ class Book:
         for candidate in self.candidates if only is None else only:
             if candidate.kind == "sensor" and not candidate.adds:
                 law = Law(candidate, None, _reading(network, candidate, grid, run))
+            elif candidate.begins:
+                law = Law(candidate, _put_in(network, candidate, grid, known), None)
             elif candidate.kind == "delay":
                 law = Law(candidate, _delay(network, self._base, candidate, grid, known, base), None)
             else:
@@ -86,6 +94,15 @@ class Book:
             if size is not None and np.isfinite(size).all() and float(np.abs(size).max()) * candidate.typical > LEAST_W:
                 found.append(law)
         return found
+
+
+def _put_in(network: Network, candidate: Candidate, grid: Grid, known: Array) -> Array:
+    """Heat into a node for 1 W/K to what was put in there at the temperature of an input, before that has warmed up."""
+    heat = np.zeros_like(known)
+    (table,) = candidate.adds.values()
+    k = network.nodes.index(table["node"])
+    heat[:, k] = grid.inputs[:, network.input_columns.index(candidate.begins)] - known[:, k]
+    return heat
 
 
 def _reading(network: Network, candidate: Candidate, grid: Grid, run: Run) -> Array:

@@ -68,15 +68,17 @@ class Model:
         return self.network.index(self.original.ids)
 
     @cached_property
-    def _masses(self) -> list[tuple[int, int, int]]:
-        """Effects that bring a temperature of their own: effect, its place in a full state, the node beside it."""
+    def _masses(self) -> list[tuple[int, int, int, str]]:
+        """Effects that bring a temperature of their own: effect, its place in a full state, the node beside it, and the
+        input that it begins at instead, if any."""
         names = System(self.network, ()).states
         found = []
         for i, entry in enumerate(self.entries):
             for element in self.network.elements:
                 own = [k for k, name in enumerate(names) if name.startswith(f"{element.name}.")]
                 if element.name in entry.candidate.adds and own:
-                    found.append((i, own[0], self.network.nodes.index(element.nodes()[0])))
+                    node = self.network.nodes.index(element.nodes()[0])
+                    found.append((i, own[0], node, entry.candidate.begins))
         return found
 
     @cached_property
@@ -121,7 +123,7 @@ class Model:
         cuts = _cuts(since, all_shapes, READ_PIECE_S if read else PIECE_S)
         edges = np.append(since[cuts[:-1]], since[-1])
         edges[-1] = max(edges[-1], edges[-2] + 1e-3)
-        course = {s: s.block_means(edges) for s in all_shapes}
+        course = {s: s.entered.block_means(edges) for s in all_shapes}
         sized = np.array([[course[s] for s in row] for row in each]).reshape(
             len(values), len(self.entries), len(cuts) - 1
         )
@@ -129,10 +131,12 @@ class Model:
         before = np.zeros((len(values), len(self.entries)))
         for piece, (first, last) in enumerate(itertools.pairwise(cuts.tolist())):
             until, at = min(last + 1, len(time)), sized[:, :, piece]
-            for effect, mass, node in self._masses if first else ():
-                # A mass that comes in now has had the time to be as warm as what it stands beside.
-                begins = (before[:, effect] == 0.0) & (at[:, effect] > 0.0)
-                state[begins, mass] = state[begins, node]
+            for effect, mass, node, column in self._masses if first else ():
+                # A mass that comes in now has had the time to be as warm as what it stands beside, or is cold. A little
+                # of it is there before, where it comes in between two samples.
+                begins = (before[:, effect] < 0.5) & (at[:, effect] >= 0.5)
+                room = inputs[first, self.network.input_columns.index(column)] if column else None
+                state[begins, mass] = state[begins, node] if room is None else room
             before = at
             full = self.parameters(values, sizes * at)
             part, state = self.kernel.trace(full, state, time[first:until], inputs[first:until], LANES)
@@ -145,7 +149,7 @@ def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
     borders = {0.0}
     for shape in shapes:
         borders.add(min(shape.onset_s, float(since[-1])))
-        if shape.name != "step":
+        if shape.grows:
             borders.update(np.arange(piece * np.ceil(shape.onset_s / piece), since[-1], piece).tolist())
     cuts = np.unique(np.searchsorted(since, sorted(borders)))
     return np.concatenate([cuts[cuts < len(since)], [len(since)]])

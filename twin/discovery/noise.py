@@ -76,6 +76,11 @@ class Noise:
         whitened: Array = out.reshape(c.shape)
         return whitened
 
+    def rms(self, n: int) -> Array:
+        """Root mean square (m,), K, of `n` bins in a row."""
+        found: Array = np.sqrt((self.sd[bands(n, self.step_s)] ** 2).mean(axis=0))
+        return found
+
     def draw(self, n: int, rng: np.random.Generator) -> Array:
         """Noise (n, m), K, of n bins as it was met, without the caution with which records are weighed."""
         whitened = rng.standard_normal((n, len(self.white)))

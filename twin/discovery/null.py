@@ -56,14 +56,17 @@ def null_scores(contest: Contest, laws: list[Law], draws: int = DRAWS, seed: int
     """Best scores of records of noise in this contest, every candidate in all its shapes from every onset."""
     scores = contest.noise_scores(np.random.default_rng(seed), draws)
     known = Courses.of(contest)
-    families = [c[:, ::EVERY].astype(np.float32) for c in (known.steps, known.growths)]
+    steps, grown = (c[:, ::EVERY].astype(np.float32) for c in (known.steps, known.growths))
     best = np.zeros(draws)
     for law in laws:
         p = contest.vector(law)
         exact, drawn = contest.small(p, scores)
         scale = max(float(np.trace(exact)), _TINY)
         gram, score = (exact / scale).astype(np.float32), (drawn / scale).astype(np.float32)
-        for courses in families[:1] if law.candidate.shapes == ("step",) else families:
+        families = [steps] if law.candidate.shapes == ("step",) else [steps, grown]
+        if law.candidate.begins:
+            families = [known.beyond(law.candidate)[1][:, ::EVERY].astype(np.float32)]
+        for courses in families:
             bottom = np.maximum((courses * (gram @ courses)).sum(axis=0), 1e-6)
             top = courses.T @ score
             size = top / bottom[:, None]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from twin.discovery.basis import Basis
@@ -19,6 +21,8 @@ from twin.elements.base import Candidate
 from twin.network import Array
 
 FINALISTS = 8
+SLOWER = (1.4, 1.2, 1.1)
+"""Factors by which a time constant is tried longer and shorter, one after the other."""
 WORTH = 4.0
 """Gain that another form of the same thing must have over the catalogue's to be looked at."""
 
@@ -38,7 +42,7 @@ class Part:
     @classmethod
     def of(cls, known: Basis, grid: Grid) -> Part:
         state, run, _, _ = free_run(known.probe, grid)
-        found = known.book.laws(grid, run)
+        found = [*known.book.laws(grid, run), *known.book.laws(grid, run, known.book.put_in)]
         contest = Contest(known.probe, grid, state, run, known.noise, known.prior, known.structure, found)
         entries = [refine(contest, e) for e in varied(scan(contest, found))]
         entries.sort(key=lambda e: -e.gain)
@@ -46,10 +50,10 @@ class Part:
 
     def sharpened(self) -> tuple[Candidate, ...]:
         """Of what comes in many forms, those that score better at each place than the catalogue's own."""
-        best: dict[str, Entry] = {}
+        best: dict[tuple[str, str], Entry] = {}
         for entry in self.entries:
             if entry.candidate.near is not None:
-                best.setdefault(entry.candidate.where, entry)
+                best.setdefault((entry.candidate.kind, entry.candidate.where), entry)
         found = []
         for first in best.values():
             closest, top = first.candidate, first.gain
@@ -71,6 +75,12 @@ class Part:
         self.laws = [*self.laws, *laws]
         entries = [refine(self.contest, e) for e in varied(scan(self.contest, laws))]
         self.entries = sorted([*self.entries, *entries], key=lambda e: -e.gain)
+
+    def know(self, candidates: Iterable[Candidate]) -> None:
+        """Keep the laws of further candidates at hand, without looking for them."""
+        known = {law.candidate.id for law in self.laws}
+        further = {c.id: c for c in candidates if c.id not in known}
+        self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, tuple(further.values()))]
 
     @property
     def best_z(self) -> float:
@@ -95,6 +105,28 @@ def fitted(part: Part, groups: list[tuple[Entry, ...]]) -> list[tuple[Fit, tuple
         part.reset()
         trials.append((fit(part.contest, Model.of(part.contest.probe, group), part.state), group))
     return trials
+
+
+def timed(part: Part, best: Fit) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """A fit with other time constants of what is slow in it, nearer and nearer to those that suit the record best."""
+    found: list[tuple[Fit, tuple[Entry, ...]]] = []
+    for i, share in itertools.product(range(len(best.entries)), SLOWER):
+        for factor in (share, 1.0 / share):
+            other = _slower(part, best.entries[i], factor)
+            if other is not None:
+                found += fitted(part, [(*best.entries[:i], other, *best.entries[i + 1 :])])
+                best = min(best, found[-1][0], key=lambda f: f.total)
+    return found
+
+
+def _slower(part: Part, entry: Entry, factor: float) -> Entry | None:
+    """The same of as much capacity with another time constant; None for what has none, or where it does nothing."""
+    c = entry.candidate
+    laws = part.basis.book.laws(part.grid, part.run, (c.slower(factor * c.slow_s),)) if c.slower else []
+    if not laws:
+        return None
+    shape = replace(entry.shape, growth_s=laws[0].candidate.slow_s) if c.begins else entry.shape
+    return replace(entry, law=laws[0], shape=shape, size=entry.size / factor)
 
 
 def varied(entries: list[Entry]) -> list[Entry]:
@@ -126,7 +158,7 @@ def finalists(entries: list[Entry], chosen: tuple[Entry, ...]) -> list[Entry]:
         if len(found) == FINALISTS:
             break
     # What grows is only believed where the same thing all at once does worse.
-    for grown in [e for e in found if e.shape.name != "step"]:
+    for grown in [e for e in found if e.shape.grows]:
         at_once = [e for e in entries if e.candidate.id == grown.candidate.id and e.shape.name == "step"]
         if at_once and at_once[0] not in found:
             found.append(at_once[0])

@@ -12,7 +12,8 @@ from twin.discovery.diagnosis import Fold, Rung
 from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit
 from twin.discovery.null import FALSE_ALARMS, Null
-from twin.discovery.search import EARLY_S, Entry
+from twin.discovery.search import Entry
+from twin.discovery.shapes import EARLY_S
 from twin.network import Array
 
 LEFT, QUIET = 1.3, 3.0
@@ -43,15 +44,16 @@ def piled_up(entries: tuple[Entry, ...]) -> bool:
     """Whether effects share a place: they then stand for one of a form that no candidate has.
 
     What is slow there and what is late there (a mass, a thermometer's lag) do not stand for one another, nor do a
-    stream, the heat at a place and its thermometer's error, unless they begin together.
+    stream, the heat at a place and its thermometer's error, unless they begin together: what is slow or late with
+    anything else there in the midst of a record.
     """
     named = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
     places = list(zip((_MOVED_BY.get(name, name) for name in named), map(_way, entries), strict=True))
     same = [tuple(e.candidate.changes) for e in entries]
     at_once = any(
         way != other
-        and "late" not in (way, other)
         and place == beside
+        and ("late" not in (way, other) or min(a.shape.onset_s, b.shape.onset_s) > EARLY_S)
         and abs(a.shape.onset_s - b.shape.onset_s) < EARLY_S
         for (a, (place, way)), (b, (beside, other)) in itertools.combinations(zip(entries, places, strict=True), 2)
     )
@@ -120,7 +122,7 @@ def rank(trials: list[tuple[Fit, tuple[Entry, ...]]], contest: Contest, start: f
     for fitted, _ in trials:
         cost = fitted.total
         for e in fitted.entries:
-            free = 1.0 + (e.shape.onset_s > 0.0) + (e.shape.name != "step")
+            free = 1.0 + (e.shape.onset_s > 0.0) + e.shape.grows
             cost += free * math.log(contest.count)
         costs.append(cost + unusual(fitted.entries))
     limit = width(max(start - min(f.total for f, _ in trials), 0.0))
@@ -144,7 +146,7 @@ def unusual(entries: tuple[Entry, ...]) -> float:
 def _without_growth(entries: tuple[Entry, ...], trials: list[tuple[Fit, tuple[Entry, ...]]]) -> list[int]:
     """Trials with the same candidates, the last of which comes in at once where here it grows."""
     last = entries[-1]
-    if last.shape.name == "step":
+    if not last.shape.grows:
         return []
     return [
         k
@@ -162,6 +164,6 @@ def _prior(entries: tuple[Entry, ...]) -> float:
 def plausibility(entry: Entry) -> float:
     """How likely such an effect is before any data, relative to a constant heat source."""
     value = KINDS.get(entry.candidate.kind, 0.5) * _RARE.get(entry.candidate.driver, 1.0)
-    if entry.shape.name != "step" and entry.candidate.kind == "actuator":
+    if entry.shape.grows and entry.candidate.kind == "actuator":
         value *= 0.2
     return value * (0.5 if entry.shape.name == "saturating" else 1.0)

@@ -14,8 +14,6 @@ from twin.discovery.sweep import LAST_SHARE, Courses, Given, Squares
 from twin.elements.base import Candidate
 from twin.network import Array
 
-EARLY_S = 3600.0
-"""Onsets up to this are as good as the beginning: little tells them from it."""
 WORTH_GROWING = 4.0
 """Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
 _TINY = 1e-12
@@ -53,12 +51,12 @@ class Entry:
     @property
     def driver(self) -> str:
         """What the effect follows: time where it grows, else what its law says."""
-        return self.candidate.driver if self.shape.name == "step" else "elapsed_time"
+        return "elapsed_time" if self.shape.grows else self.candidate.driver
 
     @property
     def change(self) -> str:
         """A parameter that drifts is a missing law of time; one that jumped is a moved parameter."""
-        return self.candidate.change if self.shape.name == "step" else "new"
+        return "new" if self.shape.grows else self.candidate.change
 
     @property
     def label(self) -> tuple[str, str, str]:
@@ -76,11 +74,11 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
         given: vectors (e, sites, b) of effects that are already known; their sizes are fitted along.
     """
     known = Courses.of(contest)
-    onsets, steps, grown, courses = known.onsets, known.steps, known.grown, known.growths
+    onsets, steps = known.onsets, known.steps
     beside = Given(contest, given) if given is not None and len(given) else None
     found: list[Entry] = []
     for law in laws:
-        squares = Squares.of(contest, law)
+        squares, (others, courses) = Squares.of(contest, law), known.beyond(law.candidate)
         p, score, bottom, growing = squares.blocks, contest.scored(squares.blocks), squares.steps, squares.growths
         if beside is not None:
             share = beside.share(p)
@@ -92,18 +90,20 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
         size, gain = _gains(law, score @ steps, bottom)
         gain[np.abs(size) < law.candidate.lumped] = 0.0
         best = int(np.argmax(gain))
-        if gain[best] > 0.0:
+        put_in = bool(law.candidate.begins)
+        if gain[best] > 0.0 and not put_in:
             vector = p * steps[:, best]
             shape = Shape("step", float(onsets[best]))
             found.append(_entry(law, shape, vector, size[best], bottom[best], gain[best]))
-        if law.candidate.shapes == ("step",) or gain[best] < WORTH_GROWING:
+        if law.candidate.shapes == ("step",) or (gain[best] < WORTH_GROWING and not put_in):
             continue
         bottom = np.maximum(growing, least)
         size, gain = _gains(law, score @ courses, bottom)
-        for first in range(0, len(grown), len(onsets[::3])):
-            best = first + int(np.argmax(gain[first : first + len(onsets[::3])]))
+        each = len(others) if put_in else len(onsets[::3])
+        for first in range(0, len(others), each):
+            best = first + int(np.argmax(gain[first : first + each]))
             if gain[best] > 0.0:
-                found.append(_entry(law, grown[best], p * courses[:, best], size[best], bottom[best], gain[best]))
+                found.append(_entry(law, others[best], p * courses[:, best], size[best], bottom[best], gain[best]))
     found.sort(key=lambda e: -e.gain)
     return found
 

@@ -1,7 +1,7 @@
 """How an effect comes in: at once, growing in proportion to time for a while, or growing towards a final size.
 
 Amplitudes are relative to the effect's size: 1 after a step, 1 where a ramp has ended, 1 in the limit for a saturating
-growth.
+growth. What is put in with a temperature of its own is there at once, and what it does fades.
 """
 
 from __future__ import annotations
@@ -12,14 +12,17 @@ import numpy as np
 
 from twin.network import Array
 
-GROWTH_H = {"step": (0.0,), "ramp": (2.0, 6.0, 16.0, np.inf), "saturating": (1.0, 4.0, 12.0)}
+EARLY_S = 3600.0
+"""Onsets up to this are as good as the beginning: little tells them from it."""
+GROWTH_H = {"ramp": (2.0, 6.0, 16.0, np.inf), "saturating": (1.0, 4.0, 12.0)}
 """Durations of ramps and time constants of saturating growth that are tried, h; an endless ramp is as long as the
 record."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """`name` step, ramp or saturating; `onset_s` from the record's beginning; `growth_s` of a growing one."""
+    """`name` step, ramp, saturating or put in; `onset_s` from the record's beginning; `growth_s` of a growing one, or
+    the time constant with which what a thing does fades that was put in."""
 
     name: str
     onset_s: float = 0.0
@@ -34,6 +37,9 @@ class Shape:
         if self.name == "step":
             return (b - a) / width
         growth = max(self.growth_s, 1.0)
+        if self.name == "put in":
+            faded: Array = growth * (np.exp(-a / growth) - np.exp(-b / growth)) / width
+            return faded
         if self.name == "ramp":
             up = 0.5 * (np.minimum(b, growth) ** 2 - np.minimum(a, growth) ** 2) / growth
             held = np.maximum(b - growth, 0.0) - np.maximum(a - growth, 0.0)
@@ -41,6 +47,15 @@ class Shape:
             return rising
         mean: Array = (b - a + growth * (np.exp(-b / growth) - np.exp(-a / growth))) / width
         return mean
+
+    @property
+    def grows(self) -> bool:
+        return self.name in GROWTH_H
+
+    @property
+    def entered(self) -> Shape:
+        """How the element itself comes in, whatever becomes of what it does."""
+        return Shape("step", self.onset_s) if self.name == "put in" else self
 
     def mean(self, low_s: float, high_s: float) -> float:
         """Mean amplitude over one span."""

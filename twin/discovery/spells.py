@@ -62,7 +62,7 @@ def came_and_went(contest: Contest, laws: list[Law], lasting: list[Entry], chose
     rival = max(e.gain for e in lasting)
     if len(chosen) == 1:
         rival = max(rival, together)
-    found = [s for law in laws if (s := _best(contest, law)) is not None]
+    found = [s for law in laws if not law.candidate.begins and (s := _best(contest, law)) is not None]
     most = max((s.gain for s in found), default=0.0)
     if most < max(rival + max(BETTER, BETTER_SHARE * rival), AS_SEVERAL * together if len(chosen) > 1 else 0.0):
         return None

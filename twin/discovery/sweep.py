@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from twin.discovery.contest import Contest
 from twin.discovery.laws import Law
-from twin.discovery.shapes import Shape, family
+from twin.discovery.shapes import EARLY_S, Shape, family
+from twin.elements.base import Candidate
 from twin.network import Array
 
 LAST_SHARE = 0.95
@@ -18,12 +19,17 @@ _KNOWN = 1e-10
 
 @dataclass(frozen=True)
 class Courses:
-    """Onsets (i,), s, of steps and their courses (b, i); shapes that grow, j of them, and theirs (b, j)."""
+    """Onsets (i,), s, of steps and their courses (b, i); shapes that grow, j of them, and theirs (b, j).
+
+    `edges_s` (b + 1,) bound the blocks.
+    """
 
     onsets: Array
     steps: Array
     grown: list[Shape]
     growths: Array
+    edges_s: Array
+    _fading: dict[float, tuple[list[Shape], Array]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, contest: Contest) -> Courses:
@@ -32,10 +38,21 @@ class Courses:
             known = contest.memo["courses"] = _courses(contest)
         return known
 
+    def beyond(self, candidate: Candidate) -> tuple[list[Shape], Array]:
+        """The shapes of a candidate other than steps, and their courses (b, j)."""
+        if not candidate.begins:
+            return self.grown, self.growths
+        if candidate.slow_s not in self._fading:
+            # What was put in before the record begins is as warm as its place may be: no reading tells.
+            shapes = [Shape("put in", float(t), candidate.slow_s) for t in self.onsets if t > EARLY_S]
+            courses = [shape.block_means(self.edges_s) for shape in shapes]
+            self._fading[candidate.slow_s] = shapes, np.stack(courses, axis=1)
+        return self._fading[candidate.slow_s]
+
 
 @dataclass(frozen=True)
 class Squares:
-    """Of a law at size 1, nothing else known: `blocks` (sites, b) and squares of its steps (i,) and growths (j,)."""
+    """Of a law at size 1, nothing else known: `blocks` (sites, b), squares of its steps (i,) and other shapes (j,)."""
 
     blocks: Array
     steps: Array
@@ -48,7 +65,8 @@ class Squares:
             courses, blocks = Courses.of(contest), contest.vector(law)
             gram = contest.small(blocks)[0]
             steps = _late_sums(gram)[: len(courses.onsets)]
-            known = cls(blocks, steps, (courses.growths * (gram @ courses.growths)).sum(axis=0))
+            beyond = courses.beyond(law.candidate)[1]
+            known = cls(blocks, steps, (beyond * (gram @ beyond)).sum(axis=0))
             contest.memo[law] = known
         return known
 
@@ -87,7 +105,8 @@ def _courses(contest: Contest) -> Courses:
         for growth in family(name, float(edges_s[-1]))
         for t in onsets[::3]
     ]
-    return Courses(onsets, steps, grown, np.stack([shape.block_means(edges_s) for shape in grown], axis=1))
+    growths = np.stack([shape.block_means(edges_s) for shape in grown], axis=1)
+    return Courses(onsets, steps, grown, growths, edges_s)
 
 
 def _late_sums(gram: Array) -> Array:

@@ -15,7 +15,8 @@ from twin.discovery.diagnosis import Alternative
 from twin.discovery.equivalence import OPEN
 from twin.discovery.grid import Grid
 from twin.discovery.model import Model
-from twin.discovery.search import EARLY_S, Entry
+from twin.discovery.search import Entry
+from twin.discovery.shapes import EARLY_S
 from twin.discovery.words import clock
 from twin.network import Array
 

@@ -229,7 +229,7 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
             start + max(entry.shape.onset_s - onset_spread, 0.0),
             start + entry.shape.onset_s + onset_spread,
         ),
-        shape=entry.shape.name,
+        shape=entry.shape.entered.name,
         confidence=sure.get((c.kind, c.where), 1.0),
         z=math.sqrt(gain),
         family_wise=finding.null.family_wise(math.sqrt(gain)),
@@ -290,7 +290,7 @@ def _bigger(finding: Finding, network: Network) -> Network:
 
 def _final(entry: Entry, finding: Finding) -> float:
     end = finding.contest.grid.span_s
-    return 1.0 if entry.shape.name == "step" else entry.shape.mean(end - 1.0, end)
+    return entry.shape.mean(end - 1.0, end) if entry.shape.grows else 1.0
 
 
 def _moved(finding: Finding, known: Basis) -> tuple[Moved, ...]:

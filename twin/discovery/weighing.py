@@ -61,7 +61,7 @@ def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> lis
         for i, hypothesis in enumerate(ranked):
             # An effect that does nothing in a later record leaves the twin as it is there.
             before = [e for e in hypothesis.entries if e.candidate.id in laws]
-            grown = [e.size * e.shape.mean(span_s - 1.0, span_s) for e in before]
+            grown = [e.size * e.shape.entered.mean(span_s - 1.0, span_s) for e in before]
             entries = tuple(
                 from_the_start(replace(e, law=laws[e.candidate.id]), size).refreshed(part.contest)
                 for e, size in zip(before, grown, strict=True)

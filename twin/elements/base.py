@@ -178,6 +178,8 @@ class Candidate:
         shapes: time shapes in which it may come in.
         lumped: size that a twin of mixed volumes without pipes may seem to lack without anything being wrong.
         near: makes other forms of the same, which are looked at where this one scores.
+        begins: input column whose temperature what is added begins at when it comes in, or "" for that of its place.
+        slow_s: time constant of a temperature of its own, s, or 0. slower: makes the same with another one.
     """
 
     kind: str
@@ -196,12 +198,16 @@ class Candidate:
     shapes: tuple[str, ...] = SHAPES
     lumped: float = 0.0
     near: Callable[[], tuple[Candidate, ...]] | None = None
+    begins: str = ""
+    slow_s: float = 0.0
+    slower: Callable[[float], Candidate] | None = None
 
     @property
     def id(self) -> str:
         """Unique within a catalogue."""
         weights = ",".join(f"{name}*{weight:.4g}" for name, weight in self.changes.items())
         others = "".join(f"|{key}={value}" for keys in self.replaces.values() for key, value in keys.items())
+        others += f"|from {self.begins}" if self.begins else ""
         return f"{self.kind}@{self.where}~{self.driver}[{weights}{others}]{self.typical:.3g}"
 
 

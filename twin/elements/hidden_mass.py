@@ -11,6 +11,7 @@ is nothing. Source: the two-node lumped model (Incropera, Fundamentals of Heat a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, State, place
@@ -18,6 +19,8 @@ from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpe
 LEAST_S = 1.0
 TIME_CONSTANTS_S = tuple(120.0 * 3.0 ** (k / 2.0) for k in range(10))
 """Capacity over conductance of masses that are looked for, s."""
+PUT_IN_S = TIME_CONSTANTS_S[1::2]
+"""The same of masses that are put in at the temperature of the room."""
 
 
 @dataclass(frozen=True)
@@ -34,17 +37,10 @@ class HiddenMass(Element):
 
     @classmethod
     def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
-        return tuple(
-            Candidate(
-                "thermal_mass", sites.places[node], "history", "new",
-                {f"{name}.conductance": 1.0, f"{name}.capacity": tau}, "W/K", 2.0, 0.0, 500.0,
-                f"has a mass beside it that follows through {{value}} with a time constant of {tau / 60.0:.0f} min",
-                adds={name: {"kind": cls.kind, "node": node}}, shapes=("step",),
-            )
-            for node in sites.nodes
-            for tau in TIME_CONSTANTS_S
-            if (name := f"mass_beside_{node}")
-        )  # fmt: skip
+        found = [_mass(sites.places[node], node, "", tau) for node in sites.nodes for tau in TIME_CONSTANTS_S]
+        if sites.room:
+            found += [_mass(sites.places[node], node, sites.room, t) for node in sites.nodes for t in PUT_IN_S]
+        return tuple(found)
 
     def emit(self, n: Names) -> Fragment:
         if n.constant("capacity") == 0.0 or n.constant("conductance") == 0.0:
@@ -61,3 +57,15 @@ class HiddenMass(Element):
             conductance={self.node: strength},
             states=(State("mass", rate=f"{speed} * ({node} - {mass})", start=node, speed=speed),),
         )
+
+
+def _mass(where: str, node: str, room: str, tau: float) -> Candidate:
+    """A mass with a time constant, as warm as its place when it comes in, or as the `room` where that is named."""
+    name = f"mass_beside_{node}"
+    says = "has had a mass put in at the temperature of the room, which" if room else "has a mass beside it that"
+    return Candidate(
+        "thermal_mass", where, "history", "new", {f"{name}.conductance": 1.0, f"{name}.capacity": tau}, "W/K", 2.0,
+        0.0, 500.0, f"{says} follows through {{value}} with a time constant of {tau / 60.0:.0f} min",
+        adds={name: {"kind": HiddenMass.kind, "node": node}}, shapes=("put in",) if room else ("step",), begins=room,
+        slow_s=tau, slower=partial(_mass, where, node, room),
+    )  # fmt: skip
