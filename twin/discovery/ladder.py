@@ -98,7 +98,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
             say("exchanging effects")
             order = _exchanged(part, trials, order, start)
             winner = order[0].fit
-        finer = timed(part, winner)
+        finer = timed(part, winner, chosen)
         if finer:
             say("trying time constants")
             order = rank([*((r.fit, r.entries) for r in order), *finer], contest, start)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,6 +23,8 @@ from twin.elements.base import Candidate
 from twin.network import Array
 
 FINALISTS = 8
+SIDE_BY_SIDE = 4
+"""Fits that run at once, where there are so many cores: kernels do without the interpreter's lock."""
 SLOWER = (1.4, 1.2, 1.1)
 """Factors by which a time constant is tried longer and shorter, one after the other."""
 WORTH = 4.0
@@ -99,23 +103,27 @@ class Part:
 
 
 def fitted(part: Part, groups: list[tuple[Entry, ...]]) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """Each group of effects fitted, from the commissioned values."""
-    trials = []
-    for group in groups:
-        part.reset()
-        trials.append((fit(part.contest, Model.of(part.contest.probe, group), part.state), group))
-    return trials
+    """Each group of effects fitted, from the commissioned values, side by side; the part's contest is left alone."""
+    models = [Model.of(part.contest.probe, group) for group in groups]
+
+    def fitted_alone(model: Model) -> Fit:
+        contest = copy.copy(part.contest)
+        contest.look_at(part.run)
+        return fit(contest, model, part.state)
+
+    with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+        return list(zip(pool.map(fitted_alone, models), groups, strict=True))
 
 
-def timed(part: Part, best: Fit) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """A fit with other time constants of what is slow in it, nearer and nearer to those that suit the record best."""
+def timed(part: Part, best: Fit, known: tuple[Entry, ...]) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """A fit with other time constants of what is slow in it and not `known` before, nearer and nearer to the best."""
     found: list[tuple[Fit, tuple[Entry, ...]]] = []
-    for i, share in itertools.product(range(len(best.entries)), SLOWER):
-        for factor in (share, 1.0 / share):
-            other = _slower(part, best.entries[i], factor)
-            if other is not None:
-                found += fitted(part, [(*best.entries[:i], other, *best.entries[i + 1 :])])
-                best = min(best, found[-1][0], key=lambda f: f.total)
+    before = {e.candidate.where for e in known if e.candidate.slower}
+    new = [i for i, e in enumerate(best.entries) if e.candidate.slower and e.candidate.where not in before]
+    for i, share in itertools.product(new, SLOWER):
+        others = [o for f in (share, 1.0 / share) if (o := _slower(part, best.entries[i], f)) is not None]
+        found += fitted(part, [(*best.entries[:i], other, *best.entries[i + 1 :]) for other in others])
+        best = min((best, *(f for f, _ in found)), key=lambda f: f.total)
     return found
 
 

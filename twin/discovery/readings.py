@@ -41,8 +41,9 @@ def stuck(column: str, time_s: Array, values: Array, sigma: float) -> tuple[Stuc
         return ()
     borders = np.flatnonzero(np.concatenate([[True], steps > 1e-9, [True]]))
     found = []
-    for first, last in zip(borders[:-1], borders[1:], strict=True):
+    long = np.flatnonzero(np.diff(borders) >= STUCK_SAMPLES)
+    for first, last in zip(borders[long], borders[long + 1], strict=True):
         a, b = good[first], good[last - 1]
-        if last - first >= STUCK_SAMPLES and time_s[b] - time_s[a] >= STUCK_S:
+        if time_s[b] - time_s[a] >= STUCK_S:
             found.append(Stuck(column, float(v[first]), float(time_s[a]), float(time_s[b]), slice(int(a), int(b) + 1)))
     return tuple(found)
