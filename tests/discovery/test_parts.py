@@ -11,6 +11,7 @@ from twin.discovery.catalogue import catalogue, extended, sized
 from twin.discovery.contest import Contest
 from twin.discovery.formulas import Formulas, follow
 from twin.discovery.grid import centred, filled, on_grid
+from twin.discovery.ladder import BESIDE_SHARE, EXACT_SHARE, SECOND_SHARE, share_needed
 from twin.discovery.laws import Book, Law
 from twin.discovery.model import Model
 from twin.discovery.noise import bands, learn
@@ -26,7 +27,7 @@ SIX = "profiles/twins/loop_six.toml"
 
 @settings(max_examples=60, deadline=None)
 @given(
-    name=st.sampled_from(["step", "ramp", "saturating"]),
+    name=st.sampled_from(["step", "ramp", "saturating", "put in"]),
     onset=st.floats(0.0, 9000.0),
     growth=st.floats(300.0, 20000.0),
 )
@@ -41,6 +42,7 @@ def test_block_means_of_a_shape_are_its_average(name: str, onset: float, growth:
         "step": (middle >= onset).astype(float),
         "ramp": np.minimum(since / growth, 1.0),
         "saturating": 1.0 - np.exp(-since / growth),
+        "put in": np.exp(-since / growth) * (middle >= onset),
     }[name]
     assert np.abs(means - exact.reshape(18, -1).mean(axis=1)).max() < 1e-3
 
@@ -183,3 +185,23 @@ def test_a_stream_and_heat_share_a_place_unless_they_begin_together(bench: Bench
     assert not piled_up((rejection, later))
     assert piled_up((rejection, entry("flow", "constant", 9.2)))
     assert piled_up((rejection, entry("heat_source", "constant", 11.0)))
+    # What is slow stands beside anything that is there all along, and for nothing that begins with it.
+    assert not piled_up((entry("heat_source", "constant", 0.0), entry("thermal_mass", "history", 0.0)))
+    assert not piled_up((entry("heat_source", "constant", 5.0), entry("thermal_mass", "history", 9.0)))
+    assert piled_up((entry("heat_source", "constant", 9.0), entry("thermal_mass", "history", 9.1)))
+
+
+def test_what_is_slow_needs_a_larger_share_of_what_came_first(bench: Bench) -> None:
+    known = {(c.kind, c.where, c.driver): c for c in catalogue(bench.network)}
+
+    def entry(kind: str, where: str, driver: str, hour: float) -> Entry:
+        law = Law(known[kind, where, driver], None, None)
+        return Entry(law, Shape("step", 3600.0 * hour), np.empty(0), 1.0, 0.1, 100.0)
+
+    first = entry("heat_rejection", "radiator", "constant", 2.0)
+    hose, body = entry("delay", "heater", "history", 5.0), entry("thermal_mass", "tank", "history", 5.0)
+    heat = entry("heat_source", "tank", "constant", 5.0)
+    for slow in (hose, body):
+        assert share_needed((first, slow), (first,), SECOND_SHARE) == BESIDE_SHARE
+        assert share_needed((first, slow), (first,), 0.0) == 0.0
+    assert share_needed((first, heat), (first,), SECOND_SHARE) == EXACT_SHARE

@@ -49,14 +49,25 @@ def test_what_lasts_is_not_said_to_have_ended(bench: Bench, healthy: Columns) ->
 def test_an_answer_that_the_held_out_part_contradicts_is_withdrawn(bench: Bench) -> None:
     """Squares of all sensors count; one that is a little off beside a large gain does not contradict."""
 
-    def off(before: float, after: float) -> SensorError:
-        return SensorError(before, before, after, 0.05, (before, before, after))
+    def off(before: float, after: float, usual: float = 0.0) -> SensorError:
+        return SensorError(before, before, after, 0.05, (before, before, after), usual)
 
     network, (one, other) = bench.network, bench.network.sensor_names[:2]
     assert contradicted({one: off(0.5, 0.4)}, network)
     assert not contradicted({one: off(2.0, 0.2)}, network)
     assert not contradicted({one: off(0.1, 0.1)}, network)  # within three times the noise
     assert not contradicted({one: off(2.0, 0.1), other: off(0.1, 0.2)}, network)
+    # Where the rig moves more, its twin is usually off by more.
+    assert not contradicted({one: off(0.5, 0.4, usual=0.3)}, network)
+    assert contradicted({one: off(0.5, 0.4, usual=0.2)}, network)
+
+
+def test_what_is_usual_in_a_part_follows_how_much_the_rig_moves_there(bench: Bench, healthy: Columns) -> None:
+    steady = bench.record(16.0)
+    found = diagnose(bench.network, steady, healthy)
+    assert all(0.3 * e.noise < e.usual < 3.0 * e.noise for e in found.errors.values())
+    unknown = diagnose(bench.network, steady)
+    assert all(e.usual == 0.0 for e in unknown.errors.values())
 
 
 def test_what_shows_in_the_held_out_part_alone_is_found(bench: Bench, healthy: Columns) -> None:

@@ -59,7 +59,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     climbed: list[tuple[Fit, tuple[Ranked, ...]]] = []
     while entries and entries[0].z >= threshold:
         beside = entries[0]
-        small = _share((*chosen, beside), chosen, second_share) * first_gain
+        small = share_needed((*chosen, beside), chosen, second_share) * first_gain
         if len(chosen) == MOST_EFFECTS:
             break
         if best is not None and beside.gain < small and enough(best.chi, start_chi, contest):
@@ -89,7 +89,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         if best is None and start - winner.total - unusual(winner.entries) < threshold**2:
             break
         if best is not None:
-            small = _share(winner.entries, chosen, second_share) * first_gain
+            small = share_needed(winner.entries, chosen, second_share) * first_gain
             need = threshold**2 if not enough(best.chi, start_chi, contest) else max(threshold**2, small)
             if best.total - winner.total < need:
                 # A law at measured temperatures may promise what no element keeps.
@@ -152,7 +152,7 @@ def _exact(entry: Entry) -> bool:
     return entry.shape.name == "step" and (c.kind == "sensor" or (c.kind in _EXACT and c.driver not in _FORMED))
 
 
-def _share(entries: tuple[Entry, ...], chosen: tuple[Entry, ...], second_share: float) -> float:
+def share_needed(entries: tuple[Entry, ...], chosen: tuple[Entry, ...], second_share: float) -> float:
     """Of the first effect's gain, what entries that are not among the `chosen` have to win beside those that are."""
     before = {e.candidate.id for e in chosen}
     known = [e for e in entries if e.candidate.id in before]
