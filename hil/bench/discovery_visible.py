@@ -12,7 +12,6 @@ from twin.discovery.contest import Contest
 from twin.discovery.laws import Law
 from twin.network import Array, Network
 
-MODULES = 6
 _UNITS = {"bias": "K", "drift_per_h": "K", "lag_s": "s"}
 
 
@@ -80,8 +79,8 @@ def course_of(table: Mapping[str, Any], edges_s: Array) -> Array:
 def catalogue_size(table: Mapping[str, Any], law: Law, network: Network) -> float | None:
     """Size of an effect in the unit of its candidate; None where the two measure different things.
 
-    So it is with the fan's exponent, of the air side in the rig and of the whole way from water to air in the twin, and
-    with a mass, whose capacity the catalogue has in steps.
+    So it is with the radiator's conductance and the fan's exponent, of the fins in the rig and of the whole way from
+    water to air in the twin, and with a mass, whose capacity the catalogue has in steps.
     """
     c = law.candidate
     kind, driver = table["kind"], table.get("driver")
@@ -91,15 +90,11 @@ def catalogue_size(table: Mapping[str, Any], law: Law, network: Network) -> floa
         return float(table["power_W"]) / 1000.0
     if kind == "heat_loss" and c.unit == "W/K":
         return float(table["conductance_W_per_K"])
-    if kind == "heat_rejection" and "lost_fraction" in table and "fins.UA_100" in c.changes:
-        return -float(table["lost_fraction"]) * network.parameters["fins.UA_100"].value
     if kind == "flow" and "lost_fraction" in table and "circuit.factor" in c.changes:
         return -float(table["lost_fraction"]) * network.parameters["circuit.factor"].value
     for key in ("bypass_fraction", "bias", "drift_per_h", "lag_s"):
         if key in table and c.unit == _UNITS.get(key, c.unit):
-            # The mean of the modules' thermometers takes a share of what one of them is off.
-            alone = key == "lag_s" or c.where == table["where"]
-            return float(table[key]) * (1.0 if alone else 1.0 / MODULES)
+            return float(table[key])
     if kind == "actuator":
         return float(table["gain"]) - 1.0
     return None

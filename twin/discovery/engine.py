@@ -15,7 +15,7 @@ from twin.discovery.experiment import Limits
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.forecast import Forecast, forecast, plan_of, too_little, unseen_kinds
 from twin.discovery.grid import Grid, on_grid
-from twin.discovery.held_out import binned, contradicted, errors
+from twin.discovery.held_out import binned, contradicted, errors, far_off
 from twin.discovery.ladder import SECOND_SHARE, search, weighed
 from twin.discovery.members import Members, members
 from twin.discovery.model import Model
@@ -90,8 +90,8 @@ def diagnose(
         why = f"something changed at {onset_s / 3600.0:.1f} h, inside the part that was to be kept out of the fit"
         if later <= split:
             later, why = most, "what stands out does so in the part that was to be kept out of the fit"
-    elif finding.fit is not None and contradicted(on_unseen(finding), network):
-        later, doubted = most, not weak(finding)
+    elif finding.fit is not None and far_off(seen := on_unseen(finding), network):
+        later, doubted = most, contradicted(seen, network) and not weak(finding)
         why = "on the part that was to be kept out of the fit the best answer was far off"
     elif any(e.shape.onset_s > LATE * split * grid.step_s for e in finding.entries):
         later, why = most, "an effect begins so late that the fit saw little of it"
@@ -175,10 +175,11 @@ def _searched(train: Part, say: Callable[[str], None], doubted: bool = False) ->
 
 def _foretelling(finding: Finding, part: Part, network: Network, record: Columns, grid: Grid, split: int) -> Finding:
     """The finding without those of its last effects that make the part that no fit saw no better."""
+    usual = part.basis.plain
     while finding.shorter is not None and finding.shorter.fit is not None:
         shorter = replace(finding.shorter, retuned=finding.retuned, fit=_as_used(part)(finding.shorter.fit))
         longer, without = (
-            sum((e.after / e.noise) ** 2 for e in errors(f, network, record, grid, split).values())
+            sum((e.after / max(e.noise, e.usual)) ** 2 for e in errors(f, network, record, grid, split, usual).values())
             for f in (finding, shorter)
         )
         if longer < without:

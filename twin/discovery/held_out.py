@@ -19,15 +19,19 @@ FAR_OFF, UNUSUAL, FAR_SHARE = 3.0, 1.5, 0.25
 the share of the squares that re-tuning alone leaves: beyond all of them an answer is contradicted."""
 
 
-def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
-    """Whether an answer does badly where no fit was shown the record: its form, or what it follows, is another.
+def far_off(found: Mapping[str, SensorError], network: Network) -> bool:
+    """Whether an answer is off by more than is usual where no fit was shown the record.
 
     The mean of several thermometers is off by more of its noise than one is: what a twin leaves does not average out.
     """
     single = {name: network.parameters[f"{name}.sigma"].value for name in found}
+    return any(e.means[2] > max(FAR_OFF * single[name], UNUSUAL * e.usual) for name, e in found.items())
+
+
+def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
+    """Whether it is, and hardly better than re-tuning alone: its form, or what it follows, is another."""
     before, after = (sum((e.means[k] / e.noise) ** 2 for e in found.values()) for k in (1, 2))
-    far = any(e.means[2] > max(FAR_OFF * single[name], UNUSUAL * e.usual) for name, e in found.items())
-    return far and after > FAR_SHARE * before
+    return far_off(found, network) and after > FAR_SHARE * before
 
 
 def errors(

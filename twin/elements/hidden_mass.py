@@ -21,6 +21,8 @@ TIME_CONSTANTS_S = tuple(120.0 * 3.0 ** (k / 2.0) for k in range(10))
 """Capacity over conductance of masses that are looked for, s."""
 PUT_IN_S = TIME_CONSTANTS_S[1::2]
 """The same of masses that are put in at the temperature of the room."""
+LEAST_PUT_IN = 5.0
+"""Conductance, W/K, of such a mass at least: that of a hand's breadth of metal in stirred water."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +65,9 @@ def _mass(where: str, node: str, room: str, tau: float) -> Candidate:
     """A mass with a time constant, as warm as its place when it comes in, or as the `room` where that is named."""
     name = f"mass_beside_{node}"
     says = "has had a mass put in at the temperature of the room, which" if room else "has a mass beside it that"
+    says += f" follows through {{value}} with a time constant of {tau / 60.0:.0f} min"
     return Candidate(
         "thermal_mass", where, "history", "new", {f"{name}.conductance": 1.0, f"{name}.capacity": tau}, "W/K", 2.0,
-        0.0, 500.0, f"{says} follows through {{value}} with a time constant of {tau / 60.0:.0f} min",
-        adds={name: {"kind": HiddenMass.kind, "node": node}}, shapes=("put in",) if room else ("step",), begins=room,
-        slow_s=tau, slower=partial(_mass, where, node, room),
+        LEAST_PUT_IN if room else 0.0, 500.0, says, adds={name: {"kind": HiddenMass.kind, "node": node}},
+        shapes=("put in",) if room else ("step",), begins=room, slow_s=tau, slower=partial(_mass, where, node, room),
     )  # fmt: skip
