@@ -28,6 +28,11 @@ def put_in(bench: Bench, *, cold: bool) -> Columns:
     return Columns(t, u, y + bench.network.sigma * np.random.default_rng(5).normal(0.0, 1.0, y.shape))
 
 
+def test_a_record_too_short_for_anything_to_be_put_in_is_diagnosed(bench: Bench, healthy: Columns) -> None:
+    found = diagnose(bench.network, bench.record(0.9), healthy)
+    assert found.verdict == "adequate"
+
+
 @pytest.mark.parametrize("cold", [True, False])
 def test_a_mass_that_comes_in_is_named_whatever_its_first_temperature(
     bench: Bench, healthy: Columns, cold: bool

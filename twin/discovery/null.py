@@ -66,7 +66,7 @@ def null_scores(contest: Contest, laws: list[Law], draws: int = DRAWS, seed: int
         families = [steps] if law.candidate.shapes == ("step",) else [steps, grown]
         if law.candidate.begins:
             families = [known.beyond(law.candidate)[1][:, ::EVERY].astype(np.float32)]
-        for courses in families:
+        for courses in (c for c in families if c.shape[1]):
             bottom = np.maximum((courses * (gram @ courses)).sum(axis=0), 1e-6)
             top = courses.T @ score
             size = top / bottom[:, None]

@@ -99,7 +99,7 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
             continue
         bottom = np.maximum(growing, least)
         size, gain = _gains(law, score @ courses, bottom)
-        each = len(others) if put_in else len(onsets[::3])
+        each = max(len(others), 1) if put_in else len(onsets[::3])
         for first in range(0, len(others), each):
             best = first + int(np.argmax(gain[first : first + each]))
             if gain[best] > 0.0:

@@ -46,7 +46,9 @@ class Courses:
             # What was put in before the record begins is as warm as its place may be: no reading tells.
             shapes = [Shape("put in", float(t), candidate.slow_s) for t in self.onsets if t > EARLY_S]
             courses = [shape.block_means(self.edges_s) for shape in shapes]
-            self._fading[candidate.slow_s] = shapes, np.stack(courses, axis=1)
+            # A record of an hour has no such moments.
+            stacked = np.stack(courses, axis=1) if courses else np.empty((len(self.edges_s) - 1, 0))
+            self._fading[candidate.slow_s] = shapes, stacked
         return self._fading[candidate.slow_s]
 
 
