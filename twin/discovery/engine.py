@@ -92,7 +92,7 @@ def diagnose(
             later, why = most, "what stands out does so in the part that was to be kept out of the fit"
     elif finding.fit is not None and far_off(seen := on_unseen(finding), network):
         later, doubted = most, contradicted(seen, network) and not weak(finding)
-        why = "on the part that was to be kept out of the fit the best answer was far off"
+        why = "on the part that was to be kept out of the fit the best answer was off by more than is usual"
     elif any(e.shape.onset_s > LATE * split * grid.step_s for e in finding.entries):
         later, why = most, "an effect begins so late that the fit saw little of it"
     if later > split:
@@ -118,8 +118,8 @@ def diagnose(
         finding, said = weighed(finding, train, further)
         notes += said
     off = on_unseen(finding)
-    usual = healthy is None and as_commissioned(network, off)
-    if usual or (finding.fit is not None and not more and unconfirmed(finding, off)):
+    good_as_ever = healthy is None and as_commissioned(network, off)
+    if good_as_ever or (finding.fit is not None and not more and unconfirmed(finding, off)):
         finding = nothing(finding)
         off = {name: replace(e, after=e.before, means=(*e.means[:2], e.means[1])) for name, e in off.items()}
     elif healthy is None and finding.fit is not None and not more:
@@ -147,7 +147,7 @@ def diagnose(
         single=single,
         still=still,
         limits=limits,
-        usual=usual,
+        usual=good_as_ever,
         doubted=doubted,
         later=tuple(part.grid for part in further),
     )

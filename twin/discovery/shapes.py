@@ -21,8 +21,8 @@ record."""
 
 @dataclass(frozen=True)
 class Shape:
-    """`name` step, ramp, saturating or put in; `onset_s` from the record's beginning; `growth_s` of a growing one, or
-    the time constant with which what a thing does fades that was put in."""
+    """`name` step, ramp, saturating or put in; `onset_s` from the record's beginning; `growth_s` the duration of a
+    ramp, or the time constant with which a saturating one nears its size and what was put in nears its place's."""
 
     name: str
     onset_s: float = 0.0
