@@ -61,13 +61,18 @@ class Kernel:
     A state is (k,) or (P, k), the node temperatures in degC at the first sample, with everything that the elements
     remember at rest; or (size,) or (P, size), what an earlier call handed out, from which it goes on. Its first k
     entries are the node temperatures. For a network without memory the two are the same.
+
+    With `whole_memory` a full state holds what parameters in `lane_ids` may bring along, too: a lag that is 0 in the
+    network. Only this kernel can then take it up.
     """
 
-    def __init__(self, network: Network, lane_ids: tuple[str, ...] | None = None) -> None:
+    def __init__(
+        self, network: Network, lane_ids: tuple[str, ...] | None = None, *, whole_memory: bool = False
+    ) -> None:
         self.network = network
         self.lane_ids = network.ids if lane_ids is None else tuple(dict.fromkeys(lane_ids))
         self.lane = network.index(self.lane_ids)
-        self._memory = Memory(network, self.lane_ids)
+        self._memory = Memory(network, self.lane_ids, self.lane_ids if whole_memory else ())
         self._variants: dict[tuple[Mode, int, bool], Callable[..., None]] = {}
 
     @property

@@ -2,9 +2,9 @@
 
     node temperatures | states and lags of elements | contents of delay lines | recent commands
 
-Its shape depends on the network alone, never on which parameters a kernel varies, so that a state handed out by one
+Its shape depends on the network alone, not on which parameters a kernel varies, so that a state handed out by one
 kernel can be taken up by another. Memory that a kernel has beyond that (a lag that is varied round 0, say) starts at
-rest in every call.
+rest in every call, unless the kernel was asked to remember it: its states are then its own.
 """
 
 from __future__ import annotations
@@ -22,13 +22,16 @@ COMMANDS = 64
 class Memory:
     """Full states of a network, (P, size), for a kernel with `free` parameters.
 
+    Args:
+        held: parameters that may have any value in what a state holds.
+
     Attributes:
         nodes: number of node temperatures. size: length of a full state. rows: rows of delay lines.
     """
 
-    def __init__(self, network: Network, free: tuple[str, ...]) -> None:
+    def __init__(self, network: Network, free: tuple[str, ...], held: tuple[str, ...] = ()) -> None:
         self._name = network.name
-        own, inner = System(network, ()), System(network, free)
+        own, inner = System(network, held), System(network, free)
         self.nodes = len(network.nodes)
         names, wanted = _names(own), _names(inner)
         self._width = len(names)

@@ -56,7 +56,7 @@ def answer(request: Request) -> Request:
         if name == "linear":
             said["threshold"] = null_scores(contest, found).quantile(FALSE_ALARMS)
             said["sizes"] = [
-                true_size(contest, found, network, table, label)
+                true_size(found, network, table, label, whole.span_s)
                 for table, label in zip(request["effects"], request["labels"], strict=False)
             ]
             shown = [_readings(network, Path(path), request["hour"]) for path in request["records"]]

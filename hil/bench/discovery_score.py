@@ -95,7 +95,7 @@ def judge(
     """Compare an answer, `diagnosis.json`, with a truth as it was sealed.
 
     Args:
-        sizes: of the true effects in the unit of the catalogue, at the end of the fit, None where it has no such.
+        sizes: of the true effects in the unit of the catalogue, at the end of the record, None where it has no such.
     """
     group, verdict = str(hidden["group"]), str(answer["verdict"])
     effects = list(answer["effects"])

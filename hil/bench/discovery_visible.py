@@ -44,19 +44,19 @@ def visible(contest: Contest, signatures: Sequence[Array]) -> tuple[list[float],
 
 
 def true_size(
-    contest: Contest, found: Sequence[Law], network: Network, table: Mapping[str, Any], label: tuple[str, str, str]
+    found: Sequence[Law], network: Network, table: Mapping[str, Any], label: tuple[str, str, str], span_s: float
 ) -> float | None:
-    """Size of a true effect at the end of the fit, in the unit of its candidate; None where there is none such."""
+    """Size of a true effect at the end of a record of `span_s`, as its candidate's; None where there is none such."""
     laws_of: list[Law] = []
     for where in dict.fromkeys((label[1], family(label[1]))):
         laws_of = laws_of or [w for w in found if (w.candidate.kind, w.candidate.where) == (label[0], where)]
     # What grows with time is the steady law in a growing shape.
     driver = "constant" if table.get("driver") == "elapsed_time" else str(table.get("driver"))
-    course = course_of(table, contest.edges * contest.grid.step_s)
+    reached = float(course_of(table, np.array([span_s - 1.0, span_s]))[-1])
     for law in [w for w in laws_of if same_driver(w.candidate.driver, driver)] or laws_of:
         size = catalogue_size(table, law, network)
         if size is not None:
-            return size * float(course[-1])
+            return size * reached
     return None
 
 

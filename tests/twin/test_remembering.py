@@ -303,3 +303,19 @@ def test_a_file_keeps_places_and_shared_parameters() -> None:
     assert parse(dump(shared)).parameters == shared.parameters
     changed = shared.with_values({"T_b_C.lag_s": 8.0})
     assert changed.parameters["T_a_C.lag_s"].value == 8.0
+
+
+def test_a_kernel_with_whole_memory_goes_on_where_it_was(line: Network) -> None:
+    whole = Kernel(line, ALL, whole_memory=True)
+    values = line.values.copy()
+    for name, value in {
+        "tube.wall_capacity": 900.0, "tube.wall_hA": 40.0, "mass.capacity": 4000.0, "mass.conductance": 30.0,
+        "relay.dead_time_s": 7.0, "relay.lag_s": 11.0, "T_b_C.lag_s": 23.0,
+    }.items():  # fmt: skip
+        values[line.index([name])[0]] = value
+    u, cut = drive(), 170
+    at_once, ends = whole.trace(values, REST, TIME, u)
+    first, state = whole.trace(values, REST, TIME[: cut + 1], u[: cut + 1])
+    second, last = whole.trace(values, state, TIME[cut:], u[cut:])
+    assert np.abs(np.hstack([first[:, :cut], second]) - at_once).max() < 1e-9
+    assert np.abs(last - ends)[np.isfinite(ends)].max() < 1e-9

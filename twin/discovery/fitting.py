@@ -139,7 +139,12 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
     onset_sd = np.zeros(e)
     onset_sd[timed] = sd[first_time:first_growth] * 3600.0
     fitted = tuple(
-        replace(x, size=float(v[q + k + i]), sd=float(sd[q + k + i]), shape=shapes[i], onset_sd_s=float(onset_sd[i]))
+        _going_on(
+            replace(
+                x, size=float(v[q + k + i]), sd=float(sd[q + k + i]), shape=shapes[i], onset_sd_s=float(onset_sd[i])
+            ),
+            grid.span_s,
+        )
         for i, x in enumerate(entries)
     )
     readings = run(v[None, :])[0]
@@ -148,3 +153,10 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
     values[scaling.index] = scaling.to_values(z0 + v[:q])
     chi = float(residual @ residual) / max(contest.count, 1)
     return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], total, chi)
+
+
+def _going_on(entry: Entry, span_s: float) -> Entry:
+    """The entry, where it still rises at the record's end, as one that does not end with it."""
+    shape = entry.shape.going_on(span_s)
+    times = shape.growth_s / entry.shape.growth_s if shape != entry.shape else 1.0
+    return replace(entry, shape=shape, size=times * entry.size, sd=times * entry.sd)

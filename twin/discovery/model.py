@@ -60,7 +60,7 @@ class Model:
             if not any(name in {e.name for e in bigger.elements} for name in entry.candidate.adds):
                 bigger = extended(bigger, entry.candidate)
         ids = dict.fromkeys((*probe.scaling.ids, *(name for e in ordered for name in e.candidate.changes)))
-        return cls(probe.network, bigger, entries, Kernel(bigger, tuple(ids)))
+        return cls(probe.network, bigger, entries, Kernel(bigger, tuple(ids), whole_memory=True))
 
     @cached_property
     def _here(self) -> np.ndarray:
@@ -71,7 +71,7 @@ class Model:
     def _masses(self) -> list[tuple[int, int, int, str]]:
         """Effects that bring a temperature of their own: effect, its place in a full state, the node beside it, and the
         input that it begins at instead, if any."""
-        names = System(self.network, ()).states
+        names = System(self.network, self.kernel.lane_ids).states
         found = []
         for i, entry in enumerate(self.entries):
             for element in self.network.elements:

@@ -135,7 +135,8 @@ def refine(contest: Contest, entry: Entry) -> Entry:
             onset = best.shape.onset_s + shift
             if onset < 0.0 or onset > edges_s[-1] * LAST_SHARE:
                 continue
-            best = _better(contest, best, Shape(best.shape.name, onset, growth), p, gram, score)
+            shape = Shape(best.shape.name, onset, growth).going_on(float(edges_s[-1]))
+            best = _better(contest, best, shape, p, gram, score)
         reach *= 0.5
     return best
 

@@ -6,7 +6,7 @@ growth. What is put in with a temperature of its own is there at once, and what 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from twin.network import Array
 EARLY_S = 3600.0
 """Onsets up to this are as good as the beginning: little tells them from it."""
 GROWTH_H = {"ramp": (2.0, 6.0, 16.0, np.inf), "saturating": (1.0, 4.0, 12.0)}
-"""Durations of ramps and time constants of saturating growth that are tried, h; an endless ramp is as long as the
-record."""
+"""Durations of ramps and time constants of saturating growth that are tried, h; one ramp is still rising when the
+record ends."""
+BEYOND = 1.5
+"""Lengths of a record until which what is still rising at its end is taken to rise: longer than it will be looked at."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,16 @@ class Shape:
         """Mean amplitude over one span."""
         return float(self.block_means(np.array([low_s, max(high_s, low_s + 1e-3)]))[0])
 
+    def going_on(self, span_s: float) -> Shape:
+        """The shape, where it still rises when a record of `span_s` ends, as one that does not end with it.
+
+        Until when it rises the record does not tell; that it stops then and there would be odd. What it comes to then
+        is as many times as large as its growth is longer.
+        """
+        if self.name != "ramp" or self.free(span_s):
+            return self
+        return replace(self, growth_s=BEYOND * span_s - self.onset_s)
+
     def free(self, span_s: float) -> bool:
         """Whether a record of `span_s` tells the growth apart from the size: a ramp that goes on does not."""
         return self.name == "saturating" or (self.name == "ramp" and self.onset_s + self.growth_s < 0.98 * span_s)
@@ -68,4 +80,4 @@ class Shape:
 
 def family(name: str, span_s: float) -> tuple[float, ...]:
     """Growth times, s, of a named shape that are tried on a record of `span_s`."""
-    return tuple(min(3600.0 * h, 2.0 * span_s) for h in GROWTH_H[name])
+    return tuple(min(3600.0 * h, BEYOND * span_s) for h in GROWTH_H[name])

@@ -37,7 +37,7 @@ class SharedKernel:
             if missing or candidate.replaces:
                 bigger = extended(bigger, replace(candidate, adds=missing))
             ids |= dict.fromkeys(candidate.changes)
-        return cls(bigger, Kernel(bigger, tuple(ids)))
+        return cls(bigger, Kernel(bigger, tuple(ids), whole_memory=True))
 
     def holds(self, candidates: tuple[Candidate, ...]) -> bool:
         """Whether all of them are a matter of numbers here."""

@@ -102,7 +102,7 @@ def _courses(contest: Contest) -> Courses:
     steps = np.stack([Shape("step", float(t)).block_means(edges_s) for t in onsets], axis=1)
     # Growth begins so gently that every third block is enough; `refine` looks between them.
     grown = [
-        Shape(name, float(t), growth)
+        Shape(name, float(t), growth).going_on(float(edges_s[-1]))
         for name in ("ramp", "saturating")
         for growth in family(name, float(edges_s[-1]))
         for t in onsets[::3]

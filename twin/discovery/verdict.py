@@ -124,14 +124,14 @@ def conclude(
         best = (finding.ranked[0].entries[-1].candidate.kind, finding.ranked[0].entries[-1].candidate.where)
         verdict = "effect found" if sure.get(best, 0.0) >= SURE or len(finding.entries) > 1 else "ambiguous"
         effects = tuple(
-            _effect(e, finding, sure if i == len(finding.entries) - 1 else _with_and_without(e, finding), start)
+            _effect(e, finding, sure if i == len(finding.entries) - 1 else _with_and_without(e, finding), grid)
             for i, e in enumerate(finding.fit.entries)
         )
         others, alternatives = _others(finding, verdict)
         others = (*others, *twins_of(finding, groups, others))
         switches = switched(finding, grid, start)
         others, notes = (*others, *(a for a, _ in switches)), (*notes, *(says for _, says in switches))
-        bigger = _bigger(finding, network)
+        bigger = _bigger(finding, network, grid)
         if finding.beside is not None:
             kind, where, driver = (x.replace("_", " ") for x in finding.beside.label)
             notes = (
@@ -208,11 +208,11 @@ def _with_and_without(entry: Entry, finding: Finding) -> dict[tuple[str, str], f
     return {place: best[True] / (best[True] + best[False])}
 
 
-def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], start: float) -> Effect:
-    c = entry.candidate
+def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], grid: Grid) -> Effect:
+    c, start = entry.candidate, float(grid.time[0])
     spread = SE90 * entry.sd * math.sqrt(max(finding.fit.chi, 1.0)) if finding.fit else 0.0
     onset_spread = SE90 * entry.onset_sd_s
-    grown = _final(entry, finding)
+    grown = _final(entry, grid)
     spread *= grown
     gain = max(finding.start - (finding.fit.total if finding.fit else 0.0), 0.0)
     share = gain / max(finding.start, 1e-9)
@@ -273,11 +273,11 @@ def _near_misses(finding: Finding) -> tuple[Alternative, ...]:
     return tuple(out.values())
 
 
-def _bigger(finding: Finding, network: Network) -> Network:
-    """The twin with its effects at full size and its re-tuned parameters."""
+def _bigger(finding: Finding, network: Network, grid: Grid) -> Network:
+    """The twin with its effects at the size that they have at the record's end, and its re-tuned parameters."""
     assert finding.fit is not None
     model = Model.alone(finding.contest.probe, finding.fit.entries)
-    full = np.array([[e.size * _final(e, finding) for e in finding.fit.entries]])
+    full = np.array([[e.size * _final(e, grid) for e in finding.fit.entries]])
     vector = model.parameters(finding.fit.values[None, :], full)[0]
     own = {p.id for p in model.network.parameters.values() if not p.same_as}
     values = {
@@ -288,8 +288,8 @@ def _bigger(finding: Finding, network: Network) -> Network:
     return model.network.with_values(values)
 
 
-def _final(entry: Entry, finding: Finding) -> float:
-    end = finding.contest.grid.span_s
+def _final(entry: Entry, grid: Grid) -> float:
+    end = grid.span_s
     return entry.shape.mean(end - 1.0, end) if entry.shape.grows else 1.0
 
 

@@ -34,6 +34,8 @@ CLOSER = (
     ((-0.1, 0.0, 0.1), (-0.5, 0.0, 0.5)),
 )
 """Hours by which the peak, and the length of the day, of a source that follows the hour move, ever more closely."""
+SHORTEST_H, LONGEST_H = 3.0, 20.0
+"""Days that are tried."""
 _UNITS = {"pct": "%", "C": "K", "m3_h": "(m3/h)", "kg_s": "(kg/s)", "L_min": "(L/min)"}
 
 
@@ -203,15 +205,21 @@ def _told(peak_h: float) -> str:
 def _other_days(source: Candidate, peak_h: float, hours: float, share: float, level: int = 0) -> tuple[Candidate, ...]:
     """A source by daylight with other peaks, and longer or shorter days, each with closer ones about it.
 
+    The shortest and the longest of the first ones have others as far away about them: the best may lie beyond.
+
     Args:
         peak_h, hours: of the day that it has. share: of the heat that enters each of its nodes.
     """
     found = []
-    for shift, longer in itertools.product(*CLOSER[level]):
+    shifts, lengths = CLOSER[level]
+    for shift, longer in itertools.product(shifts, lengths):
         other_h, length = (peak_h + shift) % 24.0, hours + longer
+        if not SHORTEST_H <= length <= LONGEST_H:
+            continue
         weights = day(other_h, length)
         changes = {name: weights[name.rsplit(".", 1)[1]] * share for name in source.changes}
-        near = partial(_other_days, source, other_h, length, share, level + 1) if level + 1 < len(CLOSER) else None
+        after = 0 if level == 0 and longer in (lengths[0], lengths[-1]) else level + 1
+        near = partial(_other_days, source, other_h, length, share, after) if after < len(CLOSER) else None
         found.append(replace(source, changes=changes, says=_told(round(other_h, 1)), near=near))
     return tuple(found)
 
