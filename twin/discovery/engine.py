@@ -174,9 +174,14 @@ def _searched(train: Part, say: Callable[[str], None], doubted: bool = False) ->
 
 
 def _foretelling(finding: Finding, part: Part, network: Network, record: Columns, grid: Grid, split: int) -> Finding:
-    """The finding without those of its last effects that make the part that no fit saw no better."""
+    """The finding without those of its last effects that make the part that no fit saw no better.
+
+    Where so much is left without one that there must be something, it stays: how it goes on is then told wrongly.
+    """
     usual = part.basis.plain
     while finding.shorter is not None and finding.shorter.fit is not None:
+        if not enough(finding.shorter.fit.chi, finding.start / finding.count, finding.contest, quiet=True):
+            break
         shorter = replace(finding.shorter, retuned=finding.retuned, fit=_as_used(part)(finding.shorter.fit))
         longer, without = (
             sum((e.after / max(e.noise, e.usual)) ** 2 for e in errors(f, network, record, grid, split, usual).values())

@@ -139,14 +139,10 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
     onset_sd = np.zeros(e)
     onset_sd[timed] = sd[first_time:first_growth] * 3600.0
     fitted = tuple(
-        _going_on(
-            replace(
-                x, size=float(v[q + k + i]), sd=float(sd[q + k + i]), shape=shapes[i], onset_sd_s=float(onset_sd[i])
-            ),
-            grid.span_s,
-        )
+        replace(x, size=float(v[q + k + i]), sd=float(sd[q + k + i]), shape=shapes[i], onset_sd_s=float(onset_sd[i]))
         for i, x in enumerate(entries)
     )
+    fitted = tuple(_going_on(x, grid.span_s) for x in fitted)
     readings = run(v[None, :])[0]
     contest.look_at(Run(readings, readings), v[: q + k])
     values = probe.network.values.copy()

@@ -13,7 +13,7 @@ from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.model import Model
 from twin.discovery.part import Part, finalists, fitted, timed, varied
-from twin.discovery.ranking import Finding, Ranked, enough, piled_up, rank, unusual
+from twin.discovery.ranking import Finding, Ranked, enough, piled_up, rank, stand, unusual
 from twin.discovery.search import Entry, possible, scan, together
 from twin.discovery.shapes import EARLY_S
 from twin.discovery.validation import validate
@@ -81,7 +81,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
             trials += fitted(part, [(e,) for e in more])
         if best is not None and enough(best.chi, start_chi, contest):
             # What is well explained is not explained twice: a second effect at the same place would bend the first.
-            trials = [t for t in trials if not piled_up(t[0].entries)]
+            trials = [t for t in trials if stand(t[0], contest)]
             if not trials:
                 break
         order = rank(trials, contest, start)
@@ -218,10 +218,10 @@ def _exchanged(
             found = varied(scan(part.contest, part.laws, given))
             found = sorted((e for e in found if e.candidate.id not in taken), key=lambda e: -e.gain)
             near = [e for e in found if e.gain > found[0].gain - max(10.0 * width(found[0].gain), 40.0)]
-            groups += [(*rest[:i], e, *rest[i:]) for e in near[:EXCHANGED]]
-        groups = [g for g in {_key(g): g for g in groups}.values() if _key(g) not in tried and not piled_up(g)]
-        tried |= {_key(g) for g in groups}
-        trials = [*trials, *fitted(part, groups)]
+            groups += [(*rest[:i], part.closest(e, given), *rest[i:]) for e in near[:EXCHANGED]]
+        new = {_key(g): g for g in groups if _key(g) not in tried and not piled_up(g, clean=True)}
+        tried |= set(new)
+        trials = [*trials, *(t for t in fitted(part, list(new.values())) if stand(t[0], part.contest))]
         order = rank(trials, part.contest, start)
         if order[0].fit is best:
             break
@@ -244,8 +244,9 @@ def _pairs(part: Part) -> list[tuple[Entry, ...]]:
         seconds = scan(part.contest, part.laws, first.vector[None])[:3]
         for second in seconds:
             again = scan(part.contest, [first.law], second.vector[None])[:1]
-            pair, fitted = together(part.contest, (again[0] if again else first, second))
-            if possible(pair) and not piled_up(pair):
+            known = again[0] if again else first
+            pair, fitted = together(part.contest, (known, part.closest(second, known.vector[None])))
+            if possible(pair) and not piled_up(pair, clean=True):
                 found.append((fitted.gain, pair))
     found.sort(key=lambda f: -f[0])
     return [pair for _, pair in found[:3]]

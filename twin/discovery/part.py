@@ -58,18 +58,22 @@ class Part:
         for entry in self.entries:
             if entry.candidate.near is not None:
                 best.setdefault((entry.candidate.kind, entry.candidate.where), entry)
-        found = []
-        for first in best.values():
-            closest, top = first.candidate, first.gain
-            while closest.near is not None:
-                laws = self.basis.book.laws(self.grid, self.run, closest.near())
-                better = scan(self.contest, laws)
-                if not better or better[0].gain < top:
-                    break
-                closest, top = better[0].candidate, better[0].gain
-            if top > first.gain + WORTH:
-                found.append(closest)
-        return tuple(found)
+        closest = [(first, self.closest(first)) for first in best.values()]
+        return tuple(found.candidate for first, found in closest if found.gain > first.gain + WORTH)
+
+    def closest(self, entry: Entry, given: Array | None = None) -> Entry:
+        """Of what comes in many forms, the one that scores best.
+
+        Args:
+            given: vectors (e, sites, b) of effects that are already known.
+        """
+        while entry.candidate.near is not None:
+            laws = self.basis.book.laws(self.grid, self.run, entry.candidate.near())
+            better = scan(self.contest, laws, given)
+            if not better or better[0].gain < entry.gain:
+                break
+            entry = better[0]
+        return entry
 
     def add(self, candidates: tuple[Candidate, ...]) -> None:
         """Take further candidates into the search."""

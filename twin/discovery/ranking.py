@@ -40,16 +40,30 @@ def enough(chi: float, start: float, contest: Contest, *, quiet: bool = False) -
     return chi <= max((QUIET if quiet else LEFT) * contest.expected, LEFT_SHARE * start)
 
 
-def piled_up(entries: tuple[Entry, ...]) -> bool:
+def stand(fit: Fit, contest: Contest) -> bool:
+    """Whether the effects of a fit may stand beside one another: they are not piled up, or leave nothing over."""
+    return not piled_up(fit.entries, clean=fit.chi <= contest.expected)
+
+
+def piled_up(entries: tuple[Entry, ...], *, clean: bool = False) -> bool:
     """Whether effects share a place: they then stand for one of a form that no candidate has.
 
     What is slow there and what is late there (a mass, a thermometer's lag) do not stand for one another, nor do a
     stream, the heat at a place and its thermometer's error, unless they begin together: what is slow or late with
     anything else there in the midst of a record.
+
+    Args:
+        clean: they leave no more than noise, as what stands for another form hardly does; then two may share a place
+            that begin at times of their own.
     """
     named = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
     places = list(zip((_MOVED_BY.get(name, name) for name in named), map(_way, entries), strict=True))
     same = [tuple(e.candidate.changes) for e in entries]
+    shared = any(
+        place == beside
+        and not (clean and abs(a.shape.onset_s - b.shape.onset_s) > EARLY_S and {_lost(a), _lost(b)} != {True})
+        for (a, place), (b, beside) in itertools.combinations(zip(entries, places, strict=True), 2)
+    )
     at_once = any(
         way != other
         and place == beside
@@ -57,7 +71,12 @@ def piled_up(entries: tuple[Entry, ...]) -> bool:
         and abs(a.shape.onset_s - b.shape.onset_s) < EARLY_S
         for (a, (place, way)), (b, (beside, other)) in itertools.combinations(zip(entries, places, strict=True), 2)
     )
-    return at_once or len(set(places)) < len(places) or len(set(same)) < len(same)
+    return at_once or shared or len(set(same)) < len(same)
+
+
+def _lost(entry: Entry) -> bool:
+    """Whether an effect is of what pump or fan move: less of it and more of it are one that came and went."""
+    return entry.candidate.where in ("pump_speed", "fan_speed") or entry.candidate.kind in ("flow", "heat_rejection")
 
 
 def _way(entry: Entry) -> str:

@@ -18,7 +18,7 @@ GROWTH_H = {"ramp": (2.0, 6.0, 16.0, np.inf), "saturating": (1.0, 4.0, 12.0)}
 """Durations of ramps and time constants of saturating growth that are tried, h; one ramp is still rising when the
 record ends."""
 BEYOND = 1.5
-"""Lengths of a record until which what is still rising at its end is taken to rise: longer than it will be looked at."""
+"""Lengths of a record until which what is still rising at its end is taken to rise: beyond what will be looked at."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from twin.discovery.localise import courses, describe
 from twin.discovery.members import Members
 from twin.discovery.model import Model
 from twin.discovery.probe import Run
-from twin.discovery.ranking import Finding, Ranked, enough, piled_up
+from twin.discovery.ranking import Finding, Ranked, enough, stand
 from twin.discovery.readings import Stuck
 from twin.discovery.search import Entry
 from twin.discovery.sites import drivers_of, signatures, sites_of, unknown
@@ -81,7 +81,7 @@ def conclude(
     quiet = finding.beside is None and (finding.refuted or finding.ladder[-1].best_z < finding.threshold)
     quiet = quiet and not doubted
     good = enough(left, 0.0 if doubted else finding.start / scale, finding.contest, quiet=quiet)
-    good = good and not piled_up(finding.entries)
+    good = good and (finding.fit is None or stand(finding.fit, finding.contest))
     good = good and holds(finding.folds) and not contradicted(errors, network)
     good = good and not (doubted and finding.beside)
     verdict: Verdict
