@@ -1,5 +1,7 @@
 """The parts of the search, each against arithmetic that it could get wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -189,6 +191,14 @@ def test_a_stream_and_heat_share_a_place_unless_they_begin_together(bench: Bench
     assert not piled_up((entry("heat_source", "constant", 0.0), entry("thermal_mass", "history", 0.0)))
     assert not piled_up((entry("heat_source", "constant", 5.0), entry("thermal_mass", "history", 9.0)))
     assert piled_up((entry("heat_source", "constant", 9.0), entry("thermal_mass", "history", 9.1)))
+    # What leaves nothing over may share a place, each at a time of its own, unless the one undoes the other.
+    source = replace(entry("heat_source", "constant", 11.0), vector=np.ones(3))
+    assert not piled_up((rejection, source), clean=True)
+    assert piled_up((replace(source, shape=rejection.shape), rejection), clean=True)
+    assert piled_up((rejection, entry("heat_rejection", "fan_speed", 11.0)), clean=True)
+    loss = replace(entry("heat_loss", "temperature_difference", 14.0), vector=-np.ones(3))
+    assert piled_up((source, loss), clean=True)
+    assert not piled_up((replace(source, shape=Shape("step")), loss), clean=True)
 
 
 def test_what_is_slow_needs_a_larger_share_of_what_came_first(bench: Bench) -> None:

@@ -60,8 +60,7 @@ def piled_up(entries: tuple[Entry, ...], *, clean: bool = False) -> bool:
     places = list(zip((_MOVED_BY.get(name, name) for name in named), map(_way, entries), strict=True))
     same = [tuple(e.candidate.changes) for e in entries]
     shared = any(
-        place == beside
-        and not (clean and abs(a.shape.onset_s - b.shape.onset_s) > EARLY_S and {_lost(a), _lost(b)} != {True})
+        place == beside and not (clean and abs(a.shape.onset_s - b.shape.onset_s) > EARLY_S and not _undone(a, b))
         for (a, place), (b, beside) in itertools.combinations(zip(entries, places, strict=True), 2)
     )
     at_once = any(
@@ -74,9 +73,14 @@ def piled_up(entries: tuple[Entry, ...], *, clean: bool = False) -> bool:
     return at_once or shared or len(set(same)) < len(same)
 
 
-def _lost(entry: Entry) -> bool:
-    """Whether an effect is of what pump or fan move: less of it and more of it are one that came and went."""
-    return entry.candidate.where in ("pump_speed", "fan_speed") or entry.candidate.kind in ("flow", "heat_rejection")
+def _undone(one: Entry, other: Entry) -> bool:
+    """Whether one may undo the other, so that the two are one thing that came and went."""
+    moved = all(
+        e.candidate.where in ("pump_speed", "fan_speed") or e.candidate.kind in ("flow", "heat_rejection")
+        for e in (one, other)
+    )
+    opposite = one.size * one.vector.sum() * other.size * other.vector.sum() < 0.0
+    return moved or (opposite and min(one.shape.onset_s, other.shape.onset_s) > EARLY_S)
 
 
 def _way(entry: Entry) -> str:
