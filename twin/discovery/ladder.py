@@ -242,10 +242,12 @@ def _pairs(part: Part) -> list[tuple[Entry, ...]]:
     found: list[tuple[float, tuple[Entry, ...]]] = []
     for first in list(firsts.values())[:PAIRED]:
         seconds = scan(part.contest, part.laws, first.vector[None])[:3]
+        many = next((s for s in seconds if s.candidate.near is not None), None)
         for second in seconds:
+            if second is many:
+                second = part.closest(second, first.vector[None])
             again = scan(part.contest, [first.law], second.vector[None])[:1]
-            known = again[0] if again else first
-            pair, fitted = together(part.contest, (known, part.closest(second, known.vector[None])))
+            pair, fitted = together(part.contest, (again[0] if again else first, second))
             if possible(pair) and not piled_up(pair, clean=True):
                 found.append((fitted.gain, pair))
     found.sort(key=lambda f: -f[0])
