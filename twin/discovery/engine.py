@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.discovery.basis import Columns, basis
+from twin.discovery.catalogue import LATE as LATE_DRIVERS
 from twin.discovery.caution import as_commissioned, first_alone, nothing, unconfirmed, weak
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Diagnosis, SensorError
@@ -31,6 +32,9 @@ from twin.steady import steady_state
 HELD_OUT = 0.25
 STILL_HELD = 0.4
 """Share of the part held out that stays so where it showed what the rest had not."""
+FORETELLS_SHARE, FORETELLS = 0.15, 0.5
+"""Of the squares in the part that no fit saw, in what is usual there, the share and the amount that a lesser further
+effect has to take, to be told all the same."""
 LATE = 0.85
 """Share of the part that a fit sees, beyond which an onset leaves it too little of what follows."""
 
@@ -107,6 +111,14 @@ def diagnose(
             notes.append(f"it showed nothing yet; so the fit was given {split * grid.step_s / 3600.0:.1f} h")
             finding, doubted = _searched(train, say, doubted)
         finding = _foretelling(finding, train, network, record, grid, split)
+    if finding.fit is not None and finding.beside is not None and not doubted:
+        say("asking whether lesser effects foretell")
+        lesser = _as_it_is_used(search(train, say, 0.0), train)
+        before, after = (_left_late(f, train, network, record, grid, split) for f in (finding, lesser))
+        # What is late is of what a lumped twin leaves, too.
+        told = not any(e.candidate.driver in LATE_DRIVERS for e in lesser.entries[1:])
+        if told and before - after > max(FORETELLS_SHARE * before, FORETELLS):
+            finding = lesser
     answers = [e.candidate for r in finding.ranked for e in r.entries]
     whole.know(answers)
     further: list[Part] = []
@@ -168,9 +180,20 @@ def _searched(train: Part, say: Callable[[str], None], doubted: bool = False) ->
         further = search(train, say, 0.0)
         if _good(further) and further.beside is None:
             finding, doubted = further, True
-    again = _as_used(train)
+    return _as_it_is_used(finding, train), doubted
+
+
+def _as_it_is_used(finding: Finding, part: Part) -> Finding:
+    """The finding with values that foretell best by themselves."""
+    again = _as_used(part)
     fitted = None if finding.fit is None else again(finding.fit)
-    return replace(finding, retuned=again(finding.retuned), fit=fitted), doubted
+    return replace(finding, retuned=again(finding.retuned), fit=fitted)
+
+
+def _left_late(finding: Finding, part: Part, network: Network, record: Columns, grid: Grid, split: int) -> float:
+    """Squares that an answer leaves where no fit saw the record, all sensors together, in what is usual there."""
+    found = errors(finding, network, record, grid, split, part.basis.plain)
+    return sum((e.after / max(e.noise, e.usual)) ** 2 for e in found.values())
 
 
 def _foretelling(finding: Finding, part: Part, network: Network, record: Columns, grid: Grid, split: int) -> Finding:
@@ -178,15 +201,11 @@ def _foretelling(finding: Finding, part: Part, network: Network, record: Columns
 
     Where so much is left without one that there must be something, it stays: how it goes on is then told wrongly.
     """
-    usual = part.basis.plain
     while finding.shorter is not None and finding.shorter.fit is not None:
         if not enough(finding.shorter.fit.chi, finding.start / finding.count, finding.contest, quiet=True):
             break
         shorter = replace(finding.shorter, retuned=finding.retuned, fit=_as_used(part)(finding.shorter.fit))
-        longer, without = (
-            sum((e.after / max(e.noise, e.usual)) ** 2 for e in errors(f, network, record, grid, split, usual).values())
-            for f in (finding, shorter)
-        )
+        longer, without = (_left_late(f, part, network, record, grid, split) for f in (finding, shorter))
         if longer < without:
             break
         finding = replace(shorter, refuted=True)

@@ -20,6 +20,8 @@ LEFT, QUIET = 1.3, 3.0
 """Misfit that a twin with the right effects may leave, over what noise leaves; and where nothing known scores in it."""
 LEFT_SHARE = 0.03
 """Or this share of the misfit that it began with: no effect is of quite the form assumed."""
+MOMENT_S = 900.0
+"""Effects that are told well enough to leave nothing over begin at the same moment if within this."""
 _TYPICALS, _MOST_UNUSUAL = 20.0, 20.0
 KINDS = {
     "heat_source": 1.0, "heat_loss": 1.0, "heat_rejection": 1.0, "flow": 0.7, "thermal_mass": 0.7, "sensor": 0.7,
@@ -54,20 +56,21 @@ def piled_up(entries: tuple[Entry, ...], *, clean: bool = False) -> bool:
 
     Args:
         clean: they leave no more than noise, as what stands for another form hardly does; then two may share a place
-            that begin at times of their own.
+            that do not begin at the same moment.
     """
+    together_s = MOMENT_S if clean else EARLY_S
     named = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
     places = list(zip((_MOVED_BY.get(name, name) for name in named), map(_way, entries), strict=True))
     same = [tuple(e.candidate.changes) for e in entries]
     shared = any(
-        place == beside and not (clean and abs(a.shape.onset_s - b.shape.onset_s) > EARLY_S and not _undone(a, b))
+        place == beside and not (clean and abs(a.shape.onset_s - b.shape.onset_s) > together_s and not _undone(a, b))
         for (a, place), (b, beside) in itertools.combinations(zip(entries, places, strict=True), 2)
     )
     at_once = any(
         way != other
         and place == beside
         and ("late" not in (way, other) or min(a.shape.onset_s, b.shape.onset_s) > EARLY_S)
-        and abs(a.shape.onset_s - b.shape.onset_s) < EARLY_S
+        and abs(a.shape.onset_s - b.shape.onset_s) < together_s
         for (a, (place, way)), (b, (beside, other)) in itertools.combinations(zip(entries, places, strict=True), 2)
     )
     return at_once or shared or len(set(same)) < len(same)
