@@ -55,3 +55,18 @@ def test_a_thermometer_beside_something_else_does_not_explain_it_away(bench: Ben
     beside = next(e for e in found.effects if e.kind == "sensor")
     assert beside.where == "T_pm3_C" and beside.value == pytest.approx(2.0, rel=0.1)
     assert "T_pm3_C reads" in found.summary
+
+
+def test_a_loose_contact_that_is_right_on_average_is_not_adequate(bench: Bench, healthy: Columns) -> None:
+    def jumps(time_s: Array) -> Array:
+        off = np.zeros(len(time_s))
+        for k, begins in enumerate(np.linspace(600.0, time_s[-1] - 900.0, 12)):
+            off[(time_s > begins) & (time_s < begins + 150.0)] = (0.8, -0.8)[k % 2]
+        return off
+
+    known = with_six(bench, healthy, 5)
+    found = diagnose(bench.network, with_six(bench, bench.record(10.0), 6, jumps), known)
+    assert found.verdict == "unexplained" and found.network is None
+    assert [(e.kind, e.where) for e in found.effects if e.where != SENSOR] == [("unknown", "T_pm3_C")]
+    assert "T_pm3_C is off by up to" in found.summary
+    assert diagnose(bench.network, with_six(bench, bench.record(10.0), 6), known).verdict == "adequate"

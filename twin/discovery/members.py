@@ -22,6 +22,9 @@ STANDS_OUT = 6.0
 """Times the healthy scatter of a block that one thermometer must differ by."""
 SHARE = 0.7
 """Share of the differences that one member must carry to be named alone."""
+OFTEN = 3
+"""Blocks in which one member must stand out by itself to be called restless; on 125 rigs it was one at most where
+nothing was wrong with a thermometer."""
 
 
 @dataclass(frozen=True)
@@ -137,9 +140,7 @@ def odd_one(found: Members, shapes: tuple[Shape, ...] = ()) -> Odd | None:
         amplitude = course @ found.residual[good] / power
         total = float(((amplitude / found.sd) ** 2).sum())
         for i in range(number):
-            # One thermometer that is off by s moves its own difference by s (1 - 1/c) and the others' by -s/c.
-            pattern = np.where(np.arange(number) == i, 1.0 - 1.0 / number, -1.0 / number)
-            weight = pattern / found.sd
+            weight = _pattern(i, number) / found.sd
             size = float((amplitude / found.sd) @ weight / (weight @ weight))
             carried = size**2 * float(weight @ weight)
             share = carried / max(total, 1e-12)
@@ -152,3 +153,31 @@ def odd_one(found: Members, shapes: tuple[Shape, ...] = ()) -> Odd | None:
     if best is None or best.share < SHARE or out < STANDS_OUT:
         return None
     return best
+
+
+def restless_one(found: Members) -> Odd | None:
+    """The member that is off now and then and right on average, as one with a loose contact is; None if there is none.
+
+    Its `size` is the most that it is off by in a block, its `shape` begins with the first of these blocks, its `share`
+    is theirs of all blocks.
+    """
+    good = np.isfinite(found.residual).all(axis=1)
+    residual, number = found.residual[good] / found.sd, found.residual.shape[1]
+    total = (residual**2).sum(axis=1)
+    best: Odd | None = None
+    for i in range(number):
+        weight = _pattern(i, number) / found.sd
+        size = residual @ weight / (weight @ weight)
+        stands_out = np.abs(size) * (1.0 - 1.0 / number) > STANDS_OUT * found.sd[i]
+        off = stands_out & (size**2 * (weight @ weight) > SHARE * total)
+        if off.sum() < OFTEN or (best is not None and off.mean() < best.share):
+            continue
+        most, first = float(np.abs(size[off]).max()), float(found.edges_s[:-1][good][off][0])
+        score = float(np.sqrt((size[off] ** 2).sum() * (weight @ weight)))
+        best = Odd(found.columns[i], most, float(found.sd[i]), Shape("step", first), float(off.mean()), score)
+    return best
+
+
+def _pattern(i: int, number: int) -> Array:
+    """How one of so many thermometers that is off by 1 K moves the differences from their mean: its own and others'."""
+    return np.where(np.arange(number) == i, 1.0 - 1.0 / number, -1.0 / number)

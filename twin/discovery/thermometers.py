@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.discovery.diagnosis import Diagnosis, Effect, Verdict
-from twin.discovery.members import Members, Odd, odd_one
+from twin.discovery.members import Members, Odd, odd_one, restless_one
 from twin.discovery.readings import Stuck
 from twin.discovery.words import amount, clock, when
 from twin.gauss_newton import SE90
@@ -29,14 +29,15 @@ def single(
     """Say which thermometer or place of several it is, where one differs from the others.
 
     A mismatch that nothing explains stays unexplained, with the thermometer named beside it: whether the thermometer
-    is all there is to it, `explained_by_one` tells.
+    is all there is to it, `explained_by_one` tells. One that is off now and then is not of the catalogue.
     """
     node = next(s.node for s in network.sensors if s.name == one.sensor)
     here = [i for i, e in enumerate(effects) if e.where in (node, one.sensor)]
     shapes = tuple(e.shape for e in finding.entries) if here and finding.entries else ()
     odd = odd_one(one, shapes) or (odd_one(one) if not here or verdict == "unexplained" else None)
     if odd is None:
-        return verdict, effects
+        restless = restless_one(one) if verdict in ("adequate", "unexplained") else None
+        return (verdict, effects) if restless is None else ("unexplained", (*effects, _restless(one, restless, start)))
     if here and effects[here[0]].kind not in ("unknown", "sensor"):
         old = effects[here[0]]
         changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
@@ -58,6 +59,17 @@ def _fault(one: Members, odd: Odd, start: float) -> Effect:
         confidence=odd.share, z=odd.z,
         evidence=f"it carries {100.0 * odd.share:.0f} % of what differs among the thermometers of {one.sensor}",
         says=f"{odd.column} reads {amount(odd.size, 'K')} off {when(odd.shape, start)}",
+    )  # fmt: skip
+
+
+def _restless(one: Members, odd: Odd, start: float) -> Effect:
+    onset = start + odd.shape.onset_s
+    return Effect(
+        kind="unknown", where=odd.column, driver="history", change="new", value=odd.size, unit="K",
+        interval90=(-odd.size, odd.size), onset_s=onset, onset_interval90_s=(onset, onset), shape="spell",
+        confidence=1.0, z=odd.z, evidence=f"the other thermometers of {one.sensor} agree with one another",
+        says=f"{odd.column} is off by up to {amount(odd.size, 'K')} now and then, in {100.0 * odd.share:.0f} % of the "
+             f"record, for the first time at {clock(onset)}",
     )  # fmt: skip
 
 
