@@ -55,15 +55,15 @@ def piled_up(entries: tuple[Entry, ...], *, clean: bool = False) -> bool:
     anything else there in the midst of a record.
 
     Args:
-        clean: they leave no more than noise, as what stands for another form hardly does; then two may share a place
-            that do not begin at the same moment.
+        clean: they leave no more than noise, as what stands for another form hardly does; then two of different kinds
+            may share a place that do not begin at the same moment.
     """
     together_s = MOMENT_S if clean else EARLY_S
     named = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
     places = list(zip((_MOVED_BY.get(name, name) for name in named), map(_way, entries), strict=True))
     same = [tuple(e.candidate.changes) for e in entries]
     shared = any(
-        place == beside and not (clean and abs(a.shape.onset_s - b.shape.onset_s) > together_s and not _undone(a, b))
+        place == beside and not (clean and abs(a.shape.onset_s - b.shape.onset_s) > together_s and not _one_thing(a, b))
         for (a, place), (b, beside) in itertools.combinations(zip(entries, places, strict=True), 2)
     )
     at_once = any(
@@ -76,14 +76,18 @@ def piled_up(entries: tuple[Entry, ...], *, clean: bool = False) -> bool:
     return at_once or shared or len(set(same)) < len(same)
 
 
-def _undone(one: Entry, other: Entry) -> bool:
-    """Whether one may undo the other, so that the two are one thing that came and went."""
+def _one_thing(one: Entry, other: Entry) -> bool:
+    """Whether one may undo or form the other, so that the two are one thing that came and went, or of another form."""
     moved = all(
         e.candidate.where in ("pump_speed", "fan_speed") or e.candidate.kind in ("flow", "heat_rejection")
         for e in (one, other)
     )
     opposite = one.size * one.vector.sum() * other.size * other.vector.sum() < 0.0
-    return moved or (opposite and min(one.shape.onset_s, other.shape.onset_s) > EARLY_S)
+    return (
+        one.candidate.kind == other.candidate.kind
+        or moved
+        or (opposite and min(one.shape.onset_s, other.shape.onset_s) > EARLY_S)
+    )
 
 
 def _way(entry: Entry) -> str:
