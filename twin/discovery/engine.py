@@ -115,8 +115,9 @@ def diagnose(
         say("asking whether lesser effects foretell")
         lesser = _as_it_is_used(search(train, say, 0.0), train)
         before, after = (_left_late(f, train, network, record, grid, split) for f in (finding, lesser))
-        # What is late is of what a lumped twin leaves, too.
+        # What is late is of what a lumped twin leaves, too, and what leaves more than noise is of another form.
         told = not any(e.candidate.driver in LATE_DRIVERS for e in lesser.entries[1:])
+        told = told and lesser.fit is not None and lesser.fit.chi <= lesser.contest.expected
         if told and before - after > max(FORETELLS_SHARE * before, FORETELLS):
             finding = lesser
     answers = [e.candidate for r in finding.ranked for e in r.entries]
