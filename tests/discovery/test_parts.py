@@ -49,6 +49,25 @@ def test_block_means_of_a_shape_are_its_average(name: str, onset: float, growth:
     assert np.abs(means - exact.reshape(18, -1).mean(axis=1)).max() < 1e-3
 
 
+@settings(max_examples=60, deadline=None)
+@given(onset=st.floats(0.0, 9000.0), growth=st.floats(300.0, 40000.0))
+def test_what_still_rises_when_a_record_ends_goes_on_as_it_came(onset: float, growth: float) -> None:
+    span = 10800.0
+    shape = Shape("ramp", onset, growth)
+    on, edges = shape.going_on(span), np.linspace(0.0, 1.5 * span, 28)
+    within = slice(None) if shape.free(span) else edges[1:] <= min(onset + growth, span)
+    size = on.growth_s / growth  # as many times as large as its growth is longer
+    assert size * on.block_means(edges)[within] == pytest.approx(shape.block_means(edges)[within])
+    if not shape.free(span):
+        assert on.mean(1.4 * span, 1.5 * span) > on.mean(0.9 * span, span)
+
+
+@pytest.mark.parametrize("name", ["step", "saturating", "put in"])
+def test_only_a_ramp_goes_on(name: str) -> None:
+    shape = Shape(name, 600.0, 90000.0)
+    assert shape.going_on(10800.0) is shape
+
+
 def test_whitening_makes_coloured_noise_white_and_can_be_undone() -> None:
     rng = np.random.default_rng(0)
     slow = np.cumsum(rng.normal(0.0, 0.002, (3600, 1)), axis=0)

@@ -1,9 +1,13 @@
 """Heat sources: each law against its formula, and what makes no sense."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
 from tests.twin.two_nodes import U, heat, network, worst_error
+from twin.discovery.catalogue import catalogue
+from twin.elements.base import Candidate
 from twin.elements.heat_source import day
 from twin.network import TwinFileError
 
@@ -18,6 +22,12 @@ def at_hour(hour: float) -> np.ndarray:
     u = U.copy()
     u[HOURS] = hour
     return u
+
+
+def form(weights: Mapping[str, float]) -> np.ndarray:
+    """Heat of a source by daylight over one day before it is cut off at nothing, every six minutes."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 240, endpoint=False)
+    return weights["cosine"] * np.cos(turn) + weights["sine"] * np.sin(turn) - weights["night"]
 
 
 def test_constant_and_measured_power() -> None:
@@ -61,6 +71,22 @@ def test_a_day_is_as_long_and_as_warm_as_it_is_said_to_be(peak_h: float, hours: 
     for side in (-0.5, 0.5):
         assert at(peak_h + side * (hours - 0.2)) > 0.0
         assert at(peak_h + side * (hours + 0.2)) == 0.0
+
+
+@pytest.mark.parametrize(("peak_h", "hours"), [(10.3, 3.4), (15.0, 18.5), (0.4, 9.0)])
+def test_any_day_can_be_come_near_to_from_those_that_are_tried_first(peak_h: float, hours: float) -> None:
+    wanted = np.maximum(form(day(peak_h, hours)), 0.0)
+
+    def off(candidate: Candidate) -> float:
+        seen = np.maximum(form({name.rsplit(".", 1)[1]: value for name, value in candidate.changes.items()}), 0.0)
+        return float(((wanted - seen * (wanted @ seen) / (seen @ seen)) ** 2).sum())
+
+    tried = [c for c in catalogue(network("")) if c.driver == "time_of_day" and c.where == "b"]
+    assert len(tried) == 12
+    best = min(tried, key=off)
+    while best.near is not None:
+        best = min(best.near(), key=off)
+    assert off(best) < 0.01 * float((wanted**2).sum())
 
 
 @pytest.mark.parametrize(

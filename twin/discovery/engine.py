@@ -113,12 +113,9 @@ def diagnose(
         finding = _foretelling(finding, train, network, record, grid, split)
     if finding.fit is not None and finding.beside is not None and not doubted:
         say("asking whether lesser effects foretell")
-        lesser = _as_it_is_used(search(train, say, 0.0), train)
+        lesser = _as_used(search(train, say, 0.0), train)
         before, after = (_left_late(f, train, network, record, grid, split) for f in (finding, lesser))
-        # What is late is of what a lumped twin leaves, too, and what leaves more than noise is of another form.
-        told = not any(e.candidate.driver in LATE_DRIVERS for e in lesser.entries[1:])
-        told = told and lesser.fit is not None and lesser.fit.chi <= lesser.contest.expected
-        if told and before - after > max(FORETELLS_SHARE * before, FORETELLS):
+        if _may_be_told(lesser) and before - after > max(FORETELLS_SHARE * before, FORETELLS):
             finding = lesser
     answers = [e.candidate for r in finding.ranked for e in r.entries]
     whole.know(answers)
@@ -181,12 +178,21 @@ def _searched(train: Part, say: Callable[[str], None], doubted: bool = False) ->
         further = search(train, say, 0.0)
         if _good(further) and further.beside is None:
             finding, doubted = further, True
-    return _as_it_is_used(finding, train), doubted
+    return _as_used(finding, train), doubted
 
 
-def _as_it_is_used(finding: Finding, part: Part) -> Finding:
+def _may_be_told(lesser: Finding) -> bool:
+    """Whether effects that win little beside the first may be: none of them late, and no more than noise left.
+
+    What is late is of what a lumped twin leaves, too, and what leaves more than noise is of another form.
+    """
+    late = any(e.candidate.driver in LATE_DRIVERS for e in lesser.entries[1:])
+    return lesser.fit is not None and not late and lesser.fit.chi <= lesser.contest.expected
+
+
+def _as_used(finding: Finding, part: Part) -> Finding:
     """The finding with values that foretell best by themselves."""
-    again = _as_used(part)
+    again = _by_itself(part)
     fitted = None if finding.fit is None else again(finding.fit)
     return replace(finding, retuned=again(finding.retuned), fit=fitted)
 
@@ -205,7 +211,7 @@ def _foretelling(finding: Finding, part: Part, network: Network, record: Columns
     while finding.shorter is not None and finding.shorter.fit is not None:
         if not enough(finding.shorter.fit.chi, finding.start / finding.count, finding.contest, quiet=True):
             break
-        shorter = replace(finding.shorter, retuned=finding.retuned, fit=_as_used(part)(finding.shorter.fit))
+        shorter = replace(finding.shorter, retuned=finding.retuned, fit=_by_itself(part)(finding.shorter.fit))
         longer, without = (_left_late(f, part, network, record, grid, split) for f in (finding, shorter))
         if longer < without:
             break
@@ -213,7 +219,7 @@ def _foretelling(finding: Finding, part: Part, network: Network, record: Columns
     return finding
 
 
-def _as_used(part: Part) -> Callable[[Fit], Fit]:
+def _by_itself(part: Part) -> Callable[[Fit], Fit]:
     """Gives fits the values that foretell best by themselves: a twin does not know what its structure leaves."""
     known = part.basis
     if known.plain is None:

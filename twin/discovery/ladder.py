@@ -242,10 +242,10 @@ def _pairs(part: Part) -> list[tuple[Entry, ...]]:
     found: list[tuple[float, tuple[Entry, ...]]] = []
     for first in list(firsts.values())[:PAIRED]:
         seconds = scan(part.contest, part.laws, first.vector[None])[:3]
-        many = next((s for s in seconds if s.candidate.near is not None), None)
+        many = next((k for k, s in enumerate(seconds) if s.candidate.near is not None), None)
+        if many is not None:
+            seconds[many] = part.closest(seconds[many], first.vector[None])
         for second in seconds:
-            if second is many:
-                second = part.closest(second, first.vector[None])
             again = scan(part.contest, [first.law], second.vector[None])[:1]
             pair, fitted = together(part.contest, (again[0] if again else first, second))
             if possible(pair) and not piled_up(pair, clean=True):

@@ -23,8 +23,7 @@ STANDS_OUT = 6.0
 SHARE = 0.7
 """Share of the differences that one member must carry to be named alone."""
 OFTEN = 3
-"""Blocks in which one member must stand out by itself to be called restless; on 125 rigs it was one at most where
-nothing was wrong with a thermometer."""
+"""Blocks in which one member must stand out by itself to be called restless (decision 0021)."""
 
 
 @dataclass(frozen=True)

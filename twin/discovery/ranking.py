@@ -58,22 +58,26 @@ def piled_up(entries: tuple[Entry, ...], *, clean: bool = False) -> bool:
         clean: they leave no more than noise, as what stands for another form hardly does; then two of different kinds
             may share a place that do not begin at the same moment.
     """
-    together_s = MOMENT_S if clean else EARLY_S
-    named = [e.candidate.where.removeprefix("T_").removesuffix("_C") for e in entries]
-    places = list(zip((_MOVED_BY.get(name, name) for name in named), map(_way, entries), strict=True))
     same = [tuple(e.candidate.changes) for e in entries]
-    shared = any(
-        place == beside and not (clean and abs(a.shape.onset_s - b.shape.onset_s) > together_s and not _one_thing(a, b))
-        for (a, place), (b, beside) in itertools.combinations(zip(entries, places, strict=True), 2)
-    )
-    at_once = any(
-        way != other
-        and place == beside
-        and ("late" not in (way, other) or min(a.shape.onset_s, b.shape.onset_s) > EARLY_S)
-        and abs(a.shape.onset_s - b.shape.onset_s) < together_s
-        for (a, (place, way)), (b, (beside, other)) in itertools.combinations(zip(entries, places, strict=True), 2)
-    )
-    return at_once or shared or len(set(same)) < len(same)
+    return len(set(same)) < len(same) or any(_collide(a, b, clean) for a, b in itertools.combinations(entries, 2))
+
+
+def _collide(one: Entry, other: Entry, clean: bool) -> bool:
+    """Whether two effects are at one place and may not both be there."""
+    if _place(one) != _place(other):
+        return False
+    together_s = MOMENT_S if clean else EARLY_S
+    apart_s = abs(one.shape.onset_s - other.shape.onset_s)
+    if _way(one) == _way(other):
+        return not clean or apart_s <= together_s or _one_thing(one, other)
+    amid = min(one.shape.onset_s, other.shape.onset_s) > EARLY_S
+    return apart_s < together_s and (amid or "late" not in (_way(one), _way(other)))
+
+
+def _place(entry: Entry) -> str:
+    """The volume or stream that an effect is at, named by itself, by its thermometer or by what moves it."""
+    named = entry.candidate.where.removeprefix("T_").removesuffix("_C")
+    return _MOVED_BY.get(named, named)
 
 
 def _one_thing(one: Entry, other: Entry) -> bool:

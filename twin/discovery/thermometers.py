@@ -29,7 +29,8 @@ def single(
     """Say which thermometer or place of several it is, where one differs from the others.
 
     A mismatch that nothing explains stays unexplained, with the thermometer named beside it: whether the thermometer
-    is all there is to it, `explained_by_one` tells. One that is off now and then is not of the catalogue.
+    is all there is to it, `explained_by_one` tells. One that is off now and then is not of the catalogue; beside a
+    cause that is named it is not looked for.
     """
     node = next(s.node for s in network.sensors if s.name == one.sensor)
     here = [i for i, e in enumerate(effects) if e.where in (node, one.sensor)]

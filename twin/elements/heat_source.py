@@ -35,7 +35,7 @@ CLOSER = (
 )
 """Hours by which the peak, and the length of the day, of a source that follows the hour move, ever more closely."""
 SHORTEST_H, LONGEST_H = 3.0, 20.0
-"""Days that are tried."""
+"""Lengths of day that are tried, h."""
 _UNITS = {"pct": "%", "C": "K", "m3_h": "(m3/h)", "kg_s": "(kg/s)", "L_min": "(L/min)"}
 
 
