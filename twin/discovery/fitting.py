@@ -15,12 +15,14 @@ from twin.discovery.model import Model
 from twin.discovery.probe import Run
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
+from twin.discovery.stepping import Squares, minimise
 from twin.discovery.sweep import LAST_SHARE
 from twin.network import Array
 
 ROUNDS = 12
 REACH = 1.0
-"""Longest step of a tunable, in standard deviations of a weak prior: its derivative is not to be trusted beyond."""
+"""Longest step of a tunable, in standard deviations of a weak prior: its derivative is not to be trusted beyond, but
+where it held so far."""
 _STEP = 1.0e-4
 _STATE_STEP = 1.0e-2
 _SIZE_STEP = 1.0e-2
@@ -44,11 +46,12 @@ class Fit:
     chi: float
 
 
-def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> Fit:
+def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS, begin: Array | None = None) -> Fit:
     """Minimise the contest's squares over tunables, initial state and sizes; the contest then looks at the result.
 
     Args:
         state: initial temperatures (k,), about which the contest was linearised.
+        begin: tunables and initial state (q + k,) as a `Fit` has moved them; by default the commissioned ones.
     """
     probe, grid, entries = contest.probe, contest.grid, model.entries
     scaling, q, k, e = probe.scaling, probe.q, probe.k, len(entries)
@@ -93,46 +96,28 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
         readings[:, :-1] += 0.5 * np.diff(readings, axis=1)
         return readings
 
-    def features(v: Array) -> tuple[Array, Array]:
-        """Whitened residual (rows,) and its slopes (rows, q + k + e)."""
-        sign = np.where(v + steps > high, -steps, steps)
-        readings = run(v + np.vstack([np.zeros(v.size), np.diag(sign)]))
-        residual = contest.residual_of(readings[0])
-        change = np.moveaxis(readings[1:] - readings[0], 0, 2) / sign
-        return residual, contest.features(change)
+    def look(rows: Array) -> tuple[Array, Array]:
+        """Whitened residuals (P, rows) and readings (P, n, m) of runs at `rows` (P, count)."""
+        readings = run(rows)
+        return np.stack([contest.residual_of(each) for each in readings]), readings
 
+    def slopes_at(v: Array, readings: Array) -> tuple[Array, Array]:
+        """Whitened slopes (rows, count), and those (rows, onsets) that onsets have towards earlier times."""
+        sign = np.where(v + steps > high, -steps, steps)
+        moves = np.vstack([np.diag(sign), -np.diag(steps)[onsets]])
+        change = np.moveaxis(run(v + moves) - readings, 0, 2) / np.append(sign, -steps[onsets])
+        both = contest.features(change)
+        return both[:, :count], both[:, count:]
+
+    onsets = np.arange(first_time, first_growth)
     v = np.zeros(count)
+    v[: q + k] = 0.0 if begin is None else begin
     v[q + k : first_time] = [x.size for x in entries]
-    v[first_time:first_growth] = [entries[i].shape.onset_s / 3600.0 for i in timed]
+    v[onsets] = [entries[i].shape.onset_s / 3600.0 for i in timed]
     v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
     v = np.clip(v, low, high)
-    residual, slopes = features(v)
-    total = float(residual @ residual + v @ precision @ v)
-    damping = 1e-3
-    for _ in range(rounds):
-        hessian = slopes.T @ slopes + precision
-        pull = slopes.T @ residual - precision @ v
-        # What changes nothing (an onset where its effect is nothing yet, say) stays where it is.
-        flat = np.diag(hessian) < 1e-9 * np.median(np.diag(hessian))
-        free = ~(flat | ((v <= low) & (pull < 0.0)) | ((v >= high) & (pull > 0.0)))
-        step = np.zeros_like(v)
-        inner = hessian[np.ix_(free, free)]
-        step[free] = np.linalg.solve(
-            inner + damping * np.diag(np.maximum(np.diag(inner), 1e-9 * np.diag(inner).max())), pull[free]
-        )
-        trial = np.clip(v + np.clip(step, -reach, reach), low, high)
-        new, new_slopes = features(trial)
-        new_total = float(new @ new + trial @ precision @ trial)
-        if new_total < total:
-            done = total - new_total < 1e-4 * total
-            v, total, residual, slopes = trial, new_total, new, new_slopes
-            damping = max(damping / 10.0, 1e-6)
-            if done:
-                break
-        else:
-            damping *= 10.0
-            if damping > 1e6:
-                break
+    found, slopes = minimise(Squares(look, slopes_at, precision, low, high, reach, onsets), v, rounds)
+    v = found.v
     covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     shapes = shapes_at(v)
@@ -143,12 +128,11 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS) -> F
         for i, x in enumerate(entries)
     )
     fitted = tuple(_going_on(x, grid.span_s) for x in fitted)
-    readings = run(v[None, :])[0]
-    contest.look_at(Run(readings, readings), v[: q + k])
+    contest.look_at(Run(found.seen, found.seen), v[: q + k])
     values = probe.network.values.copy()
     values[scaling.index] = scaling.to_values(z0 + v[:q])
-    chi = float(residual @ residual) / max(contest.count, 1)
-    return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], total, chi)
+    chi = float(found.residual @ found.residual) / max(contest.count, 1)
+    return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi)
 
 
 def _going_on(entry: Entry, span_s: float) -> Entry:

@@ -13,7 +13,7 @@ from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.model import Model
 from twin.discovery.part import Part, finalists, fitted, timed, varied
-from twin.discovery.ranking import Finding, Ranked, enough, piled_up, rank, stand, unusual
+from twin.discovery.ranking import MOMENT_S, Finding, Ranked, enough, piled_up, rank, stand, unusual
 from twin.discovery.search import Entry, possible, scan, together
 from twin.discovery.shapes import EARLY_S
 from twin.discovery.validation import validate
@@ -24,8 +24,9 @@ SECOND_SHARE, EXACT_SHARE = 0.06, 0.003
 that one where the first ones have no form to be wrong in (an error of reading that is there at once, or heat that is
 and follows what is measured), or where it comes in at a time of its own."""
 BESIDE_SHARE = 0.25
-"""The same where what is slow is joined by heat in its own place, which its first temperature asks for alone, or
-where what is slow comes second: a lumped twin is full of it, more or less so wherever the rig works."""
+"""The same where what is slow is joined by heat in its own place, which its first temperature asks for alone, where
+what is slow comes second (a lumped twin is full of it, more or less so wherever the rig works), or where two come in at
+one moment, as one thing of another form does."""
 _EXACT = ("heat_source", "heat_loss")
 _FORMED = (*LATE, "time_of_day")
 """Drivers of effects that bring a form of their own."""
@@ -109,7 +110,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         if not first_gain:
             first_gain = max(ladder[0].chi * contest.count - winner.total, 1.0)
         part.reset()
-        again = fit(contest, Model.of(probe, chosen), part.state, rounds=2)
+        again = fit(contest, Model.of(probe, chosen), part.state, rounds=0, begin=best.moved)
         given = np.stack([e.placed(contest) for e in again.entries])
         entries = varied(scan(contest, part.laws, given))
         entries.sort(key=lambda e: -e.gain)
@@ -157,10 +158,12 @@ def share_needed(entries: tuple[Entry, ...], chosen: tuple[Entry, ...], second_s
     before = {e.candidate.id for e in chosen}
     known = [e for e in entries if e.candidate.id in before]
     further = [e for e in entries if e.candidate.id not in before]
-    slow = any(k.candidate.driver in LATE and k.candidate.where == e.candidate.where for k in known for e in further)
-    if slow or (second_share and any(e.candidate.driver == "history" for e in further)):
+    pairs = [(e, k) for k in known for e in further]
+    slow = any(k.candidate.driver in LATE and k.candidate.where == e.candidate.where for e, k in pairs)
+    slow = slow or (second_share > 0.0 and any(e.candidate.driver == "history" for e in further))
+    if slow or any(_at_once(e, k) for e, k in pairs):
         return max(second_share, BESIDE_SHARE)
-    own = all(_exact(k) or _apart(e, k) for k in known for e in further)
+    own = all(_exact(k) or _apart(e, k) for e, k in pairs)
     return min(second_share, EXACT_SHARE) if own else second_share
 
 
@@ -171,6 +174,12 @@ def _apart(entry: Entry, other: Entry) -> bool:
     """
     own = entry.shape.name == "step" and entry.shape.onset_s > EARLY_S and entry.candidate.driver not in LATE
     return own and abs(entry.shape.onset_s - other.shape.onset_s) > EARLY_S
+
+
+def _at_once(entry: Entry, other: Entry) -> bool:
+    """Whether two effects come in at one moment in the midst of a record."""
+    first_s, last_s = sorted((entry.shape.onset_s, other.shape.onset_s))
+    return first_s > EARLY_S and last_s - first_s < MOMENT_S
 
 
 def weighed(finding: Finding, first: Part, later: list[Part]) -> tuple[Finding, tuple[str, ...]]:

@@ -84,8 +84,7 @@ class Model:
     @cached_property
     def _shared(self) -> list[tuple[int, int]]:
         """Parameters that are the same as another."""
-        where = {name: i for i, name in enumerate(self.network.ids)}
-        return [(where[p.id], where[p.same_as]) for p in self.network.parameters.values() if p.same_as]
+        return [(self._places[p.id], self._places[p.same_as]) for p in self.network.parameters.values() if p.same_as]
 
     def parameters(self, values: Array, sizes: Array) -> Array:
         """Full parameter vectors (P, p) of the bigger network.
@@ -96,10 +95,25 @@ class Model:
         out = np.tile(self.network.values, (len(values), 1))
         out[:, self._here] = values
         for j, entry in enumerate(self.entries):
-            _size(self.network, entry.candidate, out, sizes[:, j])
+            self._enter(entry.candidate, out, sizes[:, j])
         for k, other in self._shared:
             out[:, k] = out[:, other]
         return out
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        """Position of each parameter of the bigger network."""
+        return {name: i for i, name in enumerate(self.network.ids)}
+
+    def _enter(self, candidate: Candidate, rows: Array, sizes: Array) -> None:
+        """Enter a candidate's sizes (P,) into full parameter vectors (P, p), within the parameters' bounds."""
+        for name, weight in candidate.changes.items():
+            p, k = self.network.parameters[name], self._places[name]
+            if candidate.inverse:
+                value = np.where(sizes > weight / p.upper, weight / np.maximum(sizes, weight / p.upper), p.upper)
+            else:
+                value = rows[:, k] + weight * sizes
+            rows[:, k] = np.clip(value, p.lower, p.upper)
 
     def run(
         self,
@@ -153,14 +167,3 @@ def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
             borders.update(np.arange(piece * np.ceil(shape.onset_s / piece), since[-1], piece).tolist())
     cuts = np.unique(np.searchsorted(since, sorted(borders)))
     return np.concatenate([cuts[cuts < len(since)], [len(since)]])
-
-
-def _size(network: Network, candidate: Candidate, rows: Array, sizes: Array) -> None:
-    """Enter a candidate's sizes (P,) into full parameter vectors (P, p), within the parameters' bounds."""
-    for name, weight in candidate.changes.items():
-        p, k = network.parameters[name], int(network.index([name])[0])
-        if candidate.inverse:
-            value = np.where(sizes > weight / p.upper, weight / np.maximum(sizes, weight / p.upper), p.upper)
-        else:
-            value = rows[:, k] + weight * sizes
-        rows[:, k] = np.clip(value, p.lower, p.upper)

@@ -1,0 +1,96 @@
+"""The minimiser of the joint fits against scipy's, and where onsets bend the residual."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares, lsq_linear
+
+from tests.discovery.conftest import Bench
+from twin.discovery.basis import Columns, basis
+from twin.discovery.fitting import fit
+from twin.discovery.grid import on_grid
+from twin.discovery.model import Model
+from twin.discovery.part import Part
+from twin.discovery.search import Entry
+from twin.discovery.shapes import Shape
+from twin.discovery.stepping import Squares, bounded, minimise
+
+
+def smooth(wanted: np.ndarray, reach: float = np.inf) -> Squares:
+    """Decays a exp(-b t) + c t against what they are at `wanted`."""
+    t = np.linspace(0.0, 4.0, 30)
+
+    def course(v: np.ndarray) -> np.ndarray:
+        return v[0] * np.exp(-v[1] * t) + v[2] * t
+
+    def look(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 10.0 * np.stack([course(wanted) + 0.01 * np.sin(9.0 * t) - course(v) for v in rows]), rows
+
+    def slopes(v: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        decay = np.exp(-v[1] * t)
+        return 10.0 * np.column_stack([decay, -v[0] * t * decay, t]), np.empty((30, 0))
+
+    low, high = np.array([-5.0, 0.05, -1.0]), np.array([5.0, 3.0, 1.0])
+    return Squares(look, slopes, 0.01 * np.eye(3), low, high, np.full(3, reach), np.arange(0))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    a=st.floats(0.5, 4.5), b=st.floats(0.1, 2.8), c=st.floats(-0.9, 0.9), reach=st.sampled_from([0.3, np.inf])
+)  # fmt: skip
+def test_smooth_squares_become_as_small_as_scipy_makes_them(a: float, b: float, c: float, reach: float) -> None:
+    squares = smooth(np.array([a, b, c]), reach)
+    found, _ = minimise(squares, np.array([1.0, 1.0, 0.0]), 40)
+
+    def both(v: np.ndarray) -> np.ndarray:
+        return np.concatenate([squares.look(v[None])[0][0], 0.1 * v])
+
+    best = least_squares(both, [1.0, 1.0, 0.0], bounds=(squares.low, squares.high))
+    assert found.total < 2.0 * best.cost + 0.5
+    assert found.total == pytest.approx(float((both(found.v) ** 2).sum()))
+    assert (squares.low <= found.v).all() and (found.v <= squares.high).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), size=st.integers(1, 12))
+def test_a_bounded_step_is_nearly_the_best_within_its_bounds(seed: int, size: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=(3 * size, size)), rng.normal(size=3 * size)
+    low, high = -rng.uniform(0.01, 0.5, size), rng.uniform(0.01, 0.5, size)
+    step = bounded(a.T @ a, a.T @ b, low, high)
+    assert (low <= step).all() and (step <= high).all()
+    best = lsq_linear(a, b, (low, high)).x
+
+    def fall(s: np.ndarray) -> float:
+        return float(b @ b - ((b - a @ s) ** 2).sum())
+
+    assert fall(step) > 0.7 * fall(best)
+
+
+def test_a_step_without_bounds_in_its_way_is_newtons() -> None:
+    hessian, wide = np.array([[4.0, 1.0], [1.0, 3.0]]), np.full(2, 1e9)
+    assert bounded(hessian, np.array([1.0, -2.0]), -wide, wide) == pytest.approx(
+        np.linalg.solve(hessian, [1.0, -2.0])
+    )  # fmt: skip
+    held = bounded(hessian, np.array([1.0, -2.0]), np.array([0.0, -9.0]), np.array([0.0, 9.0]))
+    assert held == pytest.approx([0.0, -2.0 / 3.0])
+
+
+@pytest.mark.parametrize("off_h", [-0.6, -0.2, 0.25, 0.7])
+def test_an_onset_is_found_from_either_side_and_across_the_edges_of_blocks(
+    bench: Bench, healthy: Columns, off_h: float
+) -> None:
+    hot = bench.with_values(modules_power__power=60.0)
+    record = bench.record(changed=hot, onset_h=7.13)
+    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+    part = Part.of(basis(bench.network, healthy, grid), grid)
+    label = ("heat_source", "modules", "constant")
+    law = next(w for w in part.laws if (w.candidate.kind, w.candidate.where, w.candidate.driver) == label)
+    begun = Entry(law, Shape("step", (7.13 + off_h) * 3600.0), part.contest.vector(law), 40.0, 0.0, 0.0)
+    part.reset()
+    found = fit(part.contest, Model.of(part.basis.probe, (begun,)), part.state)
+    (effect,) = found.entries
+    assert effect.shape.onset_s == pytest.approx(7.13 * 3600.0, abs=90.0)
+    assert effect.size == pytest.approx(60.0, rel=0.05)
+    assert found.chi < 1.5 * part.contest.expected

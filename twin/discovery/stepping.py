@@ -1,0 +1,164 @@
+"""Damped Gauss-Newton where some quantities bend the residual: several steps are tried side by side, each a run of it.
+
+Block means bend where an onset passes from one block into the next, so what the slope says of an onset may hold on one
+side only and not far, and all else must not wait for it. Marquardt, J. SIAM 11 (1963) 431, otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.network import Array
+
+DAMPINGS, FURTHER, SHORTER = (1.0, 10.0, 100.0), 4.0, 0.3
+"""Steps so many times more damped, so many times as long, and with this share of what bends are tried side by side:
+eight runs cost little more than one."""
+LITTLE, LEAST = 1.0e-4, 0.2
+"""Gain, of all squares or in all, after which nothing more is asked for."""
+FORETOLD = 0.7
+"""Share of what they foretold, and its inverse, within which slopes are taken to hold for another step."""
+CALMER, STIFFER, MOST_DAMPED = 100.0, 1.0e3, 1.0e6
+"""Damping after a step that gained is so many times less, after none did so many times more."""
+
+
+@dataclass(frozen=True)
+class Squares:
+    """What is to be made small over v (c,): |residual|^2 + v' precision v.
+
+    Attributes:
+        look: residuals (P, rows) at v (P, c), and whatever `slopes` wants to see of each (P, ...).
+        slopes: of the residual's model (rows, c) at v (c,), which the residual falls with, and those of what bends
+            (rows, bends) towards lower values; its second argument is what `look` gave of that v.
+        precision: (c, c). low, high: (c,) bounds. reach: (c,) longest steps, but where slopes held so far.
+        bends: (bends,) places of what bends.
+    """
+
+    look: Callable[[Array], tuple[Array, Array]]
+    slopes: Callable[[Array, Array], tuple[Array, Array]]
+    precision: Array
+    low: Array
+    high: Array
+    reach: Array
+    bends: np.ndarray
+
+    def weighed(self, v: Array, residual: Array) -> Array:
+        """Squares (P,) at v (P, c)."""
+        total: Array = (residual**2).sum(axis=1) + ((v @ self.precision) * v).sum(axis=1)
+        return total
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a search is: v (c,), residual (rows,), what was seen there, and the squares."""
+
+    v: Array
+    residual: Array
+    seen: Array
+    total: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step (c,), its damping, how much longer it may be, and the squares that the slopes foretell of it."""
+
+    step: Array
+    damping: float
+    longer: float
+    total: float
+
+
+def minimise(squares: Squares, v: Array, rounds: int) -> tuple[Place, Array]:
+    """Where the squares are least near v (c,), as far as some rounds lead, and the slopes (rows, c) there."""
+    residuals, seen = squares.look(v[None])
+    place = Place(v, residuals[0], seen[0], float(squares.weighed(v[None], residuals)[0]))
+    slopes = squares.slopes(place.v, place.seen)
+    damping, longer, fresh = 1.0e-3, 1.0, True
+    for _ in range(rounds):
+        little = max(LITTLE * place.total, LEAST)
+        tried = _steps(squares, place, slopes, damping, longer)
+        if place.total - min(s.total for s in tried) > little:
+            best, found = _best(squares, place, tried)
+            gained, foretold = place.total - found.total, place.total - best.total
+            if gained > 0.0:
+                longer = longer * best.longer if best.damping == damping else 1.0
+                damping = max(best.damping / CALMER, 1.0e-6)
+                holds = FORETOLD * foretold < gained < foretold / FORETOLD and not best.step[squares.bends].any()
+                place, last, fresh = found, fresh and gained < little, False
+                if last:
+                    break
+                if holds and gained > little:
+                    continue
+            elif fresh:
+                damping, longer = damping * STIFFER, 1.0
+                if damping > MOST_DAMPED:
+                    break
+                continue
+        elif fresh:
+            break
+        slopes, fresh = squares.slopes(place.v, place.seen), True
+    return place, slopes[0] if fresh else squares.slopes(place.v, place.seen)[0]
+
+
+def _best(squares: Squares, place: Place, tried: list[Step]) -> tuple[Step, Place]:
+    """The step that led to the least squares, and where it led."""
+    v = np.clip(place.v + np.stack([s.step for s in tried]), squares.low, squares.high)
+    residuals, seen = squares.look(v)
+    totals = squares.weighed(v, residuals)
+    k = int(np.argmin(totals))
+    return tried[k], Place(v[k], residuals[k], seen[k], float(totals[k]))
+
+
+def _steps(squares: Squares, place: Place, slopes: tuple[Array, Array], damping: float, longest: float) -> list[Step]:
+    """Steps worth trying: with what bends held, and moved so far as it may, all of it or each alone."""
+    bends, lower = squares.bends, slopes[1]
+    along = slopes[0].copy()
+
+    def step(down: Array, up: Array, damped: float = 1.0, longer: float = 1.0) -> Step:
+        """With what bends going down and up (bends,) no further than this."""
+        reach = longest * longer * squares.reach
+        low, high = np.maximum(squares.low - place.v, -reach), np.minimum(squares.high - place.v, reach)
+        low[bends], high[bends] = np.maximum(low[bends], -down), np.minimum(high[bends], up)
+        hessian = along.T @ along + squares.precision
+        diagonal = np.diag(hessian)
+        # What changes nothing (an onset where its effect is nothing yet, say) stays where it is.
+        free = diagonal >= 1e-9 * np.median(diagonal)
+        stiff = hessian + damping * damped * np.diag(np.maximum(diagonal, 1e-9 * diagonal.max()))
+        pull = along.T @ place.residual - squares.precision @ place.v
+        taken = bounded(stiff, pull, np.where(free, low, 0.0), np.where(free, high, 0.0))
+        total = squares.weighed((place.v + taken)[None], (place.residual - along @ taken)[None])
+        return Step(taken, damping * damped, longer, float(total[0]))
+
+    down, up = np.zeros(len(bends)), np.zeros(len(bends))
+    tried = [step(down, up, damped=d) for d in DAMPINGS] + [step(down, up, longer=FURTHER)]
+    left = place.residual - along @ tried[0].step
+    for n, i in enumerate(bends):
+        later, sooner = max(float(along[:, i] @ left), 0.0), min(float(lower[:, n] @ left), 0.0)
+        if later**2 * (lower[:, n] ** 2).sum() >= sooner**2 * (along[:, i] ** 2).sum():
+            up[n] = np.inf if later else 0.0
+        else:
+            along[:, i], down[n] = lower[:, n], np.inf
+    if down.any() or up.any():
+        full = step(down, up)
+        way = full.step[bends]
+        ways = [SHORTER * way, *(np.where(bends == i, way, 0.0) for i in bends if len(bends) > 1)]
+        tried += [full, step(down, up, longer=FURTHER)]
+        tried += [step(np.maximum(-w, 0.0), np.maximum(w, 0.0)) for w in ways]
+    return tried
+
+
+def bounded(hessian: Array, pull: Array, low: Array, high: Array) -> Array:
+    """Step s within bounds that makes s H s / 2 - pull s small: what runs into its bounds stays, the rest follows."""
+    step = np.zeros_like(pull)
+    free = high > low
+    while free.any():
+        rest = pull[free] - hessian[np.ix_(free, ~free)] @ step[~free]
+        step[free] = np.linalg.solve(hessian[np.ix_(free, free)], rest)
+        out = free & ((step < low) | (step > high))
+        if not out.any():
+            break
+        step[out] = np.clip(step[out], low[out], high[out])
+        free &= ~out
+    return step
