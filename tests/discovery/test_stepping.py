@@ -27,7 +27,7 @@ def smooth(wanted: np.ndarray, reach: float = np.inf) -> Squares:
     def look(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return 10.0 * np.stack([course(wanted) + 0.01 * np.sin(9.0 * t) - course(v) for v in rows]), rows
 
-    def slopes(v: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def slopes(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         decay = np.exp(-v[1] * t)
         return 10.0 * np.column_stack([decay, -v[0] * t * decay, t]), np.empty((30, 0))
 

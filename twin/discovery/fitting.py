@@ -101,12 +101,13 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS, begi
         readings = run(rows)
         return np.stack([contest.residual_of(each) for each in readings]), readings
 
-    def slopes_at(v: Array, readings: Array) -> tuple[Array, Array]:
+    def slopes_at(v: Array) -> tuple[Array, Array]:
         """Whitened slopes (rows, count), and those (rows, onsets) that onsets have towards earlier times."""
         sign = np.where(v + steps > high, -steps, steps)
-        moves = np.vstack([np.diag(sign), -np.diag(steps)[onsets]])
-        change = np.moveaxis(run(v + moves) - readings, 0, 2) / np.append(sign, -steps[onsets])
-        both = contest.features(change)
+        moves = np.vstack([np.zeros(count), np.diag(sign), -np.diag(steps)[onsets]])
+        # A run is cut where any of those beside it is: only with these is the difference that of the move.
+        readings = run(v + moves)
+        both = contest.features(np.moveaxis(readings[1:] - readings[0], 0, 2) / np.append(sign, -steps[onsets]))
         return both[:, :count], both[:, count:]
 
     onsets = np.arange(first_time, first_growth)

@@ -13,14 +13,14 @@ import numpy as np
 
 from twin.network import Array
 
-DAMPINGS, FURTHER, SHORTER = (1.0, 10.0, 100.0), 4.0, 0.3
+DAMPINGS, FURTHER, SHORTER = (1.0, 30.0, 1000.0), 4.0, 0.3
 """Steps so many times more damped, so many times as long, and with this share of what bends are tried side by side:
 eight runs cost little more than one."""
 LITTLE, LEAST = 1.0e-4, 0.2
 """Gain, of all squares or in all, after which nothing more is asked for."""
 FORETOLD = 0.7
 """Share of what they foretold, and its inverse, within which slopes are taken to hold for another step."""
-CALMER, STIFFER, MOST_DAMPED = 100.0, 1.0e3, 1.0e6
+CALMER, STIFFER, MOST_DAMPED = 10.0, 1.0e3, 1.0e6
 """Damping after a step that gained is so many times less, after none did so many times more."""
 
 
@@ -29,15 +29,14 @@ class Squares:
     """What is to be made small over v (c,): |residual|^2 + v' precision v.
 
     Attributes:
-        look: residuals (P, rows) at v (P, c), and whatever `slopes` wants to see of each (P, ...).
-        slopes: of the residual's model (rows, c) at v (c,), which the residual falls with, and those of what bends
-            (rows, bends) towards lower values; its second argument is what `look` gave of that v.
+        look: residuals (P, rows) at v (P, c), and what was seen of each (P, ...).
+        slopes: how fast (rows, c) the residual falls at v (c,), and for what bends (rows, bends) towards lower values.
         precision: (c, c). low, high: (c,) bounds. reach: (c,) longest steps, but where slopes held so far.
         bends: (bends,) places of what bends.
     """
 
     look: Callable[[Array], tuple[Array, Array]]
-    slopes: Callable[[Array, Array], tuple[Array, Array]]
+    slopes: Callable[[Array], tuple[Array, Array]]
     precision: Array
     low: Array
     high: Array
@@ -74,7 +73,7 @@ def minimise(squares: Squares, v: Array, rounds: int) -> tuple[Place, Array]:
     """Where the squares are least near v (c,), as far as some rounds lead, and the slopes (rows, c) there."""
     residuals, seen = squares.look(v[None])
     place = Place(v, residuals[0], seen[0], float(squares.weighed(v[None], residuals)[0]))
-    slopes = squares.slopes(place.v, place.seen)
+    slopes = squares.slopes(place.v)
     damping, longer, fresh = 1.0e-3, 1.0, True
     for _ in range(rounds):
         little = max(LITTLE * place.total, LEAST)
@@ -98,8 +97,8 @@ def minimise(squares: Squares, v: Array, rounds: int) -> tuple[Place, Array]:
                 continue
         elif fresh:
             break
-        slopes, fresh = squares.slopes(place.v, place.seen), True
-    return place, slopes[0] if fresh else squares.slopes(place.v, place.seen)[0]
+        slopes, fresh = squares.slopes(place.v), True
+    return place, slopes[0] if fresh else squares.slopes(place.v)[0]
 
 
 def _best(squares: Squares, place: Place, tried: list[Step]) -> tuple[Step, Place]:
