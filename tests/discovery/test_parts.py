@@ -234,3 +234,9 @@ def test_what_is_slow_needs_a_larger_share_of_what_came_first(bench: Bench) -> N
         assert share_needed((first, slow), (first,), SECOND_SHARE) == BESIDE_SHARE
         assert share_needed((first, slow), (first,), 0.0) == 0.0
     assert share_needed((first, heat), (first,), SECOND_SHARE) == EXACT_SHARE
+    # Two that come in at one moment are one thing of another form, but for what was there from the beginning.
+    moment = entry("heat_source", "tank", "constant", 2.1)
+    for share in (SECOND_SHARE, 0.0):
+        assert share_needed((first, moment), (first,), share) == BESIDE_SHARE
+    begun = replace(first, shape=Shape("step"))
+    assert share_needed((begun, replace(moment, shape=Shape("step", 600.0))), (begun,), SECOND_SHARE) < BESIDE_SHARE
