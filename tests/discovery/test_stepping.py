@@ -32,7 +32,7 @@ def smooth(wanted: np.ndarray, reach: float = np.inf) -> Squares:
         return 10.0 * np.column_stack([decay, -v[0] * t * decay, t]), np.empty((30, 0))
 
     low, high = np.array([-5.0, 0.05, -1.0]), np.array([5.0, 3.0, 1.0])
-    return Squares(look, slopes, 0.01 * np.eye(3), low, high, np.full(3, reach), np.arange(0))
+    return Squares(look, slopes, 0.01 * np.eye(3), low, high, np.full(3, reach), np.arange(0), 1.0)
 
 
 @settings(max_examples=40, deadline=None)

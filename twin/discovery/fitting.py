@@ -117,7 +117,8 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS, begi
     v[onsets] = [entries[i].shape.onset_s / 3600.0 for i in timed]
     v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
     v = np.clip(v, low, high)
-    found, slopes = minimise(Squares(look, slopes_at, precision, low, high, reach, onsets), v, rounds)
+    squares = Squares(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0)
+    found, slopes = minimise(squares, v, rounds)
     v = found.v
     covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))

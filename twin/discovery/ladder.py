@@ -24,9 +24,9 @@ SECOND_SHARE, EXACT_SHARE = 0.06, 0.003
 that one where the first ones have no form to be wrong in (an error of reading that is there at once, or heat that is
 and follows what is measured), or where it comes in at a time of its own."""
 BESIDE_SHARE = 0.25
-"""The same where what is slow is joined by heat in its own place, which its first temperature asks for alone, where
-what is slow comes second (a lumped twin is full of it, more or less so wherever the rig works), or where two come in at
-one moment, as one thing of another form does."""
+"""The same where what is slow is joined by heat in its own place, which its first temperature asks for alone; where
+what is slow comes second (a lumped twin is full of it, more or less so wherever the rig works); or where two that have
+a form come in at one moment, as one thing of another form does."""
 _EXACT = ("heat_source", "heat_loss")
 _FORMED = (*LATE, "time_of_day")
 """Drivers of effects that bring a form of their own."""
@@ -161,7 +161,7 @@ def share_needed(entries: tuple[Entry, ...], chosen: tuple[Entry, ...], second_s
     pairs = [(e, k) for k in known for e in further]
     slow = any(k.candidate.driver in LATE and k.candidate.where == e.candidate.where for e, k in pairs)
     slow = slow or (second_share > 0.0 and any(e.candidate.driver == "history" for e in further))
-    if slow or any(_at_once(e, k) for e, k in pairs):
+    if slow or any(_at_once(e, k) and not (_exact(e) and _exact(k)) for e, k in pairs):
         return max(second_share, BESIDE_SHARE)
     own = all(_exact(k) or _apart(e, k) for e, k in pairs)
     return min(second_share, EXACT_SHARE) if own else second_share

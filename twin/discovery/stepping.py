@@ -32,7 +32,7 @@ class Squares:
         look: residuals (P, rows) at v (P, c), and what was seen of each (P, ...).
         slopes: how fast (rows, c) the residual falls at v (c,), and for what bends (rows, bends) towards lower values.
         precision: (c, c). low, high: (c,) bounds. reach: (c,) longest steps, but where slopes held so far.
-        bends: (bends,) places of what bends.
+        bends: (bends,) places of what bends. leap: how far apart its bends are.
     """
 
     look: Callable[[Array], tuple[Array, Array]]
@@ -42,6 +42,7 @@ class Squares:
     high: Array
     reach: Array
     bends: np.ndarray
+    leap: float
 
     def weighed(self, v: Array, residual: Array) -> Array:
         """Squares (P,) at v (P, c)."""
@@ -111,7 +112,10 @@ def _best(squares: Squares, place: Place, tried: list[Step]) -> tuple[Step, Plac
 
 
 def _steps(squares: Squares, place: Place, slopes: tuple[Array, Array], damping: float, longest: float) -> list[Step]:
-    """Steps worth trying: with what bends held, and moved so far as it may, all of it or each alone."""
+    """Steps worth trying: with what bends held, moved as its slope says, all of it or each alone, and across its bends.
+
+    Of a leap the slopes foretell nothing: it promises no gain.
+    """
     bends, lower = squares.bends, slopes[1]
     along = slopes[0].copy()
 
@@ -143,8 +147,11 @@ def _steps(squares: Squares, place: Place, slopes: tuple[Array, Array], damping:
         full = step(down, up)
         way = full.step[bends]
         ways = [SHORTER * way, *(np.where(bends == i, way, 0.0) for i in bends if len(bends) > 1)]
-        tried += [full, step(down, up, longer=FURTHER)]
-        tried += [step(np.maximum(-w, 0.0), np.maximum(w, 0.0)) for w in ways]
+        tried += [full, *(step(np.maximum(-w, 0.0), np.maximum(w, 0.0)) for w in ways)]
+        for bent in (1.0, FURTHER):
+            leap = tried[0].step.copy()
+            leap[bends] += bent * squares.leap * ((up > 0.0) * 1.0 - (down > 0.0) * 1.0)
+            tried.append(Step(leap, damping, 1.0, place.total))
     return tried
 
 
