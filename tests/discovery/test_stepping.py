@@ -54,7 +54,7 @@ def test_smooth_squares_become_as_small_as_scipy_makes_them(a: float, b: float, 
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), size=st.integers(1, 12))
-def test_a_bounded_step_is_nearly_the_best_within_its_bounds(seed: int, size: int) -> None:
+def test_a_bounded_step_is_the_best_within_its_bounds(seed: int, size: int) -> None:
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(3 * size, size)), rng.normal(size=3 * size)
     low, high = -rng.uniform(0.01, 0.5, size), rng.uniform(0.01, 0.5, size)
@@ -62,10 +62,10 @@ def test_a_bounded_step_is_nearly_the_best_within_its_bounds(seed: int, size: in
     assert (low <= step).all() and (step <= high).all()
     best = lsq_linear(a, b, (low, high)).x
 
-    def fall(s: np.ndarray) -> float:
-        return float(b @ b - ((b - a @ s) ** 2).sum())
+    def left(s: np.ndarray) -> float:
+        return float(((b - a @ s) ** 2).sum())
 
-    assert fall(step) > 0.7 * fall(best)
+    assert left(step) <= left(best) + 1e-4 * float(b @ b)
 
 
 def test_a_step_without_bounds_in_its_way_is_newtons() -> None:

@@ -46,12 +46,11 @@ class Fit:
     chi: float
 
 
-def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS, begin: Array | None = None) -> Fit:
+def fit(contest: Contest, model: Model, state: Array) -> Fit:
     """Minimise the contest's squares over tunables, initial state and sizes; the contest then looks at the result.
 
     Args:
         state: initial temperatures (k,), about which the contest was linearised.
-        begin: tunables and initial state (q + k,) as a `Fit` has moved them; by default the commissioned ones.
     """
     probe, grid, entries = contest.probe, contest.grid, model.entries
     scaling, q, k, e = probe.scaling, probe.q, probe.k, len(entries)
@@ -92,9 +91,7 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS, begi
         values[:, scaling.index] = scaling.to_values(z0 + v[:, :q])
         shapes = tuple(shapes_at(row) for row in v)
         start, sizes = state[:k] + v[:, q : q + k], v[:, q + k : first_time]
-        readings = model.run(grid.time, grid.inputs, start, values, sizes, shapes)
-        readings[:, :-1] += 0.5 * np.diff(readings, axis=1)
-        return readings
+        return _between(model.run(grid.time, grid.inputs, start, values, sizes, shapes))
 
     def look(rows: Array) -> tuple[Array, Array]:
         """Whitened residuals (P, rows) and readings (P, n, m) of runs at `rows` (P, count)."""
@@ -112,13 +109,12 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS, begi
 
     onsets = np.arange(first_time, first_growth)
     v = np.zeros(count)
-    v[: q + k] = 0.0 if begin is None else begin
     v[q + k : first_time] = [x.size for x in entries]
     v[onsets] = [entries[i].shape.onset_s / 3600.0 for i in timed]
     v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
     v = np.clip(v, low, high)
     squares = Squares(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0)
-    found, slopes = minimise(squares, v, rounds)
+    found, slopes = minimise(squares, v, ROUNDS)
     v = found.v
     covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -135,6 +131,20 @@ def fit(contest: Contest, model: Model, state: Array, rounds: int = ROUNDS, begi
     values[scaling.index] = scaling.to_values(z0 + v[:q])
     chi = float(found.residual @ found.residual) / max(contest.count, 1)
     return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi)
+
+
+def look_at(contest: Contest, model: Model, found: Fit) -> None:
+    """Have the contest look at what a fit has found; the model is of its effects."""
+    sizes = np.array([[e.size for e in model.entries]])
+    run = model.run(contest.grid.time, contest.grid.inputs, found.state[None].copy(), found.values[None], sizes)
+    readings = _between(run)[0]
+    contest.look_at(Run(readings, readings), found.moved)
+
+
+def _between(readings: Array) -> Array:
+    """Readings (P, n, m) in the middle of their bins, from those at the beginnings."""
+    readings[:, :-1] += 0.5 * np.diff(readings, axis=1)
+    return readings
 
 
 def _going_on(entry: Entry, span_s: float) -> Entry:

@@ -10,7 +10,7 @@ import numpy as np
 from twin.discovery.catalogue import LATE
 from twin.discovery.diagnosis import Rung
 from twin.discovery.equivalence import width
-from twin.discovery.fitting import Fit, fit
+from twin.discovery.fitting import Fit, fit, look_at
 from twin.discovery.model import Model
 from twin.discovery.part import Part, finalists, fitted, timed, varied
 from twin.discovery.ranking import MOMENT_S, Finding, Ranked, enough, piled_up, rank, stand, unusual
@@ -110,8 +110,8 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         if not first_gain:
             first_gain = max(ladder[0].chi * contest.count - winner.total, 1.0)
         part.reset()
-        again = fit(contest, Model.of(probe, chosen), part.state, rounds=0, begin=best.moved)
-        given = np.stack([e.placed(contest) for e in again.entries])
+        look_at(contest, Model.of(probe, chosen), best)
+        given = np.stack([e.placed(contest) for e in chosen])
         entries = varied(scan(contest, part.laws, given))
         entries.sort(key=lambda e: -e.gain)
         ladder.append(

@@ -20,8 +20,11 @@ LITTLE, LEAST = 1.0e-4, 0.2
 """Gain, of all squares or in all, after which nothing more is asked for."""
 FORETOLD = 0.7
 """Share of what they foretold, and its inverse, within which slopes are taken to hold for another step."""
-CALMER, STIFFER, MOST_DAMPED = 10.0, 1.0e3, 1.0e6
+CALMER, STIFFER = 10.0, 1.0e3
 """Damping after a step that gained is so many times less, after none did so many times more."""
+MOST_TURNS, NOTHING = 4, 1.0e-6
+"""Turns of a step within bounds per quantity, and the share of its gain for which no bound is left again."""
+LEAST_DAMPED, FIRST_DAMPED, MOST_DAMPED = 1.0e-6, 1.0e-3, 1.0e6
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ def minimise(squares: Squares, v: Array, rounds: int) -> tuple[Place, Array]:
     residuals, seen = squares.look(v[None])
     place = Place(v, residuals[0], seen[0], float(squares.weighed(v[None], residuals)[0]))
     slopes = squares.slopes(place.v)
-    damping, longer, fresh = 1.0e-3, 1.0, True
+    damping, longer, fresh = FIRST_DAMPED, 1.0, True
     for _ in range(rounds):
         little = max(LITTLE * place.total, LEAST)
         tried = _steps(squares, place, slopes, damping, longer)
@@ -84,12 +87,13 @@ def minimise(squares: Squares, v: Array, rounds: int) -> tuple[Place, Array]:
             gained, foretold = place.total - found.total, place.total - best.total
             if gained > 0.0:
                 longer = longer * best.longer if best.damping == damping else 1.0
-                damping = max(best.damping / CALMER, 1.0e-6)
-                holds = FORETOLD * foretold < gained < foretold / FORETOLD and not best.step[squares.bends].any()
-                place, last, fresh = found, fresh and gained < little, False
-                if last:
+                damping = max(best.damping / CALMER, LEAST_DAMPED)
+                done = fresh and gained < little
+                place, fresh = found, False
+                if done:
                     break
-                if holds and gained > little:
+                straight = not best.step[squares.bends].any()
+                if straight and gained > little and FORETOLD * foretold < gained < foretold / FORETOLD:
                     continue
             elif fresh:
                 damping, longer = damping * STIFFER, 1.0
@@ -119,21 +123,25 @@ def _steps(squares: Squares, place: Place, slopes: tuple[Array, Array], damping:
     bends, lower = squares.bends, slopes[1]
     along = slopes[0].copy()
 
+    def form() -> tuple[Array, Array]:
+        """Matrix and pull of the quadratic form that the slopes make of the squares."""
+        hessian: Array = along.T @ along + squares.precision
+        return hessian, along.T @ place.residual - squares.precision @ place.v
+
     def step(down: Array, up: Array, damped: float = 1.0, longer: float = 1.0) -> Step:
         """With what bends going down and up (bends,) no further than this."""
         reach = longest * longer * squares.reach
         low, high = np.maximum(squares.low - place.v, -reach), np.minimum(squares.high - place.v, reach)
         low[bends], high[bends] = np.maximum(low[bends], -down), np.minimum(high[bends], up)
-        hessian = along.T @ along + squares.precision
         diagonal = np.diag(hessian)
         # What changes nothing (an onset where its effect is nothing yet, say) stays where it is.
         free = diagonal >= 1e-9 * np.median(diagonal)
         stiff = hessian + damping * damped * np.diag(np.maximum(diagonal, 1e-9 * diagonal.max()))
-        pull = along.T @ place.residual - squares.precision @ place.v
         taken = bounded(stiff, pull, np.where(free, low, 0.0), np.where(free, high, 0.0))
         total = squares.weighed((place.v + taken)[None], (place.residual - along @ taken)[None])
         return Step(taken, damping * damped, longer, float(total[0]))
 
+    hessian, pull = form()
     down, up = np.zeros(len(bends)), np.zeros(len(bends))
     tried = [step(down, up, damped=d) for d in DAMPINGS] + [step(down, up, longer=FURTHER)]
     left = place.residual - along @ tried[0].step
@@ -144,27 +152,45 @@ def _steps(squares: Squares, place: Place, slopes: tuple[Array, Array], damping:
         else:
             along[:, i], down[n] = lower[:, n], np.inf
     if down.any() or up.any():
+        hessian, pull = form()
         full = step(down, up)
         way = full.step[bends]
         ways = [SHORTER * way, *(np.where(bends == i, way, 0.0) for i in bends if len(bends) > 1)]
         tried += [full, *(step(np.maximum(-w, 0.0), np.maximum(w, 0.0)) for w in ways)]
         for bent in (1.0, FURTHER):
             leap = tried[0].step.copy()
-            leap[bends] += bent * squares.leap * ((up > 0.0) * 1.0 - (down > 0.0) * 1.0)
+            leap[bends] += bent * squares.leap * (np.sign(up) - np.sign(down))
             tried.append(Step(leap, damping, 1.0, place.total))
     return tried
 
 
 def bounded(hessian: Array, pull: Array, low: Array, high: Array) -> Array:
-    """Step s within bounds that makes s H s / 2 - pull s small: what runs into its bounds stays, the rest follows."""
+    """Step s that makes s H s / 2 - pull s least, low <= s <= high, where 0 is allowed.
+
+    Active sets (Nocedal & Wright, Numerical Optimization, algorithm 16.3): towards the least of what is free until
+    something runs into its bound and stays there; once nothing does, what its bound holds back most is let go again.
+    """
+    diagonal = np.diag(hessian)
     step = np.zeros_like(pull)
-    free = high > low
-    while free.any():
-        rest = pull[free] - hessian[np.ix_(free, ~free)] @ step[~free]
-        step[free] = np.linalg.solve(hessian[np.ix_(free, free)], rest)
-        out = free & ((step < low) | (step > high))
-        if not out.any():
+    movable = high > low
+    free = movable.copy()
+    for _ in range(MOST_TURNS * len(pull)):
+        way = np.zeros_like(step)
+        rest = (pull - hessian @ step)[free]
+        way[free] = np.linalg.solve(hessian[np.ix_(free, free)], rest)
+        bound = np.where(way > 0.0, high, low)
+        share = np.divide(bound - step, way, out=np.full_like(way, np.inf), where=way != 0.0)
+        first = int(np.argmin(share))
+        if share[first] < 1.0:
+            step = np.clip(step + share[first] * way, low, high)
+            step[first], free[first] = bound[first], False
+            continue
+        step = np.clip(step + way, low, high)
+        slope = pull - hessian @ step
+        inward = np.where(movable & ~free, np.where(step == low, slope, -slope), 0.0)
+        gain = np.maximum(inward, 0.0) ** 2 / np.maximum(diagonal, 1e-300)
+        most = int(np.argmax(gain))
+        if gain[most] <= NOTHING * float(pull @ step):
             break
-        step[out] = np.clip(step[out], low[out], high[out])
-        free &= ~out
+        free[most] = True
     return step
