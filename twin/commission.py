@@ -1,8 +1,9 @@
 """Fit a twin to a healthy record: the values from which everything later is judged.
 
-The last part of the record, by time, is split off before the fit and never seen by it; the errors quoted are
-of a free run through the whole record, read off over that part. Standard errors are widened for the fact that
-residuals are not white: by their size against the declared noise and by their autocorrelation time.
+A part of the record, the last one whose inputs stay within what the rest has seen, is split off before the fit and
+never seen by it; the errors quoted are of a free run through the whole record, read off over that part. Standard
+errors are widened for the fact that residuals are not white: by their size against the declared noise and by their
+autocorrelation time.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ FIRST_SAMPLES = 30
 """Readings whose mean is the first guess of the initial state, unless an input moves before."""
 MOVED = 0.01
 """An input has moved when it has changed by more than this share of its declared range."""
+BEYOND = 0.1
+"""Share of an input's declared range by which a part may leave the range that it has in the rest."""
 FEWEST, FEWEST_IN_TIME = 10, 50
 """Residuals from which their size says something, and from which their autocorrelation does."""
 INITIAL_SD_K = 5.0
@@ -95,7 +98,8 @@ def commission(
         measured: (N, m) degC in the order of ``network.sensor_names``; NaN is masked.
         tunables: name of a set of the twin, ids, or None for every parameter of status tunable. A twin
             without a set "commission" uses the latter.
-        held_out: share of the record's time, at its end, kept out of the fit.
+        held_out: share of the record's time kept out of the fit: its end, or where inputs go there as nowhere else (a
+            fan that was only off at last), the last part before in which they do not.
         starts: descents from different points: the twin's own values, then random ones by `seed`.
         initial_sd: K, how firmly the initial state is held to the first readings; small for a record that
             begins at rest.
@@ -121,16 +125,18 @@ def commission(
         )
     if not initial_sd > 0.0:
         raise TwinFileError(f"initial_sd must be above 0 K, got {initial_sd:g}")
-    split_s = t[0] + (1.0 - held_out) * (t[-1] - t[0])
-    split = int(np.searchsorted(t, split_s))
-    if not (weight[:split] > 0.0).any() or not (weight[split:] > 0.0).any():
+    split, end = _held_out(network, t, u, held_out)
+    seen = np.ones(len(t), dtype=bool)
+    seen[split:end] = False
+    if not (weight[seen] > 0.0).any() or not (weight[~seen] > 0.0).any():
         raise TwinFileError("the record has no finite measurement in its fitted or in its held-out part")
 
     kernel, scaling = Kernel(network, ids), Scaling.of(network, ids)
     raw = np.where(weight > 0.0, y, np.nan)
     state0 = network.initial_state(raw[: _before_any_input_moves(network, u)])
     start = network.values[scaling.index]
-    data = Data(t[:split], u[:split], y[:split], weight[:split])
+    rows = split if end == len(t) else len(t)
+    data = Data(t[:rows], u[:rows], y[:rows], np.where(seen[:, None], weight, 0.0)[:rows])
     prior = weak_prior(scaling, start, state0, initial_sd)
     rng = np.random.default_rng(seed)
     fits: list[Fit] = []
@@ -147,7 +153,7 @@ def commission(
 
     stale = np.where(weight > 0.0, free_run(start, state0) - y, np.nan)
     residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
-    widened = inflation(residual[:split], network.sigma)
+    widened = inflation(residual[seen], network.sigma)
     # Residuals that are not white are worth fewer samples than there are. Without this, model error would
     # drive a parameter that the record cannot tell to a bound.
     tempered = Prior(prior.mean, prior.precision * widened)
@@ -158,14 +164,15 @@ def commission(
     told = spread / scaling.prior_sd() < CANNOT_TELL
     low, high = (scaling.to_values(scaling.to_z(best.values) + s * SE90 * spread) for s in (-1.0, 1.0))
     names = network.sensor_names
-    errors = [dict(zip(names, rmse(r), strict=True)) for r in (stale[split:], residual[split:], residual[:split])]
-    notes = _notes(network, ids, (agree, len(fits)), best, told, u[:split], widened)
+    errors = [dict(zip(names, rmse(r), strict=True)) for r in (stale[~seen], residual[~seen], residual[seen])]
+    notes = _notes(network, ids, (agree, len(fits)), best, told, u[seen], widened)
     values = dict(zip(ids, best.values.tolist(), strict=True))
     revision = Revision(
         number=network.revision.number + 1,
         parent=network.digest,
         made_by=made_by,
-        window_s=(float(t[0]), float(t[split - 1])),
+        window_s=(float(t[0]), float(t[rows - 1])),
+        held_out_s=(float(t[split]), float(t[end - 1])),
         error_before_K={k: v for k, v in errors[0].items() if np.isfinite(v)},
         error_after_K={k: v for k, v in errors[1].items() if np.isfinite(v)},
         notes=tuple(notes),
@@ -181,7 +188,7 @@ def commission(
         rmse_before=errors[0],
         rmse_after=errors[1],
         rmse_fitted=errors[2],
-        held_out_s=(float(t[split]), float(t[-1])),
+        held_out_s=(float(t[split]), float(t[end - 1])),
         covariance=covariance[: len(ids), : len(ids)],
         condition=condition(best.normal[: len(ids), : len(ids)]),
         state=best.state,
@@ -194,6 +201,24 @@ def weak_prior(scaling: Scaling, values: Array, state: Array, state_sd: float) -
     """Prior centred on `values` (q,) and `state` (k,), as wide as `Scaling.prior_sd` and `state_sd` K."""
     sd = np.concatenate([scaling.prior_sd(), np.full(state.size, state_sd)])
     return Prior(np.concatenate([scaling.to_z(values), state]), np.diag(sd**-2.0))
+
+
+def _held_out(network: Network, time: Array, inputs: Array, share: float) -> tuple[int, int]:
+    """First row and the row after the last of the part that no fit is to see; the record's end where none is better."""
+    spans = np.array([spec.upper - spec.lower for spec in network.inputs.values()])
+    beyond = BEYOND * np.where(np.isfinite(spans), spans, np.ptp(inputs, axis=0))
+
+    def part(last: float) -> tuple[int, int]:
+        first_s, last_s = (time[0] + x * (time[-1] - time[0]) for x in (last - share, last))
+        return int(np.searchsorted(time, first_s)), len(time) if last == 1.0 else int(np.searchsorted(time, last_s))
+
+    for last in np.arange(1.0, share, -0.5 * share):
+        first, end = part(float(last))
+        inside, rest = inputs[first:end], np.delete(inputs, slice(first, end), axis=0)
+        low, high = rest.min(axis=0) - beyond, rest.max(axis=0) + beyond
+        if len(inside) and (inside >= low).all() and (inside <= high).all():
+            return first, end
+    return part(1.0)
 
 
 def _before_any_input_moves(network: Network, inputs: Array) -> int:

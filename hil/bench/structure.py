@@ -93,7 +93,7 @@ def judge(rig: Path, name: str, template: Path, seed: int) -> Left:
     fit_s = time.process_time() - began
     network = done.network
     residual = simulate(network, healthy.time_s, inputs, done.state) - measured
-    late = healthy.time_s >= done.held_out_s[0]
+    late = (healthy.time_s >= done.held_out_s[0]) & (healthy.time_s <= done.held_out_s[1])
 
     record = read_record(rig / "campaign.parquet")
     inputs, measured = network.select(record.columns)

@@ -173,3 +173,21 @@ def test_draws_spread_as_the_intervals_say(loop: Network) -> None:
             assert column.mean() == pytest.approx(done.values[name], abs=0.2 * sd)
     others = [i for i, name in enumerate(loop.ids) if name not in done.values]
     assert (drawn[:, others] == done.network.values[others]).all()
+
+
+def test_what_the_record_shows_at_its_end_alone_is_fitted(loop: Network) -> None:
+    """A fan that is off in the last fifth only: what the radiator then loses has to come from there."""
+    truth = loop.with_values({**TRUTH, "fins.UA_still": 6.0})
+    n = 4 * 3600
+    t, u = drive(n, 0)
+    u[:, 1] = np.repeat([100.0, 70.0, 85.0, 100.0], n // 4)
+    u[int(0.92 * n) :, 2] = 0.0
+    y = simulate(truth, t, u, START) + np.random.default_rng(0).normal(0.0, 1.0, (n, 4)) * loop.sigma
+    done = commission(loop, t, u, y)
+    assert done.held_out_s[1] < 0.92 * t[-1]
+    assert done.held_out_s[1] - done.held_out_s[0] == pytest.approx(0.2 * t[-1], abs=2.0)
+    assert "fins.UA_still" not in done.cannot_tell
+    assert abs(done.values["fins.UA_still"] - 6.0) < 4.0 * done.standard_error["fins.UA_still"]
+    for name, sigma in zip(loop.sensor_names, loop.sigma, strict=True):
+        assert done.rmse_after[name] < 1.05 * sigma
+    assert done.network.revision.held_out_s == done.held_out_s

@@ -8,35 +8,24 @@ from dataclasses import replace
 import numpy as np
 
 from twin.discovery.basis import Columns, basis
-from twin.discovery.catalogue import LATE as LATE_DRIVERS
-from twin.discovery.caution import as_commissioned, first_alone, nothing, unconfirmed, weak
-from twin.discovery.contest import Contest
+from twin.discovery.caution import as_commissioned, first_alone, nothing, unconfirmed
 from twin.discovery.diagnosis import Diagnosis, SensorError
 from twin.discovery.experiment import Limits
-from twin.discovery.fitting import Fit, fit
 from twin.discovery.forecast import Forecast, forecast, plan_of, too_little, unseen_kinds
 from twin.discovery.grid import Grid, on_grid
-from twin.discovery.held_out import binned, contradicted, errors, far_off
-from twin.discovery.ladder import SECOND_SHARE, search, weighed
+from twin.discovery.held_out import binned
+from twin.discovery.inquiry import Inquiry
+from twin.discovery.ladder import weighed
 from twin.discovery.members import Members, members
-from twin.discovery.model import Model
 from twin.discovery.part import Part
-from twin.discovery.ranking import Finding, enough
+from twin.discovery.ranking import Finding
 from twin.discovery.readings import Stuck, stuck
 from twin.discovery.thermometers import explained_by_one
-from twin.discovery.validation import holds
 from twin.discovery.verdict import conclude
 from twin.network import Array, Network, TwinFileError
 from twin.steady import steady_state
 
 HELD_OUT = 0.25
-STILL_HELD = 0.4
-"""Share of the part held out that stays so where it showed what the rest had not."""
-FORETELLS_SHARE, FORETELLS = 0.15, 0.5
-"""Of the squares in the part that no fit saw, in what is usual there, the share and the amount that a lesser further
-effect has to take, to be told all the same."""
-LATE = 0.85
-"""Share of the part that a fit sees, beyond which an onset leaves it too little of what follows."""
 
 
 def diagnose(
@@ -65,67 +54,25 @@ def diagnose(
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
     known = basis(network, healthy, grid)
     say("scanning")
-    bins = len(grid.time)
-    split = int(bins * (1.0 - held_out))
-    whole = Part.of(known, grid)
-    other_forms = whole.sharpened()
-
-    def part(of: Grid) -> Part:
-        made = Part.of(known, of)
-        made.add(other_forms)
-        return made
+    inquiry = Inquiry(network, record, known, grid, say)
+    whole = inquiry.whole
+    notes = [told.sentence for told in (known.structure, known.bootstrap) if told is not None and told.sentence]
+    answer = inquiry.answer(held_out)
+    finding, split, doubted = answer.finding, answer.split, answer.doubted
+    notes += answer.notes
 
     def on_unseen(finding: Finding) -> dict[str, SensorError]:
-        return errors(finding, network, record, grid, split, known.plain)
+        return inquiry.on_unseen(finding, split)
 
-    whole.add(other_forms)
-    train = part(grid.part(0, split))
-    notes = [told.sentence for told in (known.structure, known.bootstrap) if told is not None and told.sentence]
-    finding: Finding | None = None
-    doubted = False
-    if not _begins_late(whole, train, split):
-        finding, doubted = _searched(train, say)
-        finding = _foretelling(finding, train, network, record, grid, split)
-    most = max(split, int(bins * (1.0 - held_out * STILL_HELD)))
-    later, why = split, ""
-    if finding is None or (finding.fit is None and whole.best_z >= train.threshold):
-        onset_s = whole.entries[0].shape.onset_s
-        later = min((int(onset_s / grid.step_s) + bins) // 2, bins - 6)
-        why = f"something changed at {onset_s / 3600.0:.1f} h, inside the part that was to be kept out of the fit"
-        if later <= split:
-            later, why = most, "what stands out does so in the part that was to be kept out of the fit"
-    elif finding.fit is not None and far_off(seen := on_unseen(finding), network):
-        later, doubted = most, contradicted(seen, network) and not weak(finding)
-        why = "on the part that was to be kept out of the fit the best answer was off by more than is usual"
-    elif any(e.shape.onset_s > LATE * split * grid.step_s for e in finding.entries):
-        later, why = most, "an effect begins so late that the fit saw little of it"
-    if later > split:
-        split, finding = later, None
-        notes.append(f"{why}; the fit was given the record up to {split * grid.step_s / 3600.0:.1f} h")
-        train = part(grid.part(0, split))
-    if finding is None:
-        finding, doubted = _searched(train, say, doubted)
-        if finding.fit is None and split < most and whole.best_z >= train.threshold:
-            # What grows shows late.
-            split, train = most, part(grid.part(0, most))
-            notes.append(f"it showed nothing yet; so the fit was given {split * grid.step_s / 3600.0:.1f} h")
-            finding, doubted = _searched(train, say, doubted)
-        finding = _foretelling(finding, train, network, record, grid, split)
-    if finding.fit is not None and finding.beside is not None and not doubted:
-        say("asking whether lesser effects foretell")
-        lesser = _as_used(search(train, say, 0.0), train)
-        before, after = (_left_late(f, train, network, record, grid, split) for f in (finding, lesser))
-        if _may_be_told(lesser) and before - after > max(FORETELLS_SHARE * before, FORETELLS):
-            finding = lesser
     answers = [e.candidate for r in finding.ranked for e in r.entries]
     whole.know(answers)
     further: list[Part] = []
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
-        further = [part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
+        further = [inquiry.part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
         for each in further:
             each.know(answers)
-        finding, said = weighed(finding, train, further)
+        finding, said = weighed(finding, answer.train, further)
         notes += said
     off = on_unseen(finding)
     good_as_ever = healthy is None and as_commissioned(network, off)
@@ -133,7 +80,7 @@ def diagnose(
         finding = nothing(finding)
         off = {name: replace(e, after=e.before, means=(*e.means[:2], e.means[1])) for name, e in off.items()}
     elif healthy is None and finding.fit is not None and not more:
-        finding = first_alone(finding, train)
+        finding = first_alone(finding, answer.train)
         off = on_unseen(finding)
     if finding.fit is None:
         poor = too_little(whole.contest, whole.laws, known.book.candidates)
@@ -166,88 +113,6 @@ def diagnose(
         return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
 
     return explained_by_one(found, network, record, single, again)
-
-
-def _searched(train: Part, say: Callable[[str], None], doubted: bool = False) -> tuple[Finding, bool]:
-    """The search, and whether its answer has to leave nothing over.
-
-    What was too little to be told from an error of form may be why an answer does not predict: then it is let in.
-    """
-    finding = search(train, say, 0.0 if doubted else SECOND_SHARE)
-    if not doubted and finding.beside is not None and not _good(finding):
-        further = search(train, say, 0.0)
-        if _good(further) and further.beside is None:
-            finding, doubted = further, True
-    return _as_used(finding, train), doubted
-
-
-def _may_be_told(lesser: Finding) -> bool:
-    """Whether effects that win little beside the first may be: none of them late, and no more than noise left.
-
-    What is late is of what a lumped twin leaves, too, and what leaves more than noise is of another form.
-    """
-    late = any(e.candidate.driver in LATE_DRIVERS for e in lesser.entries[1:])
-    return lesser.fit is not None and not late and lesser.fit.chi <= lesser.contest.expected
-
-
-def _as_used(finding: Finding, part: Part) -> Finding:
-    """The finding with values that foretell best by themselves."""
-    again = _by_itself(part)
-    fitted = None if finding.fit is None else again(finding.fit)
-    return replace(finding, retuned=again(finding.retuned), fit=fitted)
-
-
-def _left_late(finding: Finding, part: Part, network: Network, record: Columns, grid: Grid, split: int) -> float:
-    """Squares that an answer leaves where no fit saw the record, all sensors together, in what is usual there."""
-    found = errors(finding, network, record, grid, split, part.basis.plain)
-    return sum((e.after / max(e.noise, e.usual)) ** 2 for e in found.values())
-
-
-def _foretelling(finding: Finding, part: Part, network: Network, record: Columns, grid: Grid, split: int) -> Finding:
-    """The finding without those of its last effects that make the part that no fit saw no better.
-
-    Where so much is left without one that there must be something, it stays: how it goes on is then told wrongly.
-    """
-    while finding.shorter is not None and finding.shorter.fit is not None:
-        if not enough(finding.shorter.fit.chi, finding.start / finding.count, finding.contest, quiet=True):
-            break
-        shorter = replace(finding.shorter, retuned=finding.retuned, fit=_by_itself(part)(finding.shorter.fit))
-        longer, without = (_left_late(f, part, network, record, grid, split) for f in (finding, shorter))
-        if longer < without:
-            break
-        finding = replace(shorter, refuted=True)
-    return finding
-
-
-def _by_itself(part: Part) -> Callable[[Fit], Fit]:
-    """Gives fits the values that foretell best by themselves: a twin does not know what its structure leaves."""
-    known = part.basis
-    if known.plain is None:
-        return lambda found: found
-    contest = Contest(known.probe, part.grid, part.state, part.run, known.plain, known.prior)
-
-    def again(found: Fit) -> Fit:
-        contest.look_at(part.run)
-        used = fit(contest, Model.of(known.probe, found.entries), part.state)
-        # What by itself vanishes or turns round is better left as it was found.
-        same = all(a.size * b.size > 0.0 for a, b in zip(used.entries, found.entries, strict=True))
-        return replace(used, total=found.total, chi=found.chi) if same else found
-
-    return again
-
-
-def _good(finding: Finding) -> bool:
-    """Whether effects leave no more than noise, however much there was, and predict what they were not taken from."""
-    assert finding.fit is not None
-    return enough(finding.fit.chi, 0.0, finding.contest) and holds(finding.folds)
-
-
-def _begins_late(whole: Part, train: Part, split: int) -> bool:
-    """Whether what stands out in the whole record begins in the part that no fit was to see."""
-    if not whole.entries or whole.best_z < train.threshold:
-        return False
-    late = whole.entries[0].shape.onset_s > LATE * split * whole.grid.step_s
-    return train.best_z < train.threshold or (late and whole.best_z > 1.5 * train.best_z)
 
 
 def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[Stuck, ...]]:

@@ -1,0 +1,64 @@
+"""How much of a record the fits see, and which lesser effects are told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.discovery.conftest import Bench
+from twin.discovery.basis import Columns, basis
+from twin.discovery.engine import diagnose
+from twin.discovery.grid import on_grid
+from twin.discovery.inquiry import Inquiry, came_in
+from twin.discovery.ladder import search
+from twin.kernel import Kernel
+from twin.revisions import with_elements
+
+HEAT = {"kind": "heat_source", "node": "modules", "power": 15.0}
+MASS = {"kind": "hidden_mass", "node": "tank", "conductance": 3.0, "capacity": 6.0e3}
+START = np.array([37.0, 36.8, 34.5, 34.0])
+
+
+def heat_then_mass(bench: Bench, heat_h: float, mass_h: float) -> Columns:
+    """A record with heat in the modules since one hour, and in the tank, since another, a mass as warm as the tank."""
+    t, u = bench.inputs(16.0, 3)
+    hours = sorted({0.0, heat_h, mass_h})
+    cuts = [*(int(np.searchsorted(t, h * 3600.0)) for h in hours), len(t)]
+    parts, state = [], START
+    for hour, low, high in zip(hours, cuts[:-1], cuts[1:], strict=True):
+        there = {"heat": HEAT} if hour >= heat_h else {}
+        network = with_elements(bench.network, {**there, "mass": MASS} if hour >= mass_h else there)
+        state = np.append(state, state[3])[: len(network.nodes)]
+        read, ends = Kernel(network, ()).trace(network.values, state, t[low : high + 1], u[low : high + 1])
+        parts.append(read[0][: high - low])
+        state = ends[0][: len(network.nodes)]
+    y = np.vstack(parts)
+    return Columns(t, u, y + bench.network.sigma * np.random.default_rng(5).normal(0.0, 1.0, y.shape))
+
+
+def test_what_only_the_last_part_shows_beside_the_answer_is_told(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(16.0, changed=bench.with_element("heat", HEAT), onset_h=3.0)
+    j = bench.network.sensor_names.index("T_tank_C")
+    record.measured[record.time_s > 12.5 * 3600.0, j] += 0.12
+    found = diagnose(bench.network, record, healthy)
+    assert {(e.kind, e.where) for e in found.effects} == {("heat_source", "modules"), ("sensor", "T_tank_C")}
+    tank = next(e for e in found.effects if e.kind == "sensor")
+    assert tank.value == pytest.approx(0.12, rel=0.1) and tank.onset_s == pytest.approx(12.5 * 3600.0, abs=300.0)
+    assert found.held_out_s[0] > 14.0 * 3600.0
+    assert any("beside the answer" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("mass_h", [7.0, 0.0])
+def test_a_lesser_mass_has_come_in_where_the_record_before_is_without_it(
+    bench: Bench, healthy: Columns, mass_h: float
+) -> None:
+    record = heat_then_mass(bench, 3.0, mass_h)
+    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+    inquiry = Inquiry(bench.network, record, basis(bench.network, healthy, grid), grid, lambda _: None)
+    train = inquiry.part(grid.part(0, int(0.75 * len(grid.time))))
+    fitted = search(train, lambda _: None, second_share=0.0).fit
+    assert fitted is not None
+    assert [(e.candidate.kind, e.candidate.where) for e in fitted.entries] == [
+        ("heat_source", "modules"), ("thermal_mass", "tank")
+    ]  # fmt: skip
+    assert came_in(fitted, 1, train) == (mass_h > 0.0)

@@ -1,0 +1,252 @@
+"""How much of a record the fits may see, and which of the effects that they find are told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from twin.discovery.basis import Basis, Columns
+from twin.discovery.catalogue import LATE as LATE_DRIVERS
+from twin.discovery.caution import weak
+from twin.discovery.contest import Contest
+from twin.discovery.diagnosis import SensorError
+from twin.discovery.fitting import Fit, fit
+from twin.discovery.grid import Grid
+from twin.discovery.held_out import contradicted, errors, far_off
+from twin.discovery.ladder import SECOND_SHARE, search
+from twin.discovery.model import Model
+from twin.discovery.part import Part, fitted
+from twin.discovery.ranking import Finding, enough
+from twin.discovery.search import scan
+from twin.discovery.shapes import EARLY_S
+from twin.discovery.validation import holds
+from twin.elements.base import Candidate
+from twin.network import Network
+
+STILL_HELD = 0.4
+"""Share of the part held out that stays so where it showed what the rest had not."""
+FORETELLS_SHARE, FORETELLS = 0.15, 0.5
+"""Of the squares in the part that no fit saw, in what is usual there, the share and the amount that a lesser further
+effect has to take, to be told all the same."""
+LATE = 0.85
+"""Share of the part that a fit sees, beyond which an onset leaves it too little of what follows."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was found in `train`, the record up to bin `split`; where `doubted`, it has to leave nothing over."""
+
+    finding: Finding
+    train: Part
+    split: int
+    doubted: bool
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Inquiry:
+    """A record, what is known of its rig, and who is told what is being done."""
+
+    network: Network
+    record: Columns
+    known: Basis
+    grid: Grid
+    say: Callable[[str], None]
+
+    @cached_property
+    def _scanned(self) -> tuple[Part, tuple[Candidate, ...]]:
+        whole = Part.of(self.known, self.grid)
+        forms = whole.sharpened()
+        whole.add(forms)
+        return whole, forms
+
+    @property
+    def whole(self) -> Part:
+        """All of the record, to scan; answers are fitted to a part of it."""
+        return self._scanned[0]
+
+    def part(self, grid: Grid) -> Part:
+        """A part of the record, or a further one, with the forms that suit this record best."""
+        made = Part.of(self.known, grid)
+        made.add(self._scanned[1])
+        return made
+
+    def on_unseen(self, finding: Finding, split: int) -> dict[str, SensorError]:
+        """Errors of a finding from bin `split` on."""
+        return errors(finding, self.network, self.record, self.grid, split, self.known.plain)
+
+    def answer(self, held_out: float) -> Answer:
+        """The effects that are told, and what was kept out of their fit.
+
+        Args:
+            held_out: share of the record, at its end, that no fit sees, unless it holds what the rest does not show.
+        """
+        bins = len(self.grid.time)
+        split = int(bins * (1.0 - held_out))
+        most = max(split, int(bins * (1.0 - held_out * STILL_HELD)))
+        train = self._train(split)
+        found = None if _begins_late(self.whole, train, split) else self._searched(train, split)
+        later, why, doubted = self._later(found, train, split, most)
+        notes = []
+        if found is None or later > split:
+            if later > split:
+                notes.append(f"{why}; the fit was given the record up to {self._hours(later)}")
+                train = self._train(later)
+            found = self._searched(train, later, doubted)
+            if found.finding.fit is None and later < most and self.whole.best_z >= train.threshold:
+                # What grows shows late.
+                notes.append(f"it showed nothing yet; so the fit was given {self._hours(most)}")
+                found = self._searched(self._train(most), most, found.doubted)
+        found = self._with_lesser(found)
+        if found.finding.fit is not None and found.split < most and _shows_more(self.whole, found.finding):
+            fuller = self._with_lesser(self._searched(self._train(most), most, found.doubted))
+            if len(fuller.finding.entries) > len(found.finding.entries):
+                found = fuller
+                notes.append(
+                    "beside the answer, the part that was to be kept out of the fit showed more; so the fit was given "
+                    f"the record up to {self._hours(most)}"
+                )
+        return replace(found, notes=tuple(notes))
+
+    def _train(self, split: int) -> Part:
+        return self.part(self.grid.part(0, split))
+
+    def _hours(self, split: int) -> str:
+        return f"{split * self.grid.step_s / 3600.0:.1f} h"
+
+    def _later(self, found: Answer | None, train: Part, split: int, most: int) -> tuple[int, str, bool]:
+        """Up to which bin a fit has to see the record after all, why, and whether its answer is doubted."""
+        whole, doubted = self.whole, found is not None and found.doubted
+        finding = None if found is None else found.finding
+        if finding is None or (finding.fit is None and whole.best_z >= train.threshold):
+            onset_s = whole.entries[0].shape.onset_s
+            later = min((int(onset_s / self.grid.step_s) + len(self.grid.time)) // 2, len(self.grid.time) - 6)
+            if later > split:
+                why = (
+                    f"something changed at {onset_s / 3600.0:.1f} h, inside the part that was to be kept out of the fit"
+                )
+                return later, why, doubted
+            return most, "what stands out does so in the part that was to be kept out of the fit", doubted
+        if finding.fit is not None and far_off(seen := self.on_unseen(finding, split), self.network):
+            why = "on the part that was to be kept out of the fit the best answer was off by more than is usual"
+            return most, why, contradicted(seen, self.network) and not weak(finding)
+        if any(e.shape.onset_s > LATE * split * self.grid.step_s for e in finding.entries):
+            return most, "an effect begins so late that the fit saw little of it", doubted
+        return split, "", doubted
+
+    def _searched(self, train: Part, split: int, doubted: bool = False) -> Answer:
+        """The search, and whether its answer has to leave nothing over.
+
+        What was too little to be told from an error of form may be why an answer does not predict: then it is let in.
+        """
+        finding = search(train, self.say, 0.0 if doubted else SECOND_SHARE)
+        if not doubted and finding.beside is not None and not _good(finding):
+            further = search(train, self.say, 0.0)
+            if _good(further) and further.beside is None:
+                finding, doubted = further, True
+        return Answer(self._foretelling(_as_used(finding, train), train, split), train, split, doubted)
+
+    def _foretelling(self, finding: Finding, train: Part, split: int) -> Finding:
+        """The finding without those of its last effects that make the part that no fit saw no better.
+
+        Where so much is left without one that there must be something, it stays: how it goes on is then told wrongly.
+        """
+        while finding.shorter is not None and finding.shorter.fit is not None:
+            if not enough(finding.shorter.fit.chi, finding.start / finding.count, finding.contest, quiet=True):
+                break
+            shorter = replace(finding.shorter, retuned=finding.retuned, fit=_by_itself(train)(finding.shorter.fit))
+            if self._left_late(finding, split) < self._left_late(shorter, split):
+                break
+            finding = replace(shorter, refuted=True)
+        return finding
+
+    def _with_lesser(self, found: Answer) -> Answer:
+        """The answer, with what wins little beside it where that foretells."""
+        finding, train = found.finding, found.train
+        if finding.fit is None or finding.beside is None or found.doubted:
+            return found
+        self.say("asking whether lesser effects foretell")
+        lesser = _as_used(search(train, self.say, 0.0), train)
+        if not _may_be_told(lesser, train):
+            return found
+        before, after = (self._left_late(f, found.split) for f in (finding, lesser))
+        told = before - after > max(FORETELLS_SHARE * before, FORETELLS)
+        return replace(found, finding=lesser) if told else found
+
+    def _left_late(self, finding: Finding, split: int) -> float:
+        """Squares that an answer leaves where no fit saw the record, all sensors together, in what is usual there."""
+        return sum((e.after / max(e.noise, e.usual)) ** 2 for e in self.on_unseen(finding, split).values())
+
+
+def _begins_late(whole: Part, train: Part, split: int) -> bool:
+    """Whether what stands out in the whole record begins in the part that no fit was to see."""
+    if not whole.entries or whole.best_z < train.threshold:
+        return False
+    late = whole.entries[0].shape.onset_s > LATE * split * whole.grid.step_s
+    return train.best_z < train.threshold or (late and whole.best_z > 1.5 * train.best_z)
+
+
+def _shows_more(whole: Part, finding: Finding) -> bool:
+    """Whether something scores in the whole record beside what was found in a part of it."""
+    whole.know(e.candidate for e in finding.entries)
+    laws = {law.candidate.id: law for law in whole.laws}
+    entries = tuple(replace(e, law=laws[e.candidate.id]).refreshed(whole.contest) for e in finding.entries)
+    whole.reset()
+    found = fit(whole.contest, Model.of(whole.basis.probe, entries), whole.state)
+    left = scan(whole.contest, whole.laws, np.stack([e.placed(whole.contest) for e in found.entries]))
+    whole.reset()
+    return bool(left) and left[0].z >= whole.threshold
+
+
+def _may_be_told(lesser: Finding, part: Part) -> bool:
+    """Whether effects that win little beside the first may be: no more than noise is left, and what is late came in.
+
+    What is late is of what a lumped twin leaves, too, but that is there all along; and what leaves more than noise is
+    of another form.
+    """
+    if lesser.fit is None or lesser.fit.chi > lesser.contest.expected:
+        return False
+    late = [i for i, e in enumerate(lesser.entries) if i and e.candidate.driver in LATE_DRIVERS]
+    return all(came_in(lesser.fit, i, part) for i in late)
+
+
+def came_in(found: Fit, i: int, part: Part) -> bool:
+    """Whether the part contradicts that the i-th effect of a fit had been there all along."""
+    entry = found.entries[i]
+    if entry.shape.onset_s <= EARLY_S:
+        return False
+    always = replace(entry, shape=replace(entry.shape, onset_s=0.0)).refreshed(part.contest)
+    ((other, _),) = fitted(part, [(*found.entries[:i], always, *found.entries[i + 1 :])])
+    return other.total - found.total > part.threshold**2
+
+
+def _as_used(finding: Finding, part: Part) -> Finding:
+    """The finding with values that foretell best by themselves."""
+    again = _by_itself(part)
+    return replace(finding, retuned=again(finding.retuned), fit=None if finding.fit is None else again(finding.fit))
+
+
+def _by_itself(part: Part) -> Callable[[Fit], Fit]:
+    """Gives fits the values that foretell best by themselves: a twin does not know what its structure leaves."""
+    known = part.basis
+    if known.plain is None:
+        return lambda found: found
+    contest = Contest(known.probe, part.grid, part.state, part.run, known.plain, known.prior)
+
+    def again(found: Fit) -> Fit:
+        contest.look_at(part.run)
+        used = fit(contest, Model.of(known.probe, found.entries), part.state)
+        # What by itself vanishes or turns round is better left as it was found.
+        same = all(a.size * b.size > 0.0 for a, b in zip(used.entries, found.entries, strict=True))
+        return replace(used, total=found.total, chi=found.chi) if same else found
+
+    return again
+
+
+def _good(finding: Finding) -> bool:
+    """Whether effects leave no more than noise, however much there was, and predict what they were not taken from."""
+    assert finding.fit is not None
+    return enough(finding.fit.chi, 0.0, finding.contest) and holds(finding.folds)
