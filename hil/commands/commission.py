@@ -30,7 +30,8 @@ def command(
 ) -> None:
     """Fit the tunables of a twin to RECORD, a healthy one, and write them as a new revision.
 
-    The last fifth of the record is kept out of the fit; errors before and after are of a free run over it.
+    A fifth of the record, its end unless that alone shows some pump or fan speed, is kept out of the fit; errors before
+    and after are of a free run over it.
 
     \b
     Example:
