@@ -19,7 +19,7 @@ from twin.discovery.held_out import contradicted, errors, far_off
 from twin.discovery.ladder import SECOND_SHARE, search
 from twin.discovery.model import Model
 from twin.discovery.part import Part, fitted
-from twin.discovery.ranking import Finding, enough
+from twin.discovery.ranking import Finding, enough, stand
 from twin.discovery.search import scan
 from twin.discovery.shapes import EARLY_S
 from twin.discovery.validation import holds
@@ -103,7 +103,7 @@ class Inquiry:
         found = self._with_lesser(found)
         if found.finding.fit is not None and found.split < most and _shows_more(self.whole, found.finding):
             fuller = self._with_lesser(self._searched(self._train(most), most, found.doubted))
-            if len(fuller.finding.entries) > len(found.finding.entries):
+            if self._is_better(fuller, found):
                 found = fuller
                 notes.append(
                     "beside the answer, the part that was to be kept out of the fit showed more; so the fit was given "
@@ -175,6 +175,13 @@ class Inquiry:
         before, after = (self._left_late(f, found.split) for f in (finding, lesser))
         told = before - after > max(FORETELLS_SHARE * before, FORETELLS)
         return replace(found, finding=lesser) if told else found
+
+    def _is_better(self, fuller: Answer, found: Answer) -> bool:
+        """Whether an answer from more of the record holds more effects, not more of one, and foretells better."""
+        late = fuller.finding
+        if late.fit is None or len(late.entries) <= len(found.finding.entries) or not stand(late.fit, late.contest):
+            return False
+        return self._left_late(late, fuller.split) < self._left_late(found.finding, fuller.split)
 
     def _left_late(self, finding: Finding, split: int) -> float:
         """Squares that an answer leaves where no fit saw the record, all sensors together, in what is usual there."""
