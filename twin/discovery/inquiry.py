@@ -20,7 +20,7 @@ from twin.discovery.ladder import SECOND_SHARE, search
 from twin.discovery.model import Model
 from twin.discovery.part import Part, fitted
 from twin.discovery.ranking import Finding, enough, stand
-from twin.discovery.search import scan
+from twin.discovery.search import Entry, scan
 from twin.discovery.shapes import EARLY_S
 from twin.discovery.validation import holds
 from twin.elements.base import Candidate
@@ -101,13 +101,14 @@ class Inquiry:
                 notes.append(f"it showed nothing yet; so the fit was given {self._hours(most)}")
                 found = self._searched(self._train(most), most, found.doubted)
         found = self._with_lesser(found)
-        if found.finding.fit is not None and found.split < most and _shows_more(self.whole, found.finding):
-            fuller = self._with_lesser(self._searched(self._train(most), most, found.doubted))
+        beside = _beside(self.whole, found.finding)
+        if beside is not None and (later := max(most, self._amid(beside))) > found.split:
+            fuller = self._with_lesser(self._searched(self._train(later), later, found.doubted))
             if self._is_better(fuller, found):
                 found = fuller
                 notes.append(
                     "beside the answer, the part that was to be kept out of the fit showed more; so the fit was given "
-                    f"the record up to {self._hours(most)}"
+                    f"the record up to {self._hours(later)}"
                 )
         return replace(found, notes=tuple(notes))
 
@@ -116,6 +117,11 @@ class Inquiry:
 
     def _hours(self, split: int) -> str:
         return f"{split * self.grid.step_s / 3600.0:.1f} h"
+
+    def _amid(self, entry: Entry) -> int:
+        """The bin in the middle between an onset and the record's end."""
+        bins = len(self.grid.time)
+        return min((int(entry.shape.onset_s / self.grid.step_s) + bins) // 2, bins - 6)
 
     def _later(self, found: Answer | None, train: Part, split: int, most: int) -> tuple[int, str, bool]:
         """Up to which bin a fit has to see the record after all, why, and whether its answer is doubted."""
@@ -177,11 +183,15 @@ class Inquiry:
         return replace(found, finding=lesser) if told else found
 
     def _is_better(self, fuller: Answer, found: Answer) -> bool:
-        """Whether an answer from more of the record holds more effects, not more of one, and foretells better."""
-        late = fuller.finding
-        if late.fit is None or len(late.entries) <= len(found.finding.entries) or not stand(late.fit, late.contest):
+        """Whether an answer from more of the record foretells better, with effects more or as many, not two of one.
+
+        As many of another form have to leave no more than half.
+        """
+        late, more = fuller.finding, len(fuller.finding.entries) - len(found.finding.entries)
+        if late.fit is None or more < 0 or not stand(late.fit, late.contest):
             return False
-        return self._left_late(late, fuller.split) < self._left_late(found.finding, fuller.split)
+        left, before = (self._left_late(f, fuller.split) for f in (late, found.finding))
+        return left < before if more else left < 0.5 * before
 
     def _left_late(self, finding: Finding, split: int) -> float:
         """Squares that an answer leaves where no fit saw the record, all sensors together, in what is usual there."""
@@ -196,8 +206,10 @@ def _begins_late(whole: Part, train: Part, split: int) -> bool:
     return train.best_z < train.threshold or (late and whole.best_z > 1.5 * train.best_z)
 
 
-def _shows_more(whole: Part, finding: Finding) -> bool:
-    """Whether something scores in the whole record beside what was found in a part of it."""
+def _beside(whole: Part, finding: Finding) -> Entry | None:
+    """What scores most in the whole record beside effects that were found in a part of it, if it is enough."""
+    if finding.fit is None:
+        return None
     whole.know(e.candidate for e in finding.entries)
     laws = {law.candidate.id: law for law in whole.laws}
     entries = tuple(replace(e, law=laws[e.candidate.id]).refreshed(whole.contest) for e in finding.entries)
@@ -205,7 +217,7 @@ def _shows_more(whole: Part, finding: Finding) -> bool:
     found = fit(whole.contest, Model.of(whole.basis.probe, entries), whole.state)
     left = scan(whole.contest, whole.laws, np.stack([e.placed(whole.contest) for e in found.entries]))
     whole.reset()
-    return bool(left) and left[0].z >= whole.threshold
+    return left[0] if left and left[0].z >= whole.threshold else None
 
 
 def _may_be_told(lesser: Finding, part: Part) -> bool:
