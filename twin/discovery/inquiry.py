@@ -22,6 +22,7 @@ from twin.discovery.part import Part, fitted
 from twin.discovery.ranking import Finding, enough, stand
 from twin.discovery.search import Entry, scan
 from twin.discovery.shapes import EARLY_S
+from twin.discovery.sweep import LAST_SHARE
 from twin.discovery.validation import holds
 from twin.elements.base import Candidate
 from twin.network import Network
@@ -31,6 +32,11 @@ STILL_HELD = 0.4
 FORETELLS_SHARE, FORETELLS = 0.15, 0.5
 """Of the squares in the part that no fit saw, in what is usual there, the share and the amount that a lesser further
 effect has to take, to be told all the same."""
+OTHER_FORM = 0.5
+"""Share of those squares that as many effects of another form may leave, to be told in their place."""
+WELL_SEEN, KEPT = LAST_SHARE - 0.01, 6
+"""Share of a part within which a search looks for an onset wherever the part's blocks may end, and bins that no fit
+sees even so."""
 LATE = 0.85
 """Share of the part that a fit sees, beyond which an onset leaves it too little of what follows."""
 
@@ -119,21 +125,18 @@ class Inquiry:
         return f"{split * self.grid.step_s / 3600.0:.1f} h"
 
     def _amid(self, entry: Entry) -> int:
-        """The bin in the middle between an onset and the record's end."""
-        bins = len(self.grid.time)
-        return min((int(entry.shape.onset_s / self.grid.step_s) + bins) // 2, bins - 6)
+        """The bin in the middle between an onset and the record's end, or where a search can see that onset at all."""
+        bins, onset = len(self.grid.time), entry.shape.onset_s / self.grid.step_s
+        return min(max((int(onset) + bins) // 2, int(onset / WELL_SEEN)), bins - KEPT)
 
     def _later(self, found: Answer | None, train: Part, split: int, most: int) -> tuple[int, str, bool]:
         """Up to which bin a fit has to see the record after all, why, and whether its answer is doubted."""
         whole, doubted = self.whole, found is not None and found.doubted
         finding = None if found is None else found.finding
         if finding is None or (finding.fit is None and whole.best_z >= train.threshold):
-            onset_s = whole.entries[0].shape.onset_s
-            later = min((int(onset_s / self.grid.step_s) + len(self.grid.time)) // 2, len(self.grid.time) - 6)
-            if later > split:
-                why = (
-                    f"something changed at {onset_s / 3600.0:.1f} h, inside the part that was to be kept out of the fit"
-                )
+            if (later := self._amid(whole.entries[0])) > split:
+                began_h = whole.entries[0].shape.onset_s / 3600.0
+                why = f"something changed at {began_h:.1f} h, inside the part that was to be kept out of the fit"
                 return later, why, doubted
             return most, "what stands out does so in the part that was to be kept out of the fit", doubted
         if finding.fit is not None and far_off(seen := self.on_unseen(finding, split), self.network):
@@ -183,15 +186,12 @@ class Inquiry:
         return replace(found, finding=lesser) if told else found
 
     def _is_better(self, fuller: Answer, found: Answer) -> bool:
-        """Whether an answer from more of the record foretells better, with effects more or as many, not two of one.
-
-        As many of another form have to leave no more than half.
-        """
+        """Whether an answer from more of the record foretells better, with effects more or as many, not two of one."""
         late, more = fuller.finding, len(fuller.finding.entries) - len(found.finding.entries)
         if late.fit is None or more < 0 or not stand(late.fit, late.contest):
             return False
         left, before = (self._left_late(f, fuller.split) for f in (late, found.finding))
-        return left < before if more else left < 0.5 * before
+        return left < (1.0 if more else OTHER_FORM) * before
 
     def _left_late(self, finding: Finding, split: int) -> float:
         """Squares that an answer leaves where no fit saw the record, all sensors together, in what is usual there."""
