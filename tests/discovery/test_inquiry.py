@@ -66,3 +66,14 @@ def test_a_lesser_mass_has_come_in_where_the_record_before_is_without_it(
         ("heat_source", "modules"), ("thermal_mass", "tank")
     ]  # fmt: skip
     assert came_in(fitted, 1, train) == (mass_h > 0.0)
+
+
+@pytest.mark.parametrize(("onset_h", "verdict"), [(6.0, "effect found"), (0.0, "adequate")])
+def test_a_short_lag_is_told_where_it_came_in(bench: Bench, healthy: Columns, onset_h: float, verdict: str) -> None:
+    """A lumped twin may seem to lack as much all along."""
+    later = bench.with_values(T_heater_C__lag_s=15.0)
+    found = diagnose(bench.network, bench.record(16.0, seed=4, changed=later, onset_h=onset_h), healthy)
+    assert found.verdict == verdict
+    assert [(e.kind, e.where, e.driver) for e in found.effects] == (
+        [("sensor", "T_heater_C", "rate_of_change")] if found.effects else []
+    )

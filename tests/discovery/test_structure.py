@@ -55,6 +55,22 @@ def test_a_twin_without_faults_has_no_structure_to_speak_of(bench: Bench, health
     assert with_it.contest.chi == pytest.approx(without.contest.chi, rel=0.2)
 
 
+def test_what_healthy_readings_told_of_tunable_and_structure_together_is_not_open(
+    bench: Bench, rig: Bench, good: Columns
+) -> None:
+    """Each may stand for the other; a later record in which the sum has changed has changed."""
+    known, grid = seen(bench, rig.record(20.0, seed=3), good)
+    with_it, without = Part.of(known, grid), Part.of(replace(known, structure=None), grid)
+    tunables = slice(known.probe.q)
+    left, there = ((part.contest.slopes[:, tunables] ** 2).sum(axis=0) for part in (with_it, without))
+    assert (left > 0.05 * there).all()
+    weaker = Bench(rig.network.with_values({"fins.UA_100": 0.92 * rig.network.parameters["fins.UA_100"].value}))
+    known, grid = seen(bench, weaker.record(20.0, seed=3), good)
+    part = Part.of(known, grid)
+    assert {e.label[:2] for e in part.entries[:2]} == {("heat_rejection", "radiator"), ("actuator", "fan_speed")}
+    assert part.best_z > 15.0 * part.threshold
+
+
 def test_open_directions_count_as_their_covariance_says() -> None:
     rng = np.random.default_rng(0)
     spread = rng.normal(size=(30, 4))

@@ -21,8 +21,10 @@ from twin.network import Array, Network, TwinFileError
 if TYPE_CHECKING:
     from twin.discovery.basis import Columns
 
-WIDEN = 4.0
-"""Factor on the variance that commissioning quotes for the tunables: what it quotes is of one record."""
+WIDEN = 1.0
+"""Factor on the variance that commissioning quotes for the tunables, which what its residual is like has widened."""
+HELD = 1.0e9
+"""Precision of tunables that are held where they are."""
 FORETOLD = 0.5
 """Share of what the structure amounts to that is thought to come back as it was; the rest is noise."""
 UNHEALTHY = 6.0
@@ -64,12 +66,23 @@ class Health:
             )
         prior = posterior(network, probe, grid, state, inflation(known, grid.sigma), WIDEN)
         noise = noises.learn(residual, grid.sigma, grid.step_s, run.readings)
-        laws = book.laws(grid, run)
-        structure = structure_of(Contest(probe, grid, state, run, noise, prior), laws)
-        amount = _readings(structure, probe, grid, state, run, noise, prior, laws)
+        laws, held = book.laws(grid, run), _held(prior, probe.q)
+        structure = structure_of(Contest(probe, grid, state, run, noise, held), laws)
+        amount = _readings(structure, probe, grid, state, run, noise, held, laws)
         less = noises.learn(residual - FORETOLD * amount, grid.sigma, grid.step_s, run.readings)
-        structure = structure_of(Contest(probe, grid, state, run, less, prior), laws)
+        structure = structure_of(Contest(probe, grid, state, run, less, held), laws)
         return cls(grid, noise, less, prior, structure)
+
+
+def _held(prior: Prior, q: int) -> Prior:
+    """The prior with its q tunables held.
+
+    What tunables and structure can both take up is told by their sum; with each of the two as open as the other leaves
+    it, the sum would be open as well, and a later record's effect lost in it.
+    """
+    precision = prior.precision.copy()
+    precision[:q, :q] += HELD * np.eye(q)
+    return Prior(prior.mean, precision)
 
 
 def _readings(

@@ -16,7 +16,7 @@ from twin.discovery.diagnosis import SensorError
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.grid import Grid
 from twin.discovery.held_out import contradicted, errors, far_off
-from twin.discovery.ladder import SECOND_SHARE, search
+from twin.discovery.ladder import SECOND_SHARE, all_told, search
 from twin.discovery.model import Model
 from twin.discovery.part import Part, fitted
 from twin.discovery.ranking import Finding, enough, stand
@@ -33,7 +33,7 @@ FORETELLS_SHARE, FORETELLS = 0.15, 0.5
 """Of the squares in the part that no fit saw, in what is usual there, the share and the amount that a lesser further
 effect has to take, to be told all the same."""
 OTHER_FORM = 0.5
-"""Share of those squares that as many effects of another form may leave, to be told in their place."""
+"""Share of those squares that as many effects of another form may leave, to be told in the place of plain ones."""
 WELL_SEEN, KEPT = LAST_SHARE - 0.01, 6
 """Share of a part within which a search looks for an onset wherever the part's blocks may end, and bins that no fit
 sees even so."""
@@ -177,6 +177,8 @@ class Inquiry:
         finding, train = found.finding, found.train
         if finding.fit is None or finding.beside is None or found.doubted:
             return found
+        if all_told(finding.fit, finding.contest) or _of_form(finding.beside, finding.entries):
+            return found
         self.say("asking whether lesser effects foretell")
         lesser = _as_used(search(train, self.say, 0.0), train)
         if not _may_be_told(lesser, train):
@@ -191,7 +193,7 @@ class Inquiry:
         if late.fit is None or more < 0 or not stand(late.fit, late.contest):
             return False
         left, before = (self._left_late(f, fuller.split) for f in (late, found.finding))
-        return left < (1.0 if more else OTHER_FORM) * before
+        return left < (1.0 if more or weak(found.finding) else OTHER_FORM) * before
 
     def _left_late(self, finding: Finding, split: int) -> float:
         """Squares that an answer leaves where no fit saw the record, all sensors together, in what is usual there."""
@@ -218,6 +220,12 @@ def _beside(whole: Part, finding: Finding) -> Entry | None:
     left = scan(whole.contest, whole.laws, np.stack([e.placed(whole.contest) for e in found.entries]))
     whole.reset()
     return left[0] if left and left[0].z >= whole.threshold else None
+
+
+def _of_form(beside: Entry, entries: tuple[Entry, ...]) -> bool:
+    """Whether what scores beside effects is one of them again: then it is of its form, and so is what would be found
+    instead, as two of one kind at one place are not told."""
+    return (beside.candidate.kind, beside.candidate.where) in {(e.candidate.kind, e.candidate.where) for e in entries}
 
 
 def _may_be_told(lesser: Finding, part: Part) -> bool:

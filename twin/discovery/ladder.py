@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.discovery.catalogue import LATE
+from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Rung
 from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit, fit, look_at
@@ -23,10 +24,10 @@ SECOND_SHARE, EXACT_SHARE = 0.06, 0.003
 """A further effect must win this share of the first one's gain, since an effect is seldom of quite the form assumed, or
 that one where the first ones have no form to be wrong in (an error of reading that is there at once, or heat that is
 and follows what is measured), or where it comes in at a time of its own."""
-BESIDE_SHARE = 0.25
-"""The same where what is slow is joined by heat in its own place, which its first temperature asks for alone; where
-what is slow comes second (a lumped twin is full of it, more or less so wherever the rig works); or where two that have
-a form come in at one moment, as one thing of another form does."""
+BESIDE_SHARE, SLOW_SHARE = 0.25, 0.1
+"""The same where what is slow is joined by heat in its own place, which its first temperature asks for alone, or where
+two that have a form come in at one moment, as one thing of another form does; and where what is slow comes second (a
+lumped twin is full of it, more or less so wherever the rig works)."""
 _EXACT = ("heat_source", "heat_loss")
 _FORMED = (*LATE, "time_of_day")
 """Drivers of effects that bring a form of their own."""
@@ -61,7 +62,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     while entries and entries[0].z >= threshold:
         beside = entries[0]
         small = share_needed((*chosen, beside), chosen, second_share) * first_gain
-        if len(chosen) == MOST_EFFECTS:
+        if best is not None and all_told(best, contest):
             break
         if best is not None and beside.gain < small and enough(best.chi, start_chi, contest):
             break
@@ -148,6 +149,12 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     return found if shorter is None else replace(shorter, beside=beside)
 
 
+def all_told(found: Fit, contest: Contest) -> bool:
+    """Whether no further effect is asked for: there are as many as may be, or two that leave no more than noise."""
+    count = len(found.entries)
+    return count == MOST_EFFECTS or (count == MOST_EFFECTS - 1 and found.chi <= contest.expected)
+
+
 def _exact(entry: Entry) -> bool:
     c = entry.candidate
     return entry.shape.name == "step" and (c.kind == "sensor" or (c.kind in _EXACT and c.driver not in _FORMED))
@@ -160,9 +167,10 @@ def share_needed(entries: tuple[Entry, ...], chosen: tuple[Entry, ...], second_s
     further = [e for e in entries if e.candidate.id not in before]
     pairs = [(e, k) for k in known for e in further]
     slow = any(k.candidate.driver in LATE and k.candidate.where == e.candidate.where for e, k in pairs)
-    slow = slow or (second_share > 0.0 and any(e.candidate.driver == "history" for e in further))
     if slow or any(_at_once(e, k) and not (_exact(e) and _exact(k)) for e, k in pairs):
         return max(second_share, BESIDE_SHARE)
+    if second_share > 0.0 and any(e.candidate.driver == "history" for e in further):
+        return max(second_share, SLOW_SHARE)
     own = all(_exact(k) or _apart(e, k) for e, k in pairs)
     return min(second_share, EXACT_SHARE) if own else second_share
 

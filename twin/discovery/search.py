@@ -16,6 +16,8 @@ from twin.network import Array
 
 WORTH_GROWING = 4.0
 """Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
+CAME_IN = 25.0
+"""Gain over being there all along, from which what a lumped twin may seem to lack is something that came in."""
 _TINY = 1e-12
 
 
@@ -88,7 +90,8 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
         least = _TINY * max(float(squares.steps.max()), _TINY)
         bottom = np.maximum(bottom, least)
         size, gain = _gains(law, score @ steps, bottom)
-        gain[np.abs(size) < law.candidate.lumped] = 0.0
+        if law.candidate.lumped and gain.max() - gain[0] < CAME_IN:
+            gain[np.abs(size) < law.candidate.lumped] = 0.0
         best = int(np.argmax(gain))
         put_in = bool(law.candidate.begins)
         if gain[best] > 0.0 and not put_in:
