@@ -146,17 +146,18 @@ def off_structure(net: Network, seed: int) -> tuple[np.ndarray, np.ndarray, np.n
     return t, u, simulate(net, t, u, START) + lasting + rng.normal(0.0, 1.0, (7200, 4)) * net.sigma
 
 
-def test_ninety_per_cent_intervals_hold_the_truth_of_a_rig_that_is_not_its_twin(loop: Network) -> None:
+@pytest.mark.parametrize("name", ["least_squares", "pso", "kalman"])
+def test_ninety_per_cent_intervals_hold_the_truth_of_a_rig_that_is_not_its_twin(loop: Network, name: str) -> None:
     """Noise alone, which is what residuals show, would promise a fraction of this."""
     held, narrow = [], []
     for seed in range(6):
-        for c in TwinTracker(loop, "least_squares").push(*off_structure(loop, seed)).calibrations[1:]:
+        for c in TwinTracker(loop, name).push(*off_structure(loop, seed)).calibrations[1:]:
             assert c.covariance is not None
             sd = dict(zip(c.values, np.sqrt(np.diag(c.covariance)), strict=True))
-            for name in set(c.values) - set(c.frozen):
-                miss = abs(c.values[name] - loop.parameters[name].value)
-                held.append(miss < 1.645 * sd[name])
-                narrow.append(sd[name] > 0.0)
+            for tunable in set(c.values) - set(c.frozen):
+                miss = abs(c.values[tunable] - loop.parameters[tunable].value)
+                held.append(miss < 1.645 * sd[tunable])
+                narrow.append(sd[tunable] > 0.0)
     assert all(narrow) and len(held) > 200
     assert 0.8 < np.mean(held) < 0.995
 

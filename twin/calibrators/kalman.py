@@ -31,6 +31,7 @@ from twin.calibrators.base import Calibration, Estimate, Window, from_plain, mis
 from twin.calibrators.identifiability import told_by
 from twin.calibrators.outcome import Report, conclude
 from twin.calibrators.posterior import Posterior, fit_window, no_wider, weighted
+from twin.calibrators.structure_error import lasting
 from twin.gauss_newton import Linearisation, Problem, Scaling
 from twin.kernel import Kernel
 from twin.network import Array, Network
@@ -213,11 +214,15 @@ class KalmanFilter:
         again = self._again(window, missed) if cost > SURPRISE and missed > SURPRISE else None
         if again is not None and np.sqrt(again.fit.sse.sum()) < np.sqrt(fitted.sse.sum()):
             self._restart(window, again)
+            lasts = lasting(
+                self._problem(window), again.fit.v, again.fit.normal, again.held, window, self._wide, again.chi
+            )
+            again = replace(again, covariance=no_wider(again.covariance + lasts, self._wide))
             report = again.report(self._scaling)
             report = replace(report, flags=("filter started again from a fit of the window", *report.flags))
             cost, v, fitted = float(np.sqrt(again.chi)), again.fit.v, again.fit.data
         else:
-            report = self._report(fitted)
+            report = self._report(window, cost, v, fitted)
         self._remember()
         assert self._piece is not None
         w, end, _ = self._now(self._piece)
@@ -255,20 +260,28 @@ class KalmanFilter:
         self._mean = self._bounded.to_z(w)
         self._covariance = self._piece.covariance[:q, :q] * np.outer(slope, slope)
 
-    def _report(self, fitted: Linearisation) -> Report:
+    def _report(self, window: Window, cost: float, v: Array, fitted: Linearisation) -> Report:
+        """What goes with the values: their covariance has the twin's structure in it; the filter's own has not."""
         assert self._piece is not None
         q, scaling = len(self.ids), self._scaling
         w = self._now(self._piece)[0]
         values = self._values(w)
         told = told_by(fitted.jtj, self._wide)
         names = [i for i, hit in zip(self.ids, told.untold, strict=True) if hit]
-        slope = scaling.slope(values) * self._bounded.slope(w)
+        moved = np.zeros(q, dtype=bool)
+        lasts = lasting(self._problem(window), v, fitted.jtj, moved, window, self._wide, max(cost**2, 1.0))
+        bounded, slope = self._bounded.slope(w), scaling.slope(values)
+        known = self._piece.covariance[:q, :q] * np.outer(bounded, bounded)
         return Report(
-            covariance=self._piece.covariance[:q, :q] * np.outer(slope, slope),
+            covariance=no_wider(known + lasts, self._wide) * np.outer(slope, slope),
             flags=tuple(f"cannot tell {i} apart: its number leans on earlier windows" for i in names),
             alone=told.alone(scaling, values),
             condition=told.condition,
         )
+
+    def _problem(self, window: Window) -> Problem:
+        data = weighted(window, self.network.sigma)
+        return Problem(self.kernel, self._scaling, window.parameters, data, window.state)
 
     def _fitted(self, window: Window) -> tuple[float, Array, Linearisation]:
         """The window with the parameters as they are now: misfit in noises, start v, and simulation.
@@ -276,15 +289,14 @@ class KalmanFilter:
         The state at the beginning is estimated anew; for a linear network one step does it.
         """
         assert self._piece is not None
-        q, data = len(self.ids), weighted(window, self.network.sigma)
+        q, problem = len(self.ids), self._problem(window)
         values = self._values(self._now(self._piece)[0])
-        problem = Problem(self.kernel, self._scaling, window.parameters, data, window.state)
         v = np.concatenate([self._scaling.to_z(values), window.state[: len(self.network.nodes)]])
         first = problem.linearise(v)
         precision = np.eye(v.size - q) * max(window.error_K, LEAST_STATE_K) ** -2
         v[q:] -= np.linalg.solve(first.jtj[q:, q:] + precision, first.jtr[q:])
         fitted = problem.linearise(v)
-        count = max(int((data.weight > 0.0).sum()), 1)
+        count = max(int((problem.data.weight > 0.0).sum()), 1)
         return float(np.sqrt(fitted.sse.sum() / count)), v, fitted
 
     def state(self) -> dict[str, Any]:

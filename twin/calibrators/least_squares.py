@@ -17,8 +17,8 @@ import numpy as np
 
 from twin.calibrators.base import Calibration, Window, misfit
 from twin.calibrators.outcome import Report, conclude
-from twin.calibrators.posterior import STATE_SD, Posterior, fit_window, no_wider, weighted
-from twin.calibrators.structure_error import MODEL_K, size, spread, weighing
+from twin.calibrators.posterior import Posterior, fit_window, no_wider, weighted
+from twin.calibrators.structure_error import MODEL_K, lasting, weighing
 from twin.gauss_newton import Problem, Scaling
 from twin.kernel import Kernel
 from twin.network import Array, Network
@@ -64,18 +64,10 @@ class LeastSquares:
 
         Were it in the prior too, every window would begin with parameters that are as good as unknown.
         """
-        scaling, q, k = self._scaling, len(self.ids), len(self.network.nodes)
-        wide = scaling.prior_sd()
+        scaling, wide = self._scaling, self._scaling.prior_sd()
         problem = Problem(self.kernel, scaling, window.parameters, weighted(window, weight), window.state)
-        # An error that lasts is not averaged over windows, so no more than the widest prior holds against it.
-        apart = np.concatenate([wide, np.full(k, max(window.error_K, STATE_SD))])
-        precision = done.fit.normal / done.chi
-        off = np.concatenate([done.held, np.zeros(k, dtype=bool)])
-        precision[off] = 0.0
-        precision[:, off] = 0.0
-        precision += np.diag(np.where(off, 0.0, apart**-2.0))
-        lasting = spread(problem, done.fit.v, precision, size(window, self.network.sigma), done.chi)[:q, :q]
-        return replace(done, covariance=no_wider(done.covariance + lasting, wide)).report(scaling)
+        lasts = lasting(problem, done.fit.v, done.fit.normal, done.held, window, wide, done.chi)
+        return replace(done, covariance=no_wider(done.covariance + lasts, wide)).report(scaling)
 
     def state(self) -> dict[str, Any]:
         return {"mean": self._mean.tolist(), "covariance": self._covariance.tolist()}

@@ -9,7 +9,7 @@ in docs/decisions/0003-swarm-window-logic.md. A whole swarm is one call of the k
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,8 @@ import numpy as np
 from twin.calibrators.base import Calibration, Window, from_plain, plain
 from twin.calibrators.identifiability import Told, told_by
 from twin.calibrators.outcome import conclude
-from twin.calibrators.posterior import fit_window, weighted
+from twin.calibrators.posterior import fit_window, no_wider, weighted
+from twin.calibrators.structure_error import lasting
 from twin.gauss_newton import Data, Problem, Scaling, align
 from twin.kernel import Kernel, masked
 from twin.network import Array, Network, TunableSet, TwinFileError
@@ -166,11 +167,14 @@ class Swarm:
             sigma = self.network.sigma
             done = fit_window(self.kernel, scaling, sigma, window, mean, prior, start, told=told, most=POLISH)
             if np.isfinite(done.fit.cost):
+                problem = Problem(self.kernel, scaling, window.parameters, weighted(window, sigma), start)
+                lasts = lasting(problem, done.fit.v, done.fit.normal, done.held, window, scaling.prior_sd(), done.chi)
+                report = replace(done, covariance=no_wider(done.covariance + lasts, scaling.prior_sd())).report(scaling)
                 self._best = self._space.positions(done.fit.values)
                 self.last = (window.time, window.inputs, done.fit.state)
                 return conclude(
                     self.network, window, self.ids, done.fit.values, done.fit.state, done.fit.data.readings,
-                    done.fit.data.end, cost=float(np.sqrt(done.chi)), report=done.report(scaling),
+                    done.fit.data.end, cost=float(np.sqrt(done.chi)), report=report,
                     evaluations=cost.evaluations + done.fit.evaluations * (1 + done.fit.v.size),
                 )  # fmt: skip
         readings, end = self.kernel.trace(cost.full(best[None]), start, window.time, window.inputs)

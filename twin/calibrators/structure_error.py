@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from twin.calibrators.base import Window
+from twin.calibrators.posterior import STATE_SD
 from twin.gauss_newton import Problem
 from twin.network import Array
 
@@ -53,6 +54,28 @@ def spread(problem: Problem, v: Array, precision: Array, error: Array, chi: floa
     meat = np.einsum("bja,bjc->ac", sums, sums)
     covariance = np.linalg.pinv(precision, hermitian=True)
     found: Array = covariance @ meat @ covariance
+    return found
+
+
+def lasting(
+    problem: Problem, v: Array, normal: Array, held: np.ndarray, window: Window, wide: Array, chi: float = 1.0
+) -> Array:
+    """Covariance (q, q) in z that the twin's structure gives what a window was fitted by.
+
+    An error that lasts is not averaged over windows, so no more than the widest prior holds against it.
+
+    Args:
+        problem, v: the window, with the weights that it was fitted with, and the fit. normal: (q + k, q + k) J'J there.
+        held: (q,) bool, what the fit did not move. wide: (q,) widest prior standard deviations. chi: as for `spread`.
+    """
+    q, k = held.size, v.size - held.size
+    apart = np.concatenate([wide, np.full(k, max(window.error_K, STATE_SD))])
+    off = np.concatenate([held, np.zeros(k, dtype=bool)])
+    precision = normal / chi
+    precision[off] = 0.0
+    precision[:, off] = 0.0
+    precision += np.diag(np.where(off, 0.0, apart**-2.0))
+    found: Array = spread(problem, v, precision, size(window, problem.kernel.network.sigma), chi)[:q, :q]
     return found
 
 
