@@ -70,3 +70,13 @@ def test_a_loose_contact_that_is_right_on_average_is_not_adequate(bench: Bench, 
     assert [(e.kind, e.where) for e in found.effects if e.where != SENSOR] == [("unknown", "T_pm3_C")]
     assert "T_pm3_C is off by up to" in found.summary
     assert diagnose(bench.network, with_six(bench, bench.record(10.0), 6), known).verdict == "adequate"
+
+
+def test_the_error_of_one_is_not_taken_for_heat_at_its_place_alone(bench: Bench, healthy: Columns) -> None:
+    heated = bench.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 60.0})
+    record = bench.record(14.0, changed=heated, onset_h=2.0)
+    record = with_six(bench, record, 6, lambda t: np.where(t > 18000.0, 1.0, 0.0))
+    found = diagnose(bench.network, record, with_six(bench, healthy, 5))
+    assert sorted((e.kind, e.where) for e in found.effects) == [("heat_source", "modules"), ("sensor", "T_pm3_C")]
+    error = next(e for e in found.effects if e.kind == "sensor")
+    assert error.value == pytest.approx(1.0, rel=0.1) and error.onset_s == pytest.approx(18000.0, abs=600.0)

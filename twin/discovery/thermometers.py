@@ -39,16 +39,24 @@ def single(
     if odd is None:
         restless = restless_one(one) if verdict in ("adequate", "unexplained") else None
         return (verdict, effects) if restless is None else ("unexplained", (*effects, _restless(one, restless, start)))
-    if here and effects[here[0]].kind not in ("unknown", "sensor"):
-        old = effects[here[0]]
+    at = _belongs_to(odd, here, effects, finding)
+    if at is not None and effects[at].kind not in ("unknown", "sensor"):
+        old = effects[at]
         changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
-        return verdict, tuple(changed if i == here[0] else e for i, e in enumerate(effects))
+        return verdict, tuple(changed if i == at else e for i, e in enumerate(effects))
     fault = _fault(one, odd, start)
     if verdict == "unexplained":
         return verdict, (*effects, fault)
-    if here:
-        return "effect found", tuple(fault if i == here[0] else e for i, e in enumerate(effects))
+    if at is not None:
+        return "effect found", tuple(fault if i == at else e for i, e in enumerate(effects))
     return ("effect found" if verdict == "adequate" else verdict), (*effects, fault)
+
+
+def _belongs_to(odd: Odd, here: list[int], effects: tuple[Effect, ...], finding: Finding) -> int | None:
+    """Which effect at its place one that differs belongs to: of those that came in with it, an error of reading."""
+    entries = finding.entries
+    with_it = [i for i in here if i < len(entries) and entries[i].shape == odd.shape] or here
+    return min(with_it, key=lambda i: effects[i].kind != "sensor", default=None)
 
 
 def _fault(one: Members, odd: Odd, start: float) -> Effect:
