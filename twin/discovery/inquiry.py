@@ -11,7 +11,6 @@ import numpy as np
 from twin.discovery.basis import Basis, Columns
 from twin.discovery.catalogue import LATE as LATE_DRIVERS
 from twin.discovery.caution import weak
-from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.grid import Grid
@@ -166,7 +165,7 @@ class Inquiry:
         while finding.shorter is not None and finding.shorter.fit is not None:
             if not enough(finding.shorter.fit.chi, finding.start / finding.count, finding.contest, quiet=True):
                 break
-            shorter = replace(finding.shorter, retuned=finding.retuned, fit=_by_itself(train)(finding.shorter.fit))
+            shorter = _as_used(finding.shorter, train)
             if self._left_late(finding, split) < self._left_late(shorter, split):
                 break
             finding = replace(shorter, refuted=True)
@@ -251,26 +250,20 @@ def came_in(found: Fit, i: int, part: Part) -> bool:
 
 
 def _as_used(finding: Finding, part: Part) -> Finding:
-    """The finding with values that foretell best by themselves."""
-    again = _by_itself(part)
-    return replace(finding, retuned=again(finding.retuned), fit=None if finding.fit is None else again(finding.fit))
+    """The finding with values that foretell best by themselves: a twin does not know what its structure leaves."""
+    if part.plain is None:
+        return finding
+    found = [finding.retuned] if finding.fit is None else [finding.retuned, finding.fit]
+    used = [
+        _by_itself(f, u) for f, (u, _) in zip(found, fitted(part, [f.entries for f in found], part.plain), strict=True)
+    ]
+    return replace(finding, retuned=used[0], fit=None if finding.fit is None else used[1])
 
 
-def _by_itself(part: Part) -> Callable[[Fit], Fit]:
-    """Gives fits the values that foretell best by themselves: a twin does not know what its structure leaves."""
-    known = part.basis
-    if known.plain is None:
-        return lambda found: found
-    contest = Contest(known.probe, part.grid, part.state, part.run, known.plain, known.prior)
-
-    def again(found: Fit) -> Fit:
-        contest.look_at(part.run)
-        used = fit(contest, Model.of(known.probe, found.entries), part.state)
-        # What by itself vanishes or turns round is better left as it was found.
-        same = all(a.size * b.size > 0.0 for a, b in zip(used.entries, found.entries, strict=True))
-        return replace(used, total=found.total, chi=found.chi) if same else found
-
-    return again
+def _by_itself(found: Fit, used: Fit) -> Fit:
+    """A fit with the values that it has by itself; what by itself vanishes or turns round is better left as found."""
+    same = all(a.size * b.size > 0.0 for a, b in zip(used.entries, found.entries, strict=True))
+    return replace(used, total=found.total, chi=found.chi) if same else found
 
 
 def _good(finding: Finding) -> bool:

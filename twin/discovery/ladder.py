@@ -11,7 +11,7 @@ from twin.discovery.catalogue import LATE
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Rung
 from twin.discovery.equivalence import width
-from twin.discovery.fitting import Fit, fit, look_at
+from twin.discovery.fitting import Fit, look_at
 from twin.discovery.model import Model
 from twin.discovery.part import Part, finalists, fitted, timed, varied
 from twin.discovery.ranking import MOMENT_S, Finding, Ranked, enough, piled_up, rank, stand, unusual
@@ -52,7 +52,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     ladder = [Rung("as commissioned", start_chi, part.best_z)]
     part.reset()
     say("re-tuning")
-    retuned = fit(contest, Model.of(probe, ()), part.state)
+    ((retuned, _),) = fitted(part, [()])
     part.reset()
     chosen: tuple[Entry, ...] = ()
     best: Fit | None = None

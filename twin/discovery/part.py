@@ -6,7 +6,7 @@ import copy
 import itertools
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from twin.discovery.basis import Basis
@@ -42,6 +42,8 @@ class Part:
     contest: Contest
     laws: list[Law]
     entries: list[Entry]
+    fits: dict[tuple[object, ...], Fit] = field(default_factory=dict, repr=False)
+    """What was fitted before, with and without what the twin knows of its structure: searches ask again."""
 
     @classmethod
     def of(cls, known: Basis, grid: Grid) -> Part:
@@ -90,6 +92,14 @@ class Part:
         further = {c.id: c for c in candidates if c.id not in known}
         self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, tuple(further.values()))]
 
+    @cached_property
+    def plain(self) -> Contest | None:
+        """The contest of a twin that does not know what its structure leaves; None where it knows of nothing."""
+        known = self.basis
+        if known.plain is None:
+            return None
+        return Contest(known.probe, self.grid, self.state, self.run, known.plain, known.prior)
+
     @property
     def best_z(self) -> float:
         return self.entries[0].z if self.entries else 0.0
@@ -106,17 +116,25 @@ class Part:
         self.contest.look_at(self.run)
 
 
-def fitted(part: Part, groups: list[tuple[Entry, ...]]) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """Each group of effects fitted, from the commissioned values, side by side; the part's contest is left alone."""
-    models = [Model.of(part.contest.probe, group) for group in groups]
+def fitted(
+    part: Part, groups: list[tuple[Entry, ...]], other: Contest | None = None
+) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """Each group of effects fitted, from the commissioned values, side by side; the part's contest is left alone.
 
-    def fitted_alone(model: Model) -> Fit:
-        contest = copy.copy(part.contest)
+    Args:
+        other: contest of the same part to fit them in, `part.plain`.
+    """
+
+    def fitted_alone(group: tuple[Entry, ...]) -> Fit:
+        contest = copy.copy(other or part.contest)
         contest.look_at(part.run)
-        return fit(contest, model, part.state)
+        return fit(contest, Model.of(contest.probe, group), part.state)
 
+    keys = [(other is None, *((e.candidate.id, e.candidate.slow_s, e.shape, e.size) for e in g)) for g in groups]
+    new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        return list(zip(pool.map(fitted_alone, models), groups, strict=True))
+        part.fits.update(zip(new, pool.map(fitted_alone, new.values()), strict=True))
+    return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
 
 
 def timed(part: Part, best: Fit, known: tuple[Entry, ...]) -> list[tuple[Fit, tuple[Entry, ...]]]:
