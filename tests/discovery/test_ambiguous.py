@@ -92,7 +92,7 @@ def test_a_second_plan_goes_on_from_what_the_first_records_told(bench: Bench, he
     second = diagnose(network, record, healthy, more=(later,), limits=RIG).next_experiment
     assert first is not None and second is not None and second["possible"]
     assert set(second["causes"]) < set(first["causes"])
-    assert second["hours"] < first["hours"]
+    assert second["hours"] <= first["hours"]
     speeds = {step["pump_speed_pct"] for step in second["steps"]}
     assert len(speeds) > 1
     settled = diagnose(
@@ -122,7 +122,7 @@ def test_what_a_record_told_of_a_cause_leaves_it_less_room_in_the_next(bench: Be
 def test_a_plan_keeps_every_cause_below_the_hottest_that_the_rig_allows(bench: Bench, healthy: Columns) -> None:
     changed = truths(bench)[GAINED]
     record = run(bench.network, steady(8.0), changed, 3.0)
-    cool = Limits(RIG.driven, float(record.measured.max()) + 3.2, "rig")
+    cool = Limits(RIG.driven, float(record.measured.max()) + 3.0, "rig")
     plans = [diagnose(bench.network, record, healthy, limits=x).next_experiment for x in (cool, RIG)]
     hottest = []
     for plan in plans:
