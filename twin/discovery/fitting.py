@@ -19,7 +19,8 @@ from twin.discovery.stepping import Squares, minimise
 from twin.discovery.sweep import LAST_SHARE
 from twin.network import Array
 
-ROUNDS = 12
+ROUNDS, AGAIN = 12, 4
+"""Rounds of a fit, and of one that begins where another of the same effects ended."""
 REACH = 1.0
 """Longest step of a tunable, in standard deviations of a weak prior: its derivative is not to be trusted beyond, but
 where it held so far."""
@@ -46,11 +47,12 @@ class Fit:
     chi: float
 
 
-def fit(contest: Contest, model: Model, state: Array) -> Fit:
+def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None) -> Fit:
     """Minimise the contest's squares over tunables, initial state and sizes; the contest then looks at the result.
 
     Args:
         state: initial temperatures (k,), about which the contest was linearised.
+        moved: (q + k,) of [tunables z, initial state] at which another fit of the same effects ended, to begin there.
     """
     probe, grid, entries = contest.probe, contest.grid, model.entries
     scaling, q, k, e = probe.scaling, probe.q, probe.k, len(entries)
@@ -109,12 +111,13 @@ def fit(contest: Contest, model: Model, state: Array) -> Fit:
 
     onsets = np.arange(first_time, first_growth)
     v = np.zeros(count)
+    v[: q + k] = 0.0 if moved is None else moved
     v[q + k : first_time] = [x.size for x in entries]
     v[onsets] = [entries[i].shape.onset_s / 3600.0 for i in timed]
     v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
     v = np.clip(v, low, high)
     squares = Squares(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0)
-    found, slopes = minimise(squares, v, ROUNDS)
+    found, slopes = minimise(squares, v, ROUNDS if moved is None else AGAIN)
     v = found.v
     covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))

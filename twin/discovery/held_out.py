@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,62 +13,107 @@ from twin.discovery.grid import Grid, bridged
 from twin.discovery.model import Model
 from twin.discovery.noise import Noise
 from twin.discovery.ranking import Finding
+from twin.discovery.search import Entry
 from twin.network import Array, Network
 
 FAR_OFF, UNUSUAL, FAR_SHARE = 3.0, 1.5, 0.25
 """Times a thermometer's noise, and what is usual there, that block means may be off where a fit was not shown them, and
 the share of the squares that re-tuning alone leaves: beyond all of them an answer is contradicted."""
-
-
-def far_off(found: Mapping[str, SensorError], network: Network) -> bool:
-    """Whether an answer is off by more than is usual where no fit was shown the record.
-
-    The mean of several thermometers is off by more of its noise than one is: what a twin leaves does not average out.
-    """
-    single = {name: network.parameters[f"{name}.sigma"].value for name in found}
-    return any(e.means[2] > max(FAR_OFF * single[name], UNUSUAL * e.usual) for name, e in found.items())
+KEPT = 4
+"""Free runs that are kept."""
 
 
 def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
-    """Whether it is, and hardly better than re-tuning alone: its form, or what it follows, is another."""
+    """Whether an answer is far off, hardly better than re-tuning alone: its form, or what it follows, is another."""
     before, after = (sum((e.means[k] / e.noise) ** 2 for e in found.values()) for k in (1, 2))
-    return far_off(found, network) and after > FAR_SHARE * before
+    far = any(_far(network, name, e.means[2], e.usual) for name, e in found.items())
+    return far and after > FAR_SHARE * before
 
 
-def errors(
-    finding: Finding, network: Network, record: Columns, grid: Grid, split: int, healthy: Noise | None = None
-) -> dict[str, SensorError]:
-    """RMSE per sensor over the held-out part, of free runs from the record's beginning.
+@dataclass(frozen=True)
+class HeldOut:
+    """A record of which the fit of a finding saw no more than the beginning.
 
-    Args:
-        healthy: noise with all that the twin's structure leaves, as a healthy record tells it.
+    Attributes:
+        network: as commissioned. healthy: noise with all that its structure leaves, as a healthy record tells it.
     """
-    time, inputs = record.time_s, bridged(network, record.time_s, record.inputs)
-    late = time >= grid.time[split]
-    runs = []
-    for values, state, entries in (
-        (network.values, finding.state, ()),
-        (finding.retuned.values, finding.retuned.state, ()),
-        *(((finding.fit.values, finding.fit.state, finding.fit.entries),) if finding.fit else ()),
-    ):
-        model = Model.of(finding.contest.probe, entries)
-        sizes = np.array([[e.size for e in entries]])
-        runs.append(model.run(time, inputs, state[None, : len(network.nodes)], values[None, :], sizes)[0])
-    if finding.fit is None:
-        runs.append(runs[1])
-    usual = np.zeros(len(network.sensors))
-    if healthy is not None:
-        here = finding.contest.probe.run(grid, finding.state).readings[split:]
-        usual = healthy.where_moved(here, grid.step_s).rms(len(here))
-    out = {}
-    for j, name in enumerate(network.sensor_names):
-        off = [np.where(late, record.measured[:, j] - run[:, j], np.nan) for run in runs]
-        raw = [_rms(x) for x in off]
-        means = [_rms(binned(x, time, grid)) for x in off]
-        if np.isfinite(raw[0]):
-            of_means = (means[0], means[1], means[2])
-            out[name] = SensorError(raw[0], raw[1], raw[2], float(network.sigma[j]), of_means, float(usual[j]))
-    return out
+
+    network: Network
+    record: Columns
+    grid: Grid
+    healthy: Noise | None = None
+    _runs: dict[tuple[object, ...], Array] = field(default_factory=dict, repr=False)
+
+    def errors(self, finding: Finding, split: int) -> dict[str, SensorError]:
+        """RMSE per sensor from bin `split` on, of free runs from the record's beginning."""
+        found = finding.retuned, finding.fit or finding.retuned
+        runs = [self._run(finding, self.network.values, finding.state)]
+        runs += [self._run(finding, f.values, f.state, f.entries) for f in found]
+        usual = self._usual(finding, split)
+        out = {}
+        for j, name in enumerate(self.network.sensor_names):
+            off = [self._off(run, split, j) for run in runs]
+            raw = [_rms(x) for x in off]
+            means = [self._mean(x) for x in off]
+            if np.isfinite(raw[0]):
+                of_means = (means[0], means[1], means[2])
+                noise = float(self.network.sigma[j])
+                out[name] = SensorError(raw[0], raw[1], raw[2], noise, of_means, float(usual[j]))
+        return out
+
+    def far_off(self, finding: Finding, split: int) -> bool:
+        """Whether an answer is off by more than is usual from bin `split` on."""
+        run, usual = self._answered(finding), self._usual(finding, split)
+        return any(
+            _far(self.network, name, self._mean(self._off(run, split, j)), float(usual[j]))
+            for j, name in enumerate(self.network.sensor_names)
+        )
+
+    def left(self, finding: Finding, split: int) -> float:
+        """Squares that an answer leaves from bin `split` on, all sensors together, in what is usual there."""
+        run = self._answered(finding)
+        off = np.array([_rms(self._off(run, split, j)) for j in range(len(self.network.sensors))])
+        return float(np.nansum((off / np.maximum(self.network.sigma, self._usual(finding, split))) ** 2))
+
+    def _answered(self, finding: Finding) -> Array:
+        found = finding.fit or finding.retuned
+        return self._run(finding, found.values, found.state, found.entries)
+
+    def _run(self, finding: Finding, values: Array, state: Array, entries: tuple[Entry, ...] = ()) -> Array:
+        """Readings (N, m) of a free run; the latest are kept, as an answer is looked at more than once."""
+        key = (values.tobytes(), state.tobytes(), *((e.candidate.id, e.shape, e.size) for e in entries))
+        if key not in self._runs:
+            inputs = bridged(self.network, self.record.time_s, self.record.inputs)
+            model = Model.of(finding.contest.probe, entries)
+            begin, sizes = state[None, : len(self.network.nodes)], np.array([[e.size for e in entries]])
+            while len(self._runs) >= KEPT:
+                del self._runs[next(iter(self._runs))]
+            self._runs[key] = model.run(self.record.time_s, inputs, begin, values[None, :], sizes)[0]
+        return self._runs[key]
+
+    def _off(self, run: Array, split: int, sensor: int) -> Array:
+        """Measured less run (N,) of a sensor, NaN before bin `split`."""
+        late = self.record.time_s >= self.grid.time[split]
+        return np.where(late, self.record.measured[:, sensor] - run[:, sensor], np.nan)
+
+    def _mean(self, off: Array) -> float:
+        """Root mean square of means over a bin."""
+        return _rms(binned(off, self.record.time_s, self.grid))
+
+    def _usual(self, finding: Finding, split: int) -> Array:
+        """What a healthy record lets expect of means over a bin (m,), K; 0 without one."""
+        if self.healthy is None:
+            return np.zeros(len(self.network.sensors))
+        here = finding.contest.probe.run(self.grid, finding.state).readings[split:]
+        return self.healthy.where_moved(here, self.grid.step_s).rms(len(here))
+
+
+def _far(network: Network, sensor: str, means: float, usual: float) -> bool:
+    """Whether means over a bin are off by more than is usual where no fit was shown the record, K.
+
+    The mean of several thermometers is off by more of its noise than one is: what a twin leaves does not average out.
+    """
+    return means > max(FAR_OFF * network.parameters[f"{sensor}.sigma"].value, UNUSUAL * usual)
 
 
 def binned(values: Array, time: Array, grid: Grid) -> Array:

@@ -14,10 +14,10 @@ from twin.discovery.caution import weak
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.grid import Grid
-from twin.discovery.held_out import contradicted, errors, far_off
+from twin.discovery.held_out import HeldOut, contradicted
 from twin.discovery.ladder import SECOND_SHARE, all_told, search
 from twin.discovery.model import Model
-from twin.discovery.part import Part, fitted
+from twin.discovery.part import Part, fitted, plainly
 from twin.discovery.ranking import Finding, enough, stand
 from twin.discovery.search import Entry, scan
 from twin.discovery.shapes import EARLY_S
@@ -81,7 +81,11 @@ class Inquiry:
 
     def on_unseen(self, finding: Finding, split: int) -> dict[str, SensorError]:
         """Errors of a finding from bin `split` on."""
-        return errors(finding, self.network, self.record, self.grid, split, self.known.plain)
+        return self._held_out.errors(finding, split)
+
+    @cached_property
+    def _held_out(self) -> HeldOut:
+        return HeldOut(self.network, self.record, self.grid, self.known.plain)
 
     def answer(self, held_out: float) -> Answer:
         """The effects that are told, and what was kept out of their fit.
@@ -107,7 +111,8 @@ class Inquiry:
                 found = self._searched(self._train(most), most, found.doubted)
         found = self._with_lesser(found)
         beside = _beside(self.whole, found.finding)
-        if beside is not None and (later := max(most, self._amid(beside))) > found.split:
+        more = beside is not None and beside.z > found.finding.ladder[-1].best_z
+        if beside is not None and more and (later := max(most, self._amid(beside))) > found.split:
             fuller = self._with_lesser(self._searched(self._train(later), later, found.doubted))
             if self._is_better(fuller, found):
                 found = fuller
@@ -115,7 +120,7 @@ class Inquiry:
                     "beside the answer, the part that was to be kept out of the fit showed more; so the fit was given "
                     f"the record up to {self._hours(later)}"
                 )
-        return replace(found, notes=tuple(notes))
+        return replace(found, finding=_retuned_by_itself(found.finding, found.train), notes=tuple(notes))
 
     def _train(self, split: int) -> Part:
         return self.part(self.grid.part(0, split))
@@ -138,8 +143,9 @@ class Inquiry:
                 why = f"something changed at {began_h:.1f} h, inside the part that was to be kept out of the fit"
                 return later, why, doubted
             return most, "what stands out does so in the part that was to be kept out of the fit", doubted
-        if finding.fit is not None and far_off(seen := self.on_unseen(finding, split), self.network):
+        if finding.fit is not None and self._held_out.far_off(finding, split):
             why = "on the part that was to be kept out of the fit the best answer was off by more than is usual"
+            seen = self.on_unseen(_retuned_by_itself(finding, train), split)
             return most, why, contradicted(seen, self.network) and not weak(finding)
         if any(e.shape.onset_s > LATE * split * self.grid.step_s for e in finding.entries):
             return most, "an effect begins so late that the fit saw little of it", doubted
@@ -166,7 +172,7 @@ class Inquiry:
             if not enough(finding.shorter.fit.chi, finding.start / finding.count, finding.contest, quiet=True):
                 break
             shorter = _as_used(finding.shorter, train)
-            if self._left_late(finding, split) < self._left_late(shorter, split):
+            if self._held_out.left(finding, split) < self._held_out.left(shorter, split):
                 break
             finding = replace(shorter, refuted=True)
         return finding
@@ -182,7 +188,7 @@ class Inquiry:
         lesser = _as_used(search(train, self.say, 0.0), train)
         if not _may_be_told(lesser, train):
             return found
-        before, after = (self._left_late(f, found.split) for f in (finding, lesser))
+        before, after = (self._held_out.left(f, found.split) for f in (finding, lesser))
         told = before - after > max(FORETELLS_SHARE * before, FORETELLS)
         return replace(found, finding=lesser) if told else found
 
@@ -191,12 +197,8 @@ class Inquiry:
         late, more = fuller.finding, len(fuller.finding.entries) - len(found.finding.entries)
         if late.fit is None or more < 0 or not stand(late.fit, late.contest):
             return False
-        left, before = (self._left_late(f, fuller.split) for f in (late, found.finding))
+        left, before = (self._held_out.left(f, fuller.split) for f in (late, found.finding))
         return left < (1.0 if more or weak(found.finding) else OTHER_FORM) * before
-
-    def _left_late(self, finding: Finding, split: int) -> float:
-        """Squares that an answer leaves where no fit saw the record, all sensors together, in what is usual there."""
-        return sum((e.after / max(e.noise, e.usual)) ** 2 for e in self.on_unseen(finding, split).values())
 
 
 def _begins_late(whole: Part, train: Part, split: int) -> bool:
@@ -251,17 +253,17 @@ def came_in(found: Fit, i: int, part: Part) -> bool:
 
 def _as_used(finding: Finding, part: Part) -> Finding:
     """The finding with values that foretell best by themselves: a twin does not know what its structure leaves."""
-    if part.plain is None:
-        return finding
-    found = [finding.retuned] if finding.fit is None else [finding.retuned, finding.fit]
-    used = [
-        _by_itself(f, u) for f, (u, _) in zip(found, fitted(part, [f.entries for f in found], part.plain), strict=True)
-    ]
-    return replace(finding, retuned=used[0], fit=None if finding.fit is None else used[1])
+    return finding if finding.fit is None else replace(finding, fit=_by_itself(finding.fit, part))
 
 
-def _by_itself(found: Fit, used: Fit) -> Fit:
+def _retuned_by_itself(finding: Finding, part: Part) -> Finding:
+    """The same for re-tuning alone."""
+    return replace(finding, retuned=_by_itself(finding.retuned, part))
+
+
+def _by_itself(found: Fit, part: Part) -> Fit:
     """A fit with the values that it has by itself; what by itself vanishes or turns round is better left as found."""
+    used = plainly(part, found)
     same = all(a.size * b.size > 0.0 for a, b in zip(used.entries, found.entries, strict=True))
     return replace(used, total=found.total, chi=found.chi) if same else found
 

@@ -116,25 +116,33 @@ class Part:
         self.contest.look_at(self.run)
 
 
-def fitted(
-    part: Part, groups: list[tuple[Entry, ...]], other: Contest | None = None
-) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """Each group of effects fitted, from the commissioned values, side by side; the part's contest is left alone.
-
-    Args:
-        other: contest of the same part to fit them in, `part.plain`.
-    """
-
-    def fitted_alone(group: tuple[Entry, ...]) -> Fit:
-        contest = copy.copy(other or part.contest)
-        contest.look_at(part.run)
-        return fit(contest, Model.of(contest.probe, group), part.state)
-
-    keys = [(other is None, *((e.candidate.id, e.candidate.slow_s, e.shape, e.size) for e in g)) for g in groups]
+def fitted(part: Part, groups: list[tuple[Entry, ...]]) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """Each group of effects fitted, from the commissioned values, side by side; the part's contest is left alone."""
+    keys = [("known", *_named(group)) for group in groups]
     new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        part.fits.update(zip(new, pool.map(fitted_alone, new.values()), strict=True))
+        part.fits.update(zip(new, pool.map(lambda g: _fit(part, part.contest, g), new.values()), strict=True))
     return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
+
+
+def plainly(part: Part, found: Fit) -> Fit:
+    """A fit anew, from where it ended, by a twin that does not know what its structure leaves."""
+    if part.plain is None:
+        return found
+    key = ("plain", *_named(found.entries))
+    if key not in part.fits:
+        part.fits[key] = _fit(part, part.plain, found.entries, found.moved)
+    return part.fits[key]
+
+
+def _named(group: tuple[Entry, ...]) -> tuple[object, ...]:
+    return tuple((e.candidate.id, e.candidate.slow_s, e.shape, e.size) for e in group)
+
+
+def _fit(part: Part, contest: Contest, group: tuple[Entry, ...], moved: Array | None = None) -> Fit:
+    own = copy.copy(contest)
+    own.look_at(part.run)
+    return fit(own, Model.of(own.probe, group), part.state, moved)
 
 
 def timed(part: Part, best: Fit, known: tuple[Entry, ...]) -> list[tuple[Fit, tuple[Entry, ...]]]:

@@ -146,20 +146,57 @@ class Probe:
         inputs = self._inputs(grid, np.full((len(grid.time), self.k), _PROBE_W))
         centre = self.values(values)
         centre[self._gain] = 0.0
-        gained = np.tile(centre, (1 + self.k, 1))
-        gained[1:, self._gain] += np.eye(self.k)
-        states = state[None, :]
+        gained = np.tile(centre, (self.k, 1))
+        gained[:, self._gain] += np.eye(self.k)
+        left: _Carried | _Linear = _Carried(state) if self._kernel.carries else _Linear(state)
         for b, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
             until = min(last + 1, len(grid.time))
-            time, u = grid.time[first:until], inputs[first:until]
-            # Row 0 is the undisturbed run, the rows after it what earlier blocks left behind, the last k this block's.
-            rows = np.vstack([np.repeat(centre[None, :], len(states), axis=0), gained[1:]])
-            begun = np.vstack([states, np.repeat(states[:1], self.k, axis=0)])
-            readings, states = self._kernel.trace(rows, begun, time, u)
+            # Row 0 is the undisturbed run, the k after it are this block's, the rest what earlier blocks left behind.
+            begun = np.vstack([np.repeat(left.base, 1 + self.k, axis=0), left.rows])
+            rows = np.vstack([centre[None, :], gained, np.repeat(centre[None, :], len(left.rows), axis=0)])
+            readings, states = self._kernel.trace(rows, begun, grid.time[first:until], inputs[first:until])
             mean = readings[:, : last - first, : self.m].mean(axis=1)
-            change = (mean[1:] - mean[0]) / _PROBE_W
-            found[b, :, : b + 1, :] = change.reshape(b + 1, self.k, self.m).transpose(2, 0, 1)
+            own, before = mean[1 : 1 + self.k] - mean[0], left.of(mean[1 + self.k :] - mean[0])
+            found[b, :, b] = own.T / _PROBE_W
+            found[b, :, :b] = before.reshape(b, self.k, self.m).transpose(2, 0, 1) / _PROBE_W
+            left = left.after(states, self.k)
         return found
+
+
+class _Carried:
+    """What earlier blocks' heat has left behind, each block's carried on by itself: for what water carries along."""
+
+    def __init__(self, base: Array, rows: Array | None = None) -> None:
+        self.base = np.atleast_2d(base)
+        self.rows = self.base[:0] if rows is None else rows
+
+    def of(self, change: Array) -> Array:
+        """Of what these rows change (r, m): what each earlier block's heat does (b * k, m)."""
+        return change
+
+    def after(self, states: Array, k: int) -> _Carried:
+        """What is left after a block, from full states (1 + k + r, size) at its end."""
+        return _Carried(states[:1], np.vstack([states[1 + k :], states[1 : 1 + k]]))
+
+
+class _Linear:
+    """The same as a linear combination (b * k, size) of what a little more of each temperature comes to."""
+
+    def __init__(self, base: Array, left: Array | None = None) -> None:
+        self.base = np.atleast_2d(base)
+        size = self.base.shape[1]
+        self._left = np.empty((0, size)) if left is None else left
+        self.rows = self.base + _STATE_STEP * np.eye(size) if len(self._left) else self.base[:0]
+
+    def of(self, change: Array) -> Array:
+        if not len(self._left):
+            return change
+        before: Array = self._left @ change / _STATE_STEP
+        return before
+
+    def after(self, states: Array, k: int) -> _Linear:
+        change = states[1:] - states[0]
+        return _Linear(states[:1], np.vstack([self.of(change[k:]), change[:k]]))
 
 
 def posterior(network: Network, probe: Probe, grid: Grid, state: Array, inflation: float, widen: float) -> Prior:

@@ -176,7 +176,7 @@ class Candidate:
         adds: name -> table of the elements that are added.
         replaces: element -> keys of its table that differ.
         shapes: time shapes in which it may come in.
-        lumped: size that a twin of mixed volumes without pipes may seem to lack without anything being wrong.
+        lumped: size that a twin of mixed volumes may seem to lack, more without pipes, without anything being wrong.
         near: makes other forms of the same, which are looked at where this one scores.
         begins: input column whose temperature what is added begins at when it comes in, or "" for that of its place.
         slow_s: time constant of a temperature of its own, s, or 0. slower: makes the same with another one.

@@ -27,8 +27,8 @@ from twin.elements.base import Candidate, Delay, Element, Fragment, Names, Param
 from twin.elements.flow import WATER_DENSITY
 
 LEAST_S = 1.0
-LUMPED_S = 20.0
-"""Water on its way that a twin of mixed volumes may hide."""
+LUMPED_S, PIPED_S = 20.0, 6.0
+"""Water on its way that a twin of mixed volumes may hide, and one that knows its pipes, but not what mixes there."""
 WALL_CONSTANTS_S = (3.0, 10.0, 30.0, 100.0, 300.0)
 """Capacity over film of walls that are looked for, s."""
 _STILL = "1e-9"
@@ -61,7 +61,7 @@ class Pipe(Element):
                 "delay", sites.places[node], "history", "new", {f"{name}.volume": 1.0}, "L", 0.5, 0.0, 50.0,
                 "gets its water later, as through a further {value} of pipe",
                 adds={name: {"kind": cls.kind, "to": node, "ambient": sites.room}}, shapes=("step",),
-                lumped=0.0 if piped else LUMPED_S * sites.litres_per_s,
+                lumped=(PIPED_S if piped else LUMPED_S) * sites.litres_per_s,
             )
             for node in sites.before
             if node not in piped and sites.room and (name := f"pipe_to_{node}")
@@ -71,7 +71,7 @@ class Pipe(Element):
         now = sites.values[f"{self.name}.volume"]
         says = "gets its water later, as through a further {value} of pipe"
         volume = self.moves("volume", "delay", sites.places[self.to], "history", "L", 0.2, -now, 50.0, says)
-        return (replace(volume, shapes=("step",)), *self._walls(sites))
+        return (replace(volume, shapes=("step",), lumped=PIPED_S * sites.litres_per_s), *self._walls(sites))
 
     def _walls(self, sites: Sites) -> tuple[Candidate, ...]:
         """The wall of a pipe that brings water from outside; in a loop the volumes' capacities hold the metal."""

@@ -20,8 +20,9 @@ from typing import ClassVar
 
 from twin.elements.base import Candidate, Element, Fragment, Lag, Names, ParameterSpec, Sites, place
 
-LUMPED_S = 25.0
-"""What water needs through a small loop's hoses and cold plates; without pipes a twin takes it for a late reading."""
+LUMPED_S, PIPED_S = 25.0, 6.0
+"""What water needs through a small loop's hoses and cold plates; without pipes a twin takes it for a late reading. And
+with them, what it mixes there."""
 LAGS_S = (15.0, 60.0, 240.0)
 """Lags about which an unknown one is looked for, s: a late reading is not proportional to how late it is."""
 
@@ -69,7 +70,7 @@ class Sensor(Element):
                     "lag_s", *sensor, "rate_of_change", "s", lag, -now["lag_s"], 3600.0, "reads late by {value}"
                 ),
                 change="new" if now["lag_s"] == 0.0 else "existing", shapes=("step",),
-                lumped=0.0 if sites.having("pipe") else LUMPED_S,
+                lumped=PIPED_S if sites.having("pipe") else LUMPED_S,
             )
             for lag in LAGS_S
         ]  # fmt: skip
