@@ -110,7 +110,7 @@ class Inquiry:
                 notes.append(f"it showed nothing yet; so the fit was given {self._hours(most)}")
                 found = self._searched(self._train(most), most, found.doubted)
         found = self._with_lesser(found)
-        beside = _beside(self.whole, found.finding)
+        beside = _beside(self.whole, found.finding) if _near(found.finding) else None
         more = beside is not None and beside.z > found.finding.ladder[-1].best_z
         if beside is not None and more and (later := max(most, self._amid(beside))) > found.split:
             fuller = self._with_lesser(self._searched(self._train(later), later, found.doubted))
@@ -143,6 +143,8 @@ class Inquiry:
                 why = f"something changed at {began_h:.1f} h, inside the part that was to be kept out of the fit"
                 return later, why, doubted
             return most, "what stands out does so in the part that was to be kept out of the fit", doubted
+        if finding.fit is not None and not _near(finding):
+            return split, "", doubted
         if finding.fit is not None and self._held_out.far_off(finding, split):
             why = "on the part that was to be kept out of the fit the best answer was off by more than is usual"
             seen = self.on_unseen(_retuned_by_itself(finding, train), split)
@@ -266,6 +268,13 @@ def _by_itself(found: Fit, part: Part) -> Fit:
     used = plainly(part, found)
     same = all(a.size * b.size > 0.0 for a, b in zip(used.entries, found.entries, strict=True))
     return replace(used, total=found.total, chi=found.chi) if same else found
+
+
+def _near(finding: Finding) -> bool:
+    """Whether effects come near to explaining what they were fitted to: if not, more of the record helps nothing."""
+    return finding.fit is not None and enough(
+        finding.fit.chi, finding.start / finding.count, finding.contest, quiet=True
+    )
 
 
 def _good(finding: Finding) -> bool:

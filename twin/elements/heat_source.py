@@ -100,7 +100,7 @@ class HeatSource(Element):
         known = {e.node for e in sites.having(cls.kind) if not e.driver}
         stands = [(sites.places[node], (node,)) for node in sites.nodes] + list(sites.groups.items())
         for where, nodes in stands:
-            for driver, table, sizes, typical, says in _laws(sites):
+            for driver, table, sizes, unit, typical, says in _laws(sites):
                 if driver == "constant" and set(nodes) <= known:
                     continue
                 if table.get("law") == "linear" and any(
@@ -108,13 +108,13 @@ class HeatSource(Element):
                 ):
                     continue
                 words = "_".join((driver, nodes[0] if len(nodes) == 1 else where))
-                names = {node: f"heat_by_{words}" if len(nodes) == 1 else f"heat_by_{words}_{node}" for node in nodes}
+                words = f"heat_with_{words}" if "gain" in sizes and unit == "W" else f"heat_by_{words}"
+                names = {node: words if len(nodes) == 1 else f"{words}_{node}" for node in nodes}
                 share = 1.0 / len(nodes)
                 changes = {
                     f"{name}.{size}": weight * share for name in names.values() for size, weight in sizes.items()
                 }
                 adds = {name: {"kind": cls.kind, "node": node, **table} for node, name in names.items()}
-                unit = "W/W" if driver == "heater_power" else "W/%" if table.get("law") == "linear" else "W"
                 source = Candidate(
                     "heat_source", where, driver, "new", changes, unit, typical, 0.0, 2000.0 * typical / 20.0, says,
                     adds=adds,
@@ -166,29 +166,34 @@ class HeatSource(Element):
         return Fragment(heat={self.node: f"{n.par('gain')} * ({column} - {n.par('reference')})"})
 
 
-def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], float, str]]:
-    """Sources that may be missing: driver, keys of the table, size parameters with weights, typical size, wording."""
+def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], str, float, str]]:
+    """Sources that may be missing: driver, keys of the table, size parameters with weights, unit of the size, a typical
+    one, wording."""
     unknown = "gives off {value} that the twin does not know of"
-    laws: list[tuple[str, dict[str, str], dict[str, float], float, str]] = [
-        ("constant", {}, {"power": 1.0}, 20.0, unknown)
+    laws: list[tuple[str, dict[str, str], dict[str, float], str, float, str]] = [
+        ("constant", {}, {"power": 1.0}, "W", 20.0, unknown)
     ]
     heaters = {e.driver for e in sites.having(HeatSource.kind) if e.law == "linear" and e.driver.endswith("_pct")}
     for column in sites.inputs:
+        straight = {"driver": column, "law": "linear"}
         if column.endswith("_W"):
-            table = {"driver": column, "law": "linear"}
-            laws.append(("heater_power", table, {"gain": 1.0}, 0.03, "takes up {value} of the heater's power"))
+            laws.append(
+                ("heater_power", straight, {"gain": 1.0}, "W/W", 0.03, "takes up {value} of the heater's power")
+            )
         if column in heaters:
-            driver, table = column.removesuffix("_pct"), {"driver": column, "law": "linear"}
+            driver = column.removesuffix("_pct")
             says = f"takes up {{value}} of {driver.replace('_', ' ')}, which heats elsewhere"
-            laws.append((driver, table, {"gain": 1.0}, 0.01, says))
+            laws.append((driver, straight, {"gain": 1.0}, "W/%", 0.01, says))
         elif column.endswith("_pct"):
             driver = column.removesuffix("_pct")
-            says = f"gives off {{value}} at full {driver.replace('_', ' ')}, with its cube"
-            laws.append((driver, {"driver": column, "law": "cubed"}, {"power_100": 1.0}, 20.0, says))
+            says = f"gives off {{value}} at full {driver.replace('_', ' ')}, "
+            cubed = {"driver": column, "law": "cubed"}
+            laws.append((driver, cubed, {"power_100": 1.0}, "W", 20.0, says + "with its cube"))
+            laws.append((driver, straight, {"gain": 0.01}, "W", 20.0, says + "in proportion to it"))
     if sites.clock:
         for peak in range(0, 24, 2):
             table = {"driver": sites.clock, "law": "daylight"}
-            laws.append(("time_of_day", table, day(peak, 12.0), 20.0, _told(peak)))
+            laws.append(("time_of_day", table, day(peak, 12.0), "W", 20.0, _told(peak)))
     return laws
 
 
