@@ -56,10 +56,11 @@ class Part:
 
     def sharpened(self) -> tuple[Candidate, ...]:
         """Of what comes in many forms, those that score better at each place than the catalogue's own."""
-        best: dict[tuple[str, str], Entry] = {}
+        best: dict[tuple[str, str, str], Entry] = {}
         for entry in self.entries:
-            if entry.candidate.near is not None:
-                best.setdefault((entry.candidate.kind, entry.candidate.where), entry)
+            c = entry.candidate
+            if c.near is not None:
+                best.setdefault((c.kind, c.where, c.driver), entry)
         closest = [(first, self.closest(first)) for first in best.values()]
         return tuple(found.candidate for first, found in closest if found.gain > first.gain + WORTH)
 

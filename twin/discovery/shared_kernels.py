@@ -53,7 +53,10 @@ class SharedKernels:
 
     @cached_property
     def _plain(self) -> list[Candidate]:
-        return [c for c in catalogue(self._network) if _is_plain(c)]
+        every = catalogue(self._network)
+        # Other forms are mostly other sizes of the same elements, and some have elements of their own.
+        others = (o for c in every if c.near is not None for o in c.near() if not set(o.adds) <= set(c.adds))
+        return [c for c in (*every, *others) if _is_plain(c)]
 
     @cached_property
     def _quick(self) -> SharedKernel:

@@ -36,6 +36,7 @@ CLOSER = (
 """Hours by which the peak, and the length of the day, of a source that follows the hour move, ever more closely."""
 SHORTEST_H, LONGEST_H = 3.0, 20.0
 """Lengths of day that are tried, h."""
+CUBED = "with its cube"
 _UNITS = {"pct": "%", "C": "K", "m3_h": "(m3/h)", "kg_s": "(kg/s)", "L_min": "(L/min)"}
 
 
@@ -108,8 +109,7 @@ class HeatSource(Element):
                 ):
                     continue
                 words = "_".join((driver, nodes[0] if len(nodes) == 1 else where))
-                words = f"heat_with_{words}" if "gain" in sizes and unit == "W" else f"heat_by_{words}"
-                names = {node: words if len(nodes) == 1 else f"{words}_{node}" for node in nodes}
+                names = {node: f"heat_by_{words}" if len(nodes) == 1 else f"heat_by_{words}_{node}" for node in nodes}
                 share = 1.0 / len(nodes)
                 changes = {
                     f"{name}.{size}": weight * share for name in names.values() for size, weight in sizes.items()
@@ -119,6 +119,8 @@ class HeatSource(Element):
                     "heat_source", where, driver, "new", changes, unit, typical, 0.0, 2000.0 * typical / 20.0, says,
                     adds=adds,
                 )  # fmt: skip
+                if table.get("law") == "cubed":
+                    source = replace(source, near=partial(_in_proportion, source))
                 if table.get("law") == "daylight":
                     peak_h = 12.0 / math.pi * math.atan2(sizes["sine"], sizes["cosine"])
                     # A day that itself grows would pass for whatever else grows.
@@ -186,15 +188,22 @@ def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], str
             laws.append((driver, straight, {"gain": 1.0}, "W/%", 0.01, says))
         elif column.endswith("_pct"):
             driver = column.removesuffix("_pct")
-            says = f"gives off {{value}} at full {driver.replace('_', ' ')}, "
+            says = f"gives off {{value}} at full {driver.replace('_', ' ')}"
             cubed = {"driver": column, "law": "cubed"}
-            laws.append((driver, cubed, {"power_100": 1.0}, "W", 20.0, says + "with its cube"))
-            laws.append((driver, straight, {"gain": 0.01}, "W", 20.0, says + "in proportion to it"))
+            laws.append((driver, cubed, {"power_100": 1.0}, "W", 20.0, f"{says}, {CUBED}"))
     if sites.clock:
         for peak in range(0, 24, 2):
             table = {"driver": sites.clock, "law": "daylight"}
             laws.append(("time_of_day", table, day(peak, 12.0), "W", 20.0, _told(peak)))
     return laws
+
+
+def _in_proportion(cubed: Candidate) -> tuple[Candidate, ...]:
+    """A source that follows a speed with its cube as one in proportion to it: a belt or a bearing, say, is no shaft."""
+    changes = {name.replace(".power_100", "_straight.gain"): 0.01 * w for name, w in cubed.changes.items()}
+    adds = {f"{name}_straight": {**table, "law": "linear"} for name, table in cubed.adds.items()}
+    says = cubed.says.replace(CUBED, "in proportion to it")
+    return (replace(cubed, changes=changes, adds=adds, says=says, near=None),)
 
 
 def day(peak_h: float, hours: float) -> dict[str, float]:
