@@ -10,7 +10,7 @@ from tests.discovery.plans import STEADY, inputs_of, run, steady
 from twin.discovery.basis import Columns, basis
 from twin.discovery.design import Runner, informed
 from twin.discovery.engine import diagnose
-from twin.discovery.experiment import Limits
+from twin.discovery.experiment import MARGIN_K, Limits
 from twin.discovery.fitting import fit
 from twin.discovery.grid import on_grid
 from twin.discovery.model import Model
@@ -122,15 +122,20 @@ def test_what_a_record_told_of_a_cause_leaves_it_less_room_in_the_next(bench: Be
 def test_a_plan_keeps_every_cause_below_the_hottest_that_the_rig_allows(bench: Bench, healthy: Columns) -> None:
     changed = truths(bench)[GAINED]
     record = run(bench.network, steady(8.0), changed, 3.0)
-    cool = Limits(RIG.driven, float(record.measured.max()) + 1.5, "rig")
-    plans = [diagnose(bench.network, record, healthy, limits=x).next_experiment for x in (cool, RIG)]
-    hottest = []
-    for plan in plans:
+
+    def hottest(limits: Limits) -> tuple[float, float]:
+        """What the plan expects, and what comes of it."""
+        plan = diagnose(bench.network, record, healthy, limits=limits).next_experiment
         assert plan is not None and plan["possible"]
         t, u = inputs_of(bench.network, plan["steps"])
-        read = Kernel(changed, ()).trace(changed.values, np.array([37.0, 36.8, 34.5, 34.0]), t, u)[0][0]
-        hottest.append(float(read.max()))
-    assert hottest[0] < cool.hottest_C < hottest[1] < RIG.hottest_C
+        state = np.array([37.0, 36.8, 34.5, 34.0])
+        return plan["hottest_C"], float(Kernel(changed, ()).trace(changed.values, state, t, u)[0][0].max())
+
+    expected, free = hottest(RIG)
+    assert free < RIG.hottest_C
+    cool = Limits(RIG.driven, expected + MARGIN_K - 0.5, "rig")
+    colder, read = hottest(cool)
+    assert colder < expected and read < cool.hottest_C
 
 
 def test_no_plan_is_given_that_would_be_too_hot(bench: Bench, healthy: Columns) -> None:

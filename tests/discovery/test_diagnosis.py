@@ -35,6 +35,24 @@ def test_heat_in_the_modules_is_named_sized_and_dated(bench: Bench, healthy: Col
     assert found.network is not None and found.network.parameters["modules_power.power"].value == effect.value
 
 
+@pytest.mark.parametrize(
+    ("law", "size", "said"), [("cubed", "power_100", "with its cube"), ("linear", "gain", "in proportion to it")]
+)
+def test_heat_that_follows_a_fan_is_told_in_its_own_form(
+    bench: Bench, healthy: Columns, law: str, size: str, said: str
+) -> None:
+    """Said in the other form, it would take a second cause to make up for what that one leaves."""
+    table = {"kind": "heat_source", "node": "tank", "driver": "fan_speed_pct", "law": law}
+    value = 45.0 if law == "cubed" else 0.45
+    found = diagnose(bench.network, bench.record(16.0, 1, bench.with_element("belt", {**table, size: value})), healthy)
+    (effect,) = found.effects
+    assert (effect.kind, effect.where, effect.driver, effect.unit) == ("heat_source", "tank", "fan_speed", "W")
+    assert effect.value == pytest.approx(45.0, rel=0.1) and said in effect.says
+    assert found.network is not None
+    (added,) = [e for e in found.network.elements if e.name not in {o.name for o in bench.network.elements}]
+    assert found.network.parameters[f"{added.name}.{size}"].value == pytest.approx(value, rel=0.1)
+
+
 def test_a_moved_parameter_is_not_called_a_new_effect(bench: Bench, healthy: Columns) -> None:
     record = bench.record(changed=bench.with_values(tank_loss__hA=8.5), onset_h=4.0)
     (effect,) = diagnose(bench.network, record, healthy).effects
@@ -95,8 +113,11 @@ def test_what_no_candidate_can_be_is_left_unexplained_at_its_place(bench: Bench,
     again = bench.record(24.0, changed=heated, onset_h=13.0, until_h=16.0)
     plain = bench.record(24.0)
     record = replace(record, measured=record.measured + again.measured - plain.measured)
-    found = diagnose(bench.network, record, healthy)
+    heard: list[str] = []
+    found = diagnose(bench.network, record, healthy, say=heard.append)
     assert found.verdict == "unexplained" and found.network is None
+    # More of the record would not make it fit, so it is not searched again.
+    assert heard.count("re-tuning") <= 2
     assert found.effects[0].kind == "unknown" and found.effects[0].where == "tank"
     assert found.courses[0].site == "tank" and found.courses[0].unit == "W"
     during = (found.courses[0].hours > 5.0) & (found.courses[0].hours < 8.0)

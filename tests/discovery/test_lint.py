@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
@@ -45,3 +46,13 @@ def test_an_answer_names_its_group(bench: Bench, healthy: Columns) -> None:
     said = {(e.kind, e.where) for e in found.effects} | {(a.kind, a.where) for a in found.indistinguishable}
     assert {FLOW[:2], PUMP[:2]} <= said
     assert any("any record of this rig" in text and "pump_speed" in text for text in found.blind_spots)
+
+
+@pytest.mark.parametrize("piped", [False, True])
+def test_a_twin_may_seem_to_lack_a_little_hose_and_less_where_it_knows_its_pipes(bench: Bench, piped: bool) -> None:
+    hose = {"kind": "pipe", "to": "modules", "volume": 1.5}
+    found = catalogue(bench.with_element("hose", hose) if piped else bench.network)
+    litres_per_s = bench.network.parameters["circuit.nominal"].value / 60.0
+    delays = {c.lumped / litres_per_s for c in found if c.kind == "delay"}
+    lags = {c.lumped for c in found if c.kind == "sensor" and c.driver == "rate_of_change"}
+    assert {round(s, 6) for s in delays} == ({6.0} if piped else {20.0}) and lags == ({6.0} if piped else {25.0})

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.discovery.equivalence import width
 from twin.discovery.grid import Grid
-from twin.discovery.shapes import Shape
+from twin.discovery.shapes import Shape, family
 from twin.network import Array, Network
 
 LEAST_MEMBERS = 3
@@ -44,7 +45,8 @@ class Members:
 
 @dataclass(frozen=True)
 class Odd:
-    """One member that differs: `column`, by `size` K since `shape`, carrying `share` of all differences."""
+    """One member that differs: `column`, by `size` K times its `shape`, `final` K at the record's end, carrying `share`
+    of all differences."""
 
     column: str
     size: float
@@ -52,6 +54,7 @@ class Odd:
     shape: Shape
     share: float
     z: float
+    final: float
 
     @property
     def place(self) -> str:
@@ -77,9 +80,9 @@ def members(
     for sensor in network.sensors:
         if sensor.name not in record or sensor.name not in healthy or record[sensor.name].shape[1] < LEAST_MEMBERS:
             continue
-        width = int(np.diff(edges).mean().round())
-        known = _blocks(healthy[sensor.name], np.arange(0, len(healthy_grid.time) + 1, width))
-        basis = _basis(network, healthy_grid, known[0], np.arange(0, len(healthy_grid.time) + 1, width))
+        bins = int(np.diff(edges).mean().round())
+        known = _blocks(healthy[sensor.name], np.arange(0, len(healthy_grid.time) + 1, bins))
+        basis = _basis(network, healthy_grid, known[0], np.arange(0, len(healthy_grid.time) + 1, bins))
         good = np.isfinite(basis).all(axis=1) & np.isfinite(known[1]).all(axis=1)
         if good.sum() < 3 * basis.shape[1]:
             continue
@@ -118,23 +121,41 @@ def odd_one(found: Members, shapes: tuple[Shape, ...] = ()) -> Odd | None:
     """The member that stands out, if one does.
 
     Args:
-        shapes: how it may have come in; steps at every block and a drift from the beginning by default.
+        shapes: how it may have come in; steps at every other block and drifts by default, a drift only where it is
+            better than any step by more than can be told.
     """
-    r = found.residual / found.sd
-    good = np.isfinite(r).all(axis=1)
-    if good.sum() < 6:
+    good = np.flatnonzero(np.isfinite(found.residual).all(axis=1))
+    if len(good) < 6:
         return None
-    last = max(int(len(r) * 0.95), 1)
-    tried = shapes or (
-        *(Shape("step", float(t)) for t in found.edges_s[:last:2]),
-        Shape("ramp", 0.0, float(2.0 * found.edges_s[-1])),
-    )
-    number = r.shape[1]
+    best = _oddest(found, good, shapes or _steps(found))
+    drift = None if shapes else _oddest(found, good, _drifts(found))
+    if drift is not None and (best is None or drift.z**2 > best.z**2 + width(best.z**2)):
+        best = drift
+    if best is None or best.share < SHARE:
+        return None
+    stands_out = abs(best.final) * (1.0 - 1.0 / len(found.columns)) / found.sd[found.columns.index(best.column)]
+    return best if stands_out >= STANDS_OUT else None
+
+
+def _steps(found: Members) -> tuple[Shape, ...]:
+    last = max(int(len(found.residual) * 0.95), 1)
+    return tuple(Shape("step", float(t)) for t in found.edges_s[:last:2])
+
+
+def _drifts(found: Members) -> tuple[Shape, ...]:
+    end_s = float(found.edges_s[-1])
+    onsets = found.edges_s[: max(int(len(found.residual) * 0.85), 1) : 4]
+    return tuple(Shape("ramp", float(t), g).going_on(end_s) for t in onsets for g in family("ramp", end_s))
+
+
+def _oddest(found: Members, good: np.ndarray, shapes: tuple[Shape, ...]) -> Odd | None:
+    """Which member, in which of these shapes, takes most of the squares of `good` blocks."""
+    number = len(found.columns)
     best: Odd | None = None
-    for shape in tried:
+    for shape in shapes:
         course = shape.block_means(found.edges_s)[good]
         power = float(course @ course)
-        if power < 3.0:
+        if power < 3.0 * course.max(initial=0.0) ** 2:
             continue
         amplitude = course @ found.residual[good] / power
         total = float(((amplitude / found.sd) ** 2).sum())
@@ -142,15 +163,12 @@ def odd_one(found: Members, shapes: tuple[Shape, ...] = ()) -> Odd | None:
             weight = _pattern(i, number) / found.sd
             size = float((amplitude / found.sd) @ weight / (weight @ weight))
             carried = size**2 * float(weight @ weight)
-            share = carried / max(total, 1e-12)
-            z = abs(size) * (1.0 - 1.0 / number) / float(found.sd[i])
             gain = carried * power
             if best is None or gain > best.z**2:
                 sd = float(found.sd[i]) / np.sqrt(max(power / 6.0, 1.0))
-                best = Odd(found.columns[i], size, sd, shape, share, float(np.sqrt(gain)))
-                out = z
-    if best is None or best.share < SHARE or out < STANDS_OUT:
-        return None
+                final = shape.mean(float(found.edges_s[-1]) - 1.0, float(found.edges_s[-1]))
+                share = carried / max(total, 1e-12)
+                best = Odd(found.columns[i], size, sd, shape, share, float(np.sqrt(gain)), size * final)
     return best
 
 
@@ -173,7 +191,8 @@ def restless_one(found: Members) -> Odd | None:
             continue
         most, first = float(np.abs(size[off]).max()), float(found.edges_s[:-1][good][off][0])
         score = float(np.sqrt((size[off] ** 2).sum() * (weight @ weight)))
-        best = Odd(found.columns[i], most, float(found.sd[i]), Shape("step", first), float(off.mean()), score)
+        shape = Shape("step", first)
+        best = Odd(found.columns[i], most, float(found.sd[i]), shape, float(off.mean()), score, most)
     return best
 
 

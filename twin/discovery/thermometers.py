@@ -60,14 +60,16 @@ def _belongs_to(odd: Odd, here: list[int], effects: tuple[Effect, ...], finding:
 
 
 def _fault(one: Members, odd: Odd, start: float) -> Effect:
-    spread = SE90 * odd.sd
+    spread, drifts = SE90 * odd.sd, odd.shape.name != "step"
+    off = f"reads {amount(odd.final, 'K')} off"
+    said = f"drifts and {off} at the record's end," if drifts else off
     return Effect(
-        kind="sensor", where=odd.column, driver="constant" if odd.shape.name == "step" else "elapsed_time",
-        change="new", value=odd.size, unit="K", interval90=(odd.size - spread, odd.size + spread),
+        kind="sensor", where=odd.column, driver="elapsed_time" if drifts else "constant",
+        change="new", value=odd.final, unit="K", interval90=(odd.final - spread, odd.final + spread),
         onset_s=start + odd.shape.onset_s, onset_interval90_s=(start + odd.shape.onset_s,) * 2, shape=odd.shape.name,
         confidence=odd.share, z=odd.z,
         evidence=f"it carries {100.0 * odd.share:.0f} % of what differs among the thermometers of {one.sensor}",
-        says=f"{odd.column} reads {amount(odd.size, 'K')} off {when(odd.shape, start)}",
+        says=f"{odd.column} {said} {when(odd.shape, start)}",
     )  # fmt: skip
 
 
