@@ -110,18 +110,11 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         climbed.append((winner, order))
         if not first_gain:
             first_gain = max(ladder[0].chi * contest.count - winner.total, 1.0)
-        part.reset()
-        look_at(contest, Model.of(probe, chosen), best)
-        given = np.stack([e.placed(contest) for e in chosen])
-        entries = varied(scan(contest, part.laws, given))
-        entries.sort(key=lambda e: -e.gain)
-        ladder.append(
-            Rung(
-                " + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in chosen),
-                best.chi,
-                entries[0].z if entries else 0.0,
-            )
-        )
+        entries, told = _left(part, best)
+        ladder.append(told)
+    while len(climbed) > 1 and (fewer := _pruned(part, climbed, start)) is not None:
+        climbed[-2:] = [fewer]
+        ladder[-2:] = [_left(part, fewer[0])[1]]
     if climbed:
         say("leaving out blocks of time")
     found = Finding(
@@ -147,6 +140,30 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         )  # fmt: skip
     part.reset()
     return found if shorter is None else replace(shorter, beside=beside)
+
+
+def _left(part: Part, best: Fit) -> tuple[list[Entry], Rung]:
+    """What scores beside the effects of a fit, and the rung that they are."""
+    part.reset()
+    look_at(part.contest, Model.of(part.basis.probe, best.entries), best)
+    entries = varied(scan(part.contest, part.laws, np.stack([e.placed(part.contest) for e in best.entries])))
+    entries.sort(key=lambda e: -e.gain)
+    what = " + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in best.entries)
+    return entries, Rung(what, best.chi, entries[0].z if entries else 0.0)
+
+
+def _pruned(
+    part: Part, climbed: list[tuple[Fit, tuple[Ranked, ...]]], start: float
+) -> tuple[Fit, tuple[Ranked, ...]] | None:
+    """The best fit with an effect fewer than the last, and its ranking, where that does as well; None where none does.
+
+    What was found first may stand for what the others say better.
+    """
+    (_, before), (best, _) = climbed[-2:]
+    rest = [(*best.entries[:i], *best.entries[i + 1 :]) for i in range(len(best.entries))]
+    order = rank([*((r.fit, r.entries) for r in before), *fitted(part, rest)], part.contest, start)
+    found = order[0].fit
+    return (found, order) if found.total - best.total < part.threshold**2 else None
 
 
 def all_told(found: Fit, contest: Contest) -> bool:
