@@ -43,13 +43,16 @@ def test_a_thermometer_that_explains_everything_is_the_answer(bench: Bench, heal
     assert "Without that the twin is adequate" in found.summary
 
 
-def test_one_that_drifts_is_told_with_what_it_comes_to(bench: Bench, healthy: Columns) -> None:
-    record = with_six(bench, bench.record(10.0), 6, lambda t: np.maximum(t - 5.0 * 3600.0, 0.0) / (5.0 * 3600.0))
+@pytest.mark.parametrize(("from_h", "for_h"), [(5.0, 5.0), (1.0, 6.0)])
+def test_one_that_drifts_is_told_with_what_it_comes_to(
+    bench: Bench, healthy: Columns, from_h: float, for_h: float
+) -> None:
+    record = with_six(bench, bench.record(10.0), 6, lambda t: np.clip((t / 3600.0 - from_h) / for_h, 0.0, 1.0))
     found = diagnose(bench.network, record, with_six(bench, healthy, 5))
     assert found.verdict == "effect found"
     (drift,) = found.effects
     assert (drift.kind, drift.where, drift.driver, drift.shape) == ("sensor", "T_pm3_C", "elapsed_time", "ramp")
-    assert drift.value == pytest.approx(1.0, rel=0.1) and drift.onset_s == pytest.approx(5.0 * 3600.0, abs=3600.0)
+    assert drift.value == pytest.approx(1.0, rel=0.1) and drift.onset_s == pytest.approx(from_h * 3600.0, abs=3600.0)
 
 
 def test_a_thermometer_beside_something_else_does_not_explain_it_away(bench: Bench, healthy: Columns) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.discovery.diagnosis import Diagnosis, Effect, Verdict
+from twin.discovery.equivalence import width
 from twin.discovery.members import Members, Odd, odd_one, restless_one
 from twin.discovery.readings import Stuck
 from twin.discovery.words import amount, clock, when
@@ -44,6 +45,8 @@ def single(
         old = effects[at]
         changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
         return verdict, tuple(changed if i == at else e for i, e in enumerate(effects))
+    if at is not None and effects[at].kind == "sensor":
+        odd = _in_its_own_shape(one, odd)
     fault = _fault(one, odd, start)
     if verdict == "unexplained":
         return verdict, (*effects, fault)
@@ -57,6 +60,13 @@ def _belongs_to(odd: Odd, here: list[int], effects: tuple[Effect, ...], finding:
     entries = finding.entries
     with_it = [i for i in here if i < len(entries) and entries[i].shape == odd.shape] or here
     return min(with_it, key=lambda i: effects[i].kind != "sensor", default=None)
+
+
+def _in_its_own_shape(one: Members, odd: Odd) -> Odd:
+    """The same thermometer's error as its neighbours show it, where that is plainer than as their mean does."""
+    own = odd_one(one)
+    plainer = own is not None and own.column == odd.column and own.z**2 > odd.z**2 + width(odd.z**2)
+    return own if own is not None and plainer else odd
 
 
 def _fault(one: Members, odd: Odd, start: float) -> Effect:
