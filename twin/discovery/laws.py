@@ -61,11 +61,15 @@ class Book:
 
     def _formulas(self, candidate: Candidate, changed: Network) -> Formulas:
         """Formulas of the network with a candidate; those that add the same elements share them."""
-        if not candidate.adds and not candidate.replaces:
-            return self._base
         # What an element remembers is left out of the text where it is neutral, so it matters which of its parameters
         # are not.
-        mine = [p.id for p in changed.parameters.values() if p.element in candidate.adds and p.value not in (0.0, 1.0)]
+        own = {*candidate.adds, *(name.split(".")[0] for name in candidate.changes)}
+        mine = [p.id for p in changed.parameters.values() if p.element in own and p.value not in (0.0, 1.0)]
+        before = [
+            name for name in mine if name in self.network.ids and self.network.parameters[name].value not in (0.0, 1.0)
+        ]
+        if not candidate.adds and not candidate.replaces and mine == before:
+            return self._base
         key = repr((sorted(candidate.adds.items()), sorted(candidate.replaces.items()), mine))
         if key not in self._made:
             self._made[key] = Formulas(changed)
@@ -120,7 +124,7 @@ def _reading(network: Network, candidate: Candidate, grid: Grid, run: Run) -> Ar
             size = candidate.typical
             out[:, j] = weight * (follow(seen, size, grid.step_s) - seen) / size
         elif parameter == "cross_talk":
-            other = candidate.replaces[element]["other"]
+            other = candidate.replaces[element]["other"] if candidate.replaces else network.sensors[j].other
             out[:, j] = weight * (run.temperatures[:, network.nodes.index(other)] - seen)
     return out
 

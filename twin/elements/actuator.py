@@ -13,7 +13,8 @@ that is missing at full command, as in a supply that sags or a pump that works a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from twin.elements.base import Candidate, Drive, Element, Fragment, Names, ParameterSpec, Sites, place
@@ -48,37 +49,17 @@ class Actuator(Element):
         having = {e.column for e in sites.having(cls.kind)}
         found: list[Candidate] = []
         for column in sites.inputs:
-            if column in having or column == sites.clock:
-                continue
-            unit = column.rsplit("_", 1)[-1]
-            what, name = column.rsplit("_", 1)[0], f"actuator_of_{column}"
-            table = {name: {"kind": cls.kind, "column": column}}
-            if unit == "C":
-                says = "reads {value} off"
-                offset = Candidate(
-                    "sensor",
-                    column,
-                    "constant",
-                    "new",
-                    {f"{name}.offset": 1.0},
-                    "K",
-                    0.5,
-                    -20.0,
-                    20.0,
-                    says,
-                    adds=table,
-                )
-                found.append(offset)
-                continue
-            found += [
-                Candidate("actuator", what, "constant", "new", {f"{name}.gain": 1.0}, "1", 0.03, -0.9, 2.0,
-                    "delivers another share of its command: a change by {value}", adds=table),
-                Candidate("actuator", what, what, "new", {f"{name}.droop": 1.0}, "1", 0.05, -0.4, 0.8,
-                    "falls short by {value} at full command", adds=table),
-                Candidate("actuator", what, "history", "new", {f"{name}.lag_s": 1.0}, "s", 60.0, 0.0, 3600.0,
-                    "follows its command late by {value}", adds=table, shapes=("step",), lumped=LUMPED_S),
-            ]  # fmt: skip
+            if column not in having and column != sites.clock:
+                name = f"actuator_of_{column}"
+                table = {name: {"kind": cls.kind, "column": column}}
+                found += [replace(c, adds=table) for c in _faults(column, name, _NEUTRAL)]
         return tuple(found)
+
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        now = {key: sites.values[f"{self.name}.{key}"] for key in _NEUTRAL}
+        changed = {f"{self.name}.{key}" for key, value in now.items() if value != _NEUTRAL[key]}
+        faults = _faults(self.column, self.name, now)
+        return tuple(replace(c, change="existing") if changed & set(c.changes) else c for c in faults)
 
     def emit(self, n: Names) -> Fragment:
         value = n.arrived()
@@ -93,3 +74,25 @@ class Actuator(Element):
         if value == n.arrived() and dead_time is None and lag is None:
             return Fragment()
         return Fragment(drive=Drive(self.column, value, dead_time, lag))
+
+
+_NEUTRAL = {"gain": 1.0, "droop": 0.0, "lag_s": 0.0, "offset": 0.0}
+
+
+def _faults(column: str, name: str, now: Mapping[str, float]) -> list[Candidate]:
+    """What may happen to an actuator, or to a meter of a temperature, that has these values now."""
+    what, unit = column.rsplit("_", 1)
+    if unit == "C":
+        return [
+            Candidate("sensor", column, "constant", "new", {f"{name}.offset": 1.0}, "K", 0.5, -20.0, 20.0,
+                "reads {value} off"),
+        ]  # fmt: skip
+    gain, droop, lag = now["gain"], now["droop"], now["lag_s"]
+    return [
+        Candidate("actuator", what, "constant", "new", {f"{name}.gain": 1.0}, "1", 0.03, 0.1 - gain, 3.0 - gain,
+            "delivers another share of its command: a change by {value}"),
+        Candidate("actuator", what, what, "new", {f"{name}.droop": 1.0}, "1", 0.05, -0.4 - droop, 0.8 - droop,
+            "falls short by {value} at full command"),
+        Candidate("actuator", what, "history", "new", {f"{name}.lag_s": 1.0}, "s", 60.0, -lag, 3600.0,
+            "follows its command late by {value}", shapes=("step",), lumped=LUMPED_S),
+    ]  # fmt: skip

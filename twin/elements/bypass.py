@@ -12,7 +12,7 @@ effectiveness of 1 - fraction there. Past the last node of an open path what is 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
@@ -34,6 +34,7 @@ class Bypass(Element):
 
     @classmethod
     def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+        having = {e.around for e in sites.having(cls.kind)}
         around: list[tuple[str, tuple[str, ...]]] = [(sites.places[node], (node,)) for node in sites.before]
         around += [(place, group) for place, group in sites.groups.items() if all(n in sites.before for n in group)]
         return tuple(
@@ -43,8 +44,16 @@ class Bypass(Element):
                 adds={name: {"kind": cls.kind, "around": list(nodes)}},
             )
             for place, nodes in around
-            if (name := f"bypass_of_{nodes[0]}" if len(nodes) == 1 else f"bypass_of_{place}")
+            if nodes not in having and (name := f"bypass_of_{nodes[0]}" if len(nodes) == 1 else f"bypass_of_{place}")
         )  # fmt: skip
+
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        places = {nodes: place for place, nodes in sites.groups.items()}
+        where = places.get(self.around, sites.places[self.around[0]])
+        now = sites.values[f"{self.name}.fraction"]
+        says = "is passed by another share of the flow: a change by {value}" if now else "is passed by {value}"
+        fraction = self.moves("fraction", "flow", where, "constant", "of the flow", 0.05, -now, 0.9 - now, says)
+        return (fraction if now else replace(fraction, change="new"),)
 
     def emit(self, n: Names) -> Fragment:
         if n.constant("fraction") == 0.0:

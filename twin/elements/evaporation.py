@@ -62,6 +62,12 @@ class Evaporation(Element):
             if sites.room and node not in having and (name := f"evaporation_of_{node}")
         )  # fmt: skip
 
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        where, now = sites.places[self.node], sites.values[f"{self.name}.area"]
+        driver = "humidity" if self.humidity else "temperature"
+        says = "loses heat by evaporation from {value} of open water beside what was commissioned"
+        return (self.moves("area", "heat_loss", where, driver, "m2", 0.02, -now, 2.0, says),)
+
     def emit(self, n: Names) -> Fragment:
         room, air, water, pressure = (n.local(name) for name in ("room", "air", "water", "pressure"))
         strength, share = n.local("strength"), n.local("share")

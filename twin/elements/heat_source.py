@@ -104,9 +104,7 @@ class HeatSource(Element):
             for driver, table, sizes, unit, typical, says in _laws(sites):
                 if driver == "constant" and set(nodes) <= known:
                     continue
-                if table.get("law") == "linear" and any(
-                    e.driver == table["driver"] for e in sites.having(cls.kind) if e.node in nodes
-                ):
+                if any(e.driver == table.get("driver") for e in sites.having(cls.kind) if e.node in nodes):
                     continue
                 words = "_".join((driver, nodes[0] if len(nodes) == 1 else where))
                 names = {node: f"heat_by_{words}" if len(nodes) == 1 else f"heat_by_{words}_{node}" for node in nodes}
@@ -141,7 +139,32 @@ class HeatSource(Element):
             now = sites.values[f"{self.name}.factor"]
             where = self.driver.rsplit("_", 1)[0]
             return (self.moves("factor", "actuator", where, "constant", "W/W", 0.03, -now, 3.0, says),)
-        return ()
+        if self.law in ("daily", "daylight"):
+            return self._other_day(where, sites)
+        column, unit = self.driver.rsplit("_", 1)
+        if self.law == "linear" and unit == "W":
+            now, says = sites.values[f"{self.name}.gain"], f"takes up {{value}} more of {column} than when commissioned"
+            return (self.moves("gain", "heat_source", where, column, "W/W", 0.03, -now, 3.0, says),)
+        if unit != "pct":
+            return ()
+        size, full = ("power_100", 1.0) if self.law == "cubed" else ("gain", 100.0)
+        now = full * sites.values[f"{self.name}.{size}"]
+        says = f"gives off {{value}} more at full {column.replace('_', ' ')} than when commissioned"
+        power = self.moves(size, "heat_source", where, column, "W", 20.0, -now, 2000.0, says)
+        return (replace(power, changes={name: w / full for name, w in power.changes.items()}),)
+
+    def _other_day(self, where: str, sites: Sites) -> tuple[Candidate, ...]:
+        """The same hours with another peak."""
+        now = {s.name: sites.values[f"{self.name}.{s.name}"] for s in self.parameter_specs()}
+        peak = math.hypot(now["cosine"], now["sine"]) - now.get("night", 0.0)
+        if peak <= 0.0:
+            return ()
+        changes = {f"{self.name}.{size}": value / peak for size, value in now.items() if value}
+        says = "gives off up to {value} more in the course of the day than when commissioned"
+        return (
+            Candidate("heat_source", where, "time_of_day", "existing", changes, "W", 20.0, -peak, 2000.0, says,
+                shapes=("step",)),
+        )  # fmt: skip
 
     def emit(self, n: Names) -> Fragment:
         if not self.driver:
@@ -175,7 +198,10 @@ def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], str
     laws: list[tuple[str, dict[str, str], dict[str, float], str, float, str]] = [
         ("constant", {}, {"power": 1.0}, "W", 20.0, unknown)
     ]
-    heaters = {e.driver for e in sites.having(HeatSource.kind) if e.law == "linear" and e.driver.endswith("_pct")}
+    sources = sites.having(HeatSource.kind)
+    # A speed moves air or water, whatever heat goes along with it.
+    speeds = {column for e in sites.elements if e.kind != HeatSource.kind for column in e.inputs()}
+    heaters = {e.driver for e in sources if e.law == "linear" and e.driver.endswith("_pct")} - speeds
     for column in sites.inputs:
         straight = {"driver": column, "law": "linear"}
         if column.endswith("_W"):

@@ -10,7 +10,7 @@ is nothing. Source: the two-node lumped model (Incropera, Fundamentals of Heat a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
@@ -39,10 +39,27 @@ class HiddenMass(Element):
 
     @classmethod
     def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
-        found = [_mass(sites.places[node], node, "", tau) for node in sites.nodes for tau in TIME_CONSTANTS_S]
+        having = {e.node for e in sites.having(cls.kind)}
+        bare = [(sites.places[node], node) for node in sites.nodes if node not in having]
+        found = [_mass(where, node, "", tau) for where, node in bare for tau in TIME_CONSTANTS_S]
         if sites.room:
-            found += [_mass(sites.places[node], node, sites.room, t) for node in sites.nodes for t in PUT_IN_S]
+            found += [_mass(where, node, sites.room, tau) for where, node in bare for tau in PUT_IN_S]
         return tuple(found)
+
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        where = sites.places[self.node]
+        capacity, conductance = (sites.values[f"{self.name}.{k}"] for k in ("capacity", "conductance"))
+        if not capacity or not conductance:
+            return ()
+        takes = "has a mass beside it that takes {value} more heat than when commissioned"
+        passes = "exchanges {value} more with the mass beside it than when commissioned"
+        masses = (
+            self.moves("capacity", "thermal_mass", where, "history", "J/K", 0.1 * capacity, -0.9 * capacity,
+                10.0 * capacity, takes),
+            self.moves("conductance", "thermal_mass", where, "history", "W/K", 0.1 * conductance, -0.9 * conductance,
+                10.0 * conductance, passes),
+        )  # fmt: skip
+        return tuple(replace(mass, shapes=("step",)) for mass in masses)
 
     def emit(self, n: Names) -> Fragment:
         if n.constant("capacity") == 0.0 or n.constant("conductance") == 0.0:

@@ -50,6 +50,11 @@ class NaturalConvection(Element):
             if sites.room and node not in having and (name := f"convection_of_{node}")
         )  # fmt: skip
 
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        where, now = sites.places[self.node], sites.values[f"{self.name}.coefficient"]
+        says = "loses more heat to the room by natural convection than when commissioned, {value}"
+        return (self.moves("coefficient", "heat_loss", where, "temperature", "W/K^1.25", 0.5, -now, 40.0, says),)
+
     def emit(self, n: Names) -> Fragment:
         d, q, g = n.local("d"), n.local("q"), n.local("g")
         power = f"0.5 * ({n.par('exponent')} - 1.0)"

@@ -65,6 +65,12 @@ class Radiation(Element):
             if sites.room and node not in having and (name := f"radiation_of_{node}")
         )  # fmt: skip
 
+    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+        where, now = sites.places[self.node], sites.values[f"{self.name}.area"]
+        kind, other = ("coupling", self.to) if self.to else ("heat_loss", "the room")
+        says = f"radiates to {other} from {{value}} more than when commissioned"
+        return (self.moves("area", kind, where, "temperature", "m2", 0.1, -now, 5.0, says),)
+
     def emit(self, n: Names) -> Fragment:
         a, b, q, g = n.local("a"), n.local("b"), n.local("q"), n.local("g")
         other = n.temperature(self.to) if self.to else n.input(self.ambient)

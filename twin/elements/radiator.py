@@ -84,6 +84,7 @@ class Radiator(Element):
         where, now = sites.places[self.node], {k: sites.values[f"{self.name}.{k}"] for k in ("UA_100", "fan_exponent")}
         full, law = now["UA_100"], "with the fan's speed by a power that differs by {value}"
         rejects = ("heat_rejection", where)
+        own = sites.values[f"{self.name}.recirculation"]
         water = sites.values[f"{self.name}.flow_exponent"]
         # An "outlet" hides the drop along the core, and with it what the flow does.
         flows = () if self.form == "outlet" else (
@@ -103,9 +104,9 @@ class Radiator(Element):
             self.moves("UA_still", *rejects, "constant", "W/K", 1.0, -sites.values[f"{self.name}.UA_still"], 200.0,
                 "rejects {value} whatever the fan does"),
             replace(
-                self.moves("recirculation", *rejects, "rejected_heat", "K/W", 0.001, 0.0, 0.1,
+                self.moves("recirculation", *rejects, "rejected_heat", "K/W", 0.001, -own, 0.1 - own,
                     "draws in its own warm air: {value}"),
-                change="new",
+                change="existing" if own else "new",
             ),
         )  # fmt: skip
 

@@ -86,7 +86,10 @@ class Sensor(Element):
             *later,
         ]  # fmt: skip
         if self.other:
-            return tuple(found)
+            now_c = sites.values[f"{self.name}.cross_talk"]
+            says = f"picks up another share of the temperature of {self.other}: a change by {{value}}"
+            share = self.moves("cross_talk", *sensor, "temperature_difference", "1", 0.02, -now_c, 0.9 - now_c, says)
+            return (*found, share)
         for other in sites.nodes:
             if other != self.node:
                 says = f"picks up {{value}} of the temperature of {other}"

@@ -1,0 +1,65 @@
+"""A twin that has taken up an effect is asked again: nothing is in its own way, and what has changed since is told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.discovery.conftest import Bench
+from tests.twin.conftest import LOOP
+from twin.discovery.catalogue import catalogue, extended, sized
+from twin.discovery.engine import diagnose
+from twin.elements.base import Candidate
+from twin.network import Network
+from twin.twinfile import load
+
+ADOPTED = {
+    "heat_by_fan_speed_tank_straight": (
+        {"kind": "heat_source", "node": "tank", "driver": "fan_speed_pct", "law": "linear", "gain": 0.45},
+        {"gain": 0.9},
+        ("heat_source", "tank", "fan_speed"),
+    ),
+    # A lag of zero is left out of the formulas of a twin.
+    "actuator_of_heater_power_W": (
+        {"kind": "actuator", "column": "heater_power_W", "gain": 0.95},
+        {"lag_s": 150.0},
+        ("actuator", "heater_power", "history"),
+    ),
+}
+
+
+def every_form(candidates: tuple[Candidate, ...]) -> Iterator[Candidate]:
+    for candidate in candidates:
+        yield candidate
+        if candidate.near is not None:
+            yield from candidate.near()
+
+
+def taken_up(network: Network, candidate: Candidate) -> Network:
+    bigger = extended(network, candidate)
+    return bigger.with_values(sized(bigger, candidate, candidate.typical))
+
+
+def test_whatever_a_twin_took_up_may_change_and_nothing_further_is_named_as_it() -> None:
+    network = load(LOOP)
+    silent = []
+    for candidate in every_form(catalogue(network)):
+        own = taken_up(network, candidate)
+        offered = tuple(every_form(catalogue(own)))
+        for further in offered:
+            extended(own, further)
+        if not any(set(c.changes) & set(candidate.changes) for c in offered if not c.adds):
+            silent.append(candidate.id)
+    assert silent == []
+
+
+@pytest.mark.parametrize("name", ADOPTED)
+def test_an_effect_that_grows_after_it_was_adopted_is_told(bench: Bench, name: str) -> None:
+    table, later, (kind, where, driver) = ADOPTED[name]
+    own = Bench(bench.with_element(name, table))
+    more = bench.with_element(name, {**table, **later})
+    healthy = own.record(10.0, seed=7)
+    assert diagnose(own.network, own.record(16.0), healthy).verdict == "adequate"
+    answer = diagnose(own.network, own.record(16.0, 1, more, onset_h=5.0), healthy)
+    assert [(e.kind, e.where, e.driver) for e in answer.effects] == [(kind, where, driver)]
