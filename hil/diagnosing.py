@@ -25,14 +25,14 @@ from hil.record import Record, read_record
 from hil.record_time import span
 from hil.run_folder import RunFolder
 from hil.segments import longest
-from twin.discovery.basis import Columns
+from twin.discovery.basis import Columns, Commissioned
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.engine import diagnose
 from twin.discovery.experiment import Limits
 from twin.discovery.grid import on_grid
 from twin.discovery.growing.answer import diagnose_grown, fits_growth
 from twin.network import InputSpec, Network, Revision, TwinFileError
-from twin.revisions import save_revision
+from twin.revisions import chain, save_revision
 from twin.twinfile import save
 
 CLOCK = "time_of_day_h"
@@ -161,6 +161,16 @@ def read_columns(
         text = [message for message in record.messages if message.endswith("holds text: dropped")]
         raise TwinFileError("; ".join([f"{path}: {error}", *text])) from None
     return columns, record.messages
+
+
+def read_healthy(network: Network, twin: Path, path: Path, hour_at_0: float | None) -> Commissioned:
+    """The healthy record of a twin, which may have taken up effects since it was made; see `read_columns`."""
+    columns, _ = read_columns(network, path, hour_at_0)
+    told = [with_clock(entry.network) if CLOCK in network.inputs else entry.network for entry in chain(twin)[1:]]
+    alike = tuple(
+        n for n in told if n.input_columns == network.input_columns and n.sensor_names == network.sensor_names
+    )
+    return Commissioned(columns.time_s, columns.inputs, columns.measured, columns.members, alike)
 
 
 def answer(

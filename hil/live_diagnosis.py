@@ -155,13 +155,13 @@ class _Worker:
     """The work in the other process: reads what is new in the journal and diagnoses all of it."""
 
     def __init__(self, config: LiveConfig) -> None:
-        from hil.diagnosing import read_columns
+        from hil.diagnosing import read_healthy
         from hil.experiment_file import limits_of, rig_of
         from twin.twinfile import load
 
         self._config = config
         self._network = load(config.twin)
-        self._healthy = read_columns(self._network, config.healthy, None)[0] if config.healthy else None
+        self._healthy = read_healthy(self._network, config.twin, config.healthy, None) if config.healthy else None
         rig = rig_of(config.journal.parent)
         self._limits = limits_of(rig) if rig is not None else None
         self._blocks: list[Samples] = []

@@ -11,7 +11,7 @@ import platform
 import shutil
 import sys
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -118,6 +118,14 @@ class RunFolder:
             yield
         finally:
             os.close(handle)
+
+    def keep_twin(self, files: Sequence[Path]) -> None:
+        """Copy the twin file that a run begins with, and after it what that was made of, newest first.
+
+        A healthy record may belong to one of the latter.
+        """
+        for age, file in enumerate(files):
+            shutil.copyfile(file, self.path / f"twin.before-{age}.toml" if age else self.twin)
 
     def write_manifest(self, document: dict[str, Any]) -> None:
         """Write `run.json` in one step."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import shutil
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, dataclass, replace
@@ -34,6 +33,7 @@ from hil.states import ENDED, State
 from hil.terminal import hours
 from hil.tracking import STATIC, Comparison, Proposed, Twins
 from hil.tracking_process import Tracking
+from twin.revisions import chain
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ async def run_session(
         manifest = new_manifest(files_of(request, ready), **settings_of(request, tracking))
         folder.write_manifest(manifest)
         if ready.twin is not None:
-            shutil.copyfile(ready.twin, folder.twin)
+            folder.keep_twin([entry.path for entry in chain(ready.twin)])
         return await _guarded(_Run(folder, manifest, request, ready, tracking, observer, announce))
 
 

@@ -84,6 +84,7 @@ def command(
         clock_of,
         provenance,
         read_columns,
+        read_healthy,
         revise,
         subject_of,
         with_clock,
@@ -106,7 +107,7 @@ def command(
     network = load(subject.twin)
     hour = clock_of(clock) if clock else clock_beside(subject.record)
     told = with_clock(network) if hour is not None and not at_rest else network
-    good = read_columns(told, healthy, hour)[0] if healthy else None
+    good = read_healthy(told, subject.twin, healthy, hour) if healthy else None
     if forecast:
         foretell(console(), told, subject.record, good, hour, as_json=as_json)
         return

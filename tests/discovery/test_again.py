@@ -8,8 +8,10 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from tests.twin.conftest import LOOP
+from twin.discovery.basis import Commissioned
 from twin.discovery.catalogue import catalogue, extended, sized
 from twin.discovery.engine import diagnose
+from twin.discovery.health import NotHealthyError
 from twin.elements.base import Candidate
 from twin.network import Network
 from twin.twinfile import load
@@ -63,3 +65,18 @@ def test_an_effect_that_grows_after_it_was_adopted_is_told(bench: Bench, name: s
     assert diagnose(own.network, own.record(16.0), healthy).verdict == "adequate"
     answer = diagnose(own.network, own.record(16.0, 1, more, onset_h=5.0), healthy)
     assert [(e.kind, e.where, e.driver) for e in answer.effects] == [(kind, where, driver)]
+
+
+def test_a_healthy_record_from_before_an_adoption_is_read_by_the_twin_of_then(bench: Bench) -> None:
+    own = bench.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 120.0})
+    good, later = bench.record(10.0, seed=7), Bench(own).record(16.0)
+    with pytest.raises(NotHealthyError, match="does not fit the twin"):
+        diagnose(own, later, good)
+    before = Commissioned(good.time_s, good.inputs, good.measured, before=(bench.network,))
+    answer = diagnose(own, later, before)
+    assert answer.verdict == "adequate"
+    assert any("before the twin's last changes" in note for note in answer.notes)
+    # The whole record of the rig without what was taken up: the effect is gone.
+    gone = diagnose(own, bench.record(16.0), before)
+    assert [(e.kind, e.where, e.change) for e in gone.effects] == [("heat_source", "modules", "existing")]
+    assert gone.effects[0].value == pytest.approx(-120.0, rel=0.03)

@@ -73,6 +73,15 @@ def test_undeclared_heat_is_found_added_and_the_twin_is_right_again(runs: dict[s
     run = simulate(revised, data.time_s[begin:], inputs[begin:], state)
     off = np.sqrt(np.nanmean((run - measured[begin:])[1800:] ** 2, axis=0))
     assert (off < 2.0 * revised.sigma).all()
+    # It may be asked again, with the same healthy record: the rig was not as it is now before the heat came.
+    again = hil(
+        "diagnose", record, "--twin", twin.with_name("rig.r2.toml"), "--healthy",
+        runs["healthy"] / "record.parquet", "--dry", "--json",
+    )  # fmt: skip
+    assert again.returncode == 1, again.stderr
+    (effect,) = json.loads(again.stdout)["effects"]
+    assert (effect["kind"], effect["where"], effect["onset_s"]) == ("unknown", "modules", 0.0)
+    assert effect["value"] == pytest.approx(-150.0, rel=0.08)
     # And it can be undone.
     assert hil("twin", "revert", twin.with_name("rig.r2.toml")).returncode == 0
     assert load(twin.with_name("rig.r3.toml")).parameters["modules_power.power"].value == 0.0

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from twin.commission import weak_prior
 from twin.discovery import noise as noises
 from twin.discovery.contest import Contest
-from twin.discovery.grid import Grid
+from twin.discovery.grid import Grid, on_grid
 from twin.discovery.health import Health
 from twin.discovery.laws import Book
 from twin.discovery.probe import Probe, free_run
@@ -20,6 +20,9 @@ from twin.discovery.structure import Structure
 from twin.discovery.widening import Bootstrap, kept
 from twin.gauss_newton import Prior
 from twin.network import Array, Network, TwinFileError
+
+BETTER = 0.9
+"""Share of the squares that a newer twin leaves of a healthy record which an older one has to stay below."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,16 @@ class Columns:
 
 
 @dataclass(frozen=True)
+class Commissioned(Columns):
+    """A healthy record, and the twin as it was `before` it took up what that record does not hold, newest first.
+
+    Those of `before` have the columns of the twin at hand.
+    """
+
+    before: tuple[Network, ...] = ()
+
+
+@dataclass(frozen=True)
 class Basis:
     """What is known before the record is looked at.
 
@@ -56,6 +69,7 @@ class Basis:
         structure: what the twin's structure leaves, as far as the healthy record says. plain: the noise where none of
             that is known.
         bootstrap: what healthy records drawn from this twin came to, where that was found out (`bootstrap`).
+        earlier: number of the revision that the healthy record belongs to, where it is not the twin's own, or None.
     """
 
     probe: Probe
@@ -67,6 +81,17 @@ class Basis:
     plain: noises.Noise | None = None
     structure: Structure | None = None
     bootstrap: Bootstrap | None = None
+    earlier: int | None = None
+
+    @property
+    def sentence(self) -> str:
+        """Which twin the healthy record belongs to, where it is not the one at hand, else ""."""
+        if self.earlier is None:
+            return ""
+        return (
+            f"the healthy record is of the rig before the twin's last changes: noise and how far tunables are trusted "
+            f"are what its revision {self.earlier} makes of it"
+        )
 
     @property
     def wider(self) -> float:
@@ -85,18 +110,19 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
     probe, book = Probe(network, ids), Book(network)
     if healthy is not None:
-        health = Health.of(network, probe, book, healthy)
+        health, of = _healthy(network, probe, book, healthy)
         same = health.noise.step_s == record.step_s
         return Basis(
             probe=probe,
             book=book,
             noise=health.less if same else health.less.at_step(record.step_s),
             plain=health.noise if same else health.noise.at_step(record.step_s),
-            prior=health.prior,
+            prior=_about(health.prior, of, probe),
             warnings=(),
             tried=_tried(health.grid),
             structure=health.structure,
             bootstrap=kept(network, healthy.time_s, healthy.inputs, healthy.measured),
+            earlier=None if of is probe else of.network.revision.number,
         )
     state, _, residual, _ = free_run(probe, record)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)
@@ -107,6 +133,40 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
     )
     own = _from_itself(probe, book, record, state, learned, prior)
     return Basis(probe, book, own, prior, (warning,), _tried(record))
+
+
+def _healthy(network: Network, probe: Probe, book: Book, healthy: Columns) -> tuple[Health, Probe]:
+    """What a healthy record says by the twin that it fits best, and the probe of that; the newest of equals."""
+    before = healthy.before if isinstance(healthy, Commissioned) else ()
+    best, least = probe, np.inf
+    for then in (network, *before) if before else ():
+        of = (
+            probe
+            if then is network
+            else Probe(then, then.tunables("commission" if "commission" in then.sets else None))
+        )
+        _, _, residual, good = free_run(of, grid := on_grid(then, healthy.time_s, healthy.inputs, healthy.measured))
+        left = float(np.nansum((np.where(good, residual, 0.0) / grid.sigma) ** 2))
+        if left < BETTER * least:
+            best, least = of, left
+    return Health.of(best.network, best, book if best is probe else Book(best.network), healthy), best
+
+
+def _about(prior: Prior, of: Probe, now: Probe) -> Prior:
+    """What a twin's tunables were trusted to be, about the values that it has now."""
+    if of is now:
+        return prior
+    shared = [i for i, name in enumerate(of.scaling.ids) if name in now.scaling.ids]
+    places = [now.scaling.ids.index(of.scaling.ids[i]) for i in shared]
+    rows = np.concatenate([shared, of.q + np.arange(of.k)]).astype(int)
+    at = np.concatenate([places, now.q + np.arange(now.k)]).astype(int)
+    covariance = np.linalg.inv(prior.precision)
+    # What it has now is no better known for being new.
+    wide = np.concatenate([now.scaling.prior_sd() ** 2, np.ones(now.k)])
+    own = np.diag(wide)
+    own[np.ix_(at, at)] = covariance[np.ix_(rows, rows)]
+    mean = np.concatenate([now.scaling.to_z(now.network.values[now.scaling.index]), prior.mean[of.q :]])
+    return Prior(mean, np.linalg.inv(own))
 
 
 def _tried(grid: Grid) -> Array:

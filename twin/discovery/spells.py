@@ -125,9 +125,9 @@ def _best(contest: Contest, law: Law) -> Spell | None:
     bottom: Array = sums[last, last] - sums[first, last] - sums[last, first] + sums[first, first]
     bottom = np.maximum(bottom, _TINY * max(float(np.diag(sums).max()), _TINY))
     top = tops[last] - tops[first]
-    size = top / bottom
     c = law.candidate
-    gain = np.where((size >= c.lower) & (size <= c.upper) & (np.abs(size) >= c.lumped), top * size, 0.0)
+    size = np.clip(top / bottom, c.lower, c.upper)
+    gain = np.where(np.abs(size) >= c.lumped, (2.0 * top - bottom * size) * size, 0.0)
     k = int(np.argmax(gain))
     if gain[k] <= 0.0:
         return None
