@@ -12,6 +12,7 @@ BENCHMARKS = {
     "hiera": "Who keeps a twin true on rigs never seen: swarm, least squares, filter, network",
     "ablations": "The network's pieces, each left out in turn, at the same CPU time of training",
     "discovery": "Blind trial of the diagnosis: hidden effects, sealed answers",
+    "again": "A twin that took up an effect, asked again: nothing new, and a second effect",
     "faults": "Faults of wires, rig and harness: heater safe, no sample lost, no wrong value believed",
     "loop": "How evenly the loop ticks, its memory over 40 hours, and what a run that is killed loses",
     "structure": "Commissioned twins of four and of ten volumes on healthy rigs of another maker",

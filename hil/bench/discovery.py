@@ -93,7 +93,7 @@ class Trial:
         if kept.is_file():
             return _read(kept)
         case = setting(number, self.seed, self.size.hours, kind)
-        good, twin = self._commissioned(case.unit)
+        good, twin = commissioned(self._rigs, case.unit, self.size.twin)
         folder = self._open / name
         folder.mkdir(exist_ok=True)
         record = folder / "record.parquet"
@@ -136,27 +136,6 @@ class Trial:
             for path in folder.glob("*.parquet"):
                 path.unlink()
 
-    def _commissioned(self, unit: int) -> tuple[Path, Path]:
-        """Healthy record and twin of a specimen, made once."""
-        record, twin = self._rigs / f"unit_{unit}.parquet", self._rigs / f"unit_{unit}.toml"
-        if not record.is_file():
-            from drivers.rigfile import load_rig
-            from hil.bench.discovery_direct import direct_record
-            from hil.profile import read_profile
-            from hil.record import write_record
-
-            made = direct_record(read_profile(COMMISSIONING), load_rig(RIG), seed=COMMISSIONING_SEED + unit, unit=unit)
-            write_record(made, record)
-        if not twin.is_file():
-            from hil.record import read_record
-            from twin.commission import commission
-            from twin.twinfile import load, save
-
-            network = load(PROJECT / "profiles" / "twins" / f"{self.size.twin}.toml")
-            data = read_record(record)
-            save(commission(network, data.time_s, *network.select(data.columns)).network, twin)
-        return record, twin
-
     def _over_the_wire(self, case: Setting, record: Path, asked: dict[str, Any]) -> str:
         """Replay the case's profile with `hil run`'s loop on the rig that the injector serves."""
         from hil.run_request import RunRequest
@@ -179,6 +158,28 @@ class Trial:
             finally:
                 self._injector.ask(do="stop")
         return str(served["sealed"])
+
+
+def commissioned(folder: Path, unit: int, twin: str) -> tuple[Path, Path]:
+    """Healthy record and commissioned twin of a specimen in a folder, made once; `twin` of `profiles/twins`."""
+    good, own = folder / f"unit_{unit}.parquet", folder / f"unit_{unit}.toml"
+    if not good.is_file():
+        from drivers.rigfile import load_rig
+        from hil.bench.discovery_direct import direct_record
+        from hil.profile import read_profile
+        from hil.record import write_record
+
+        made = direct_record(read_profile(COMMISSIONING), load_rig(RIG), seed=COMMISSIONING_SEED + unit, unit=unit)
+        write_record(made, good)
+    if not own.is_file():
+        from hil.record import read_record
+        from twin.commission import commission
+        from twin.twinfile import load, save
+
+        network = load(PROJECT / "profiles" / "twins" / f"{twin}.toml")
+        data = read_record(good)
+        save(commission(network, data.time_s, *network.select(data.columns)).network, own)
+    return good, own
 
 
 def measure(size: Size, seed: int, work: Path, progress: Callable[[float, str], None]) -> list[Finished]:

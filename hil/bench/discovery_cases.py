@@ -15,8 +15,9 @@ import numpy as np
 from hil.profile import Profile
 from twin.network import Array
 
-KINDS = ("case", "healthy", "double")
-"""Of records: as they come, without anything hidden, or with two effects of the catalogue."""
+KINDS = ("case", "healthy", "double", "again", "later")
+"""Of records: as they come, without anything hidden, with two effects of the catalogue; of a twin that is asked again,
+the first and the later ones."""
 GROUPS = ("none", "one", "two", "outside")
 """Nothing; one or two effects that the catalogue has; something that it cannot express."""
 LOADS = ("battle", "steps", "busy", "constant fan and pump")
@@ -91,6 +92,18 @@ def truth(number: int, seed: int, hours: float, kind: str = "case") -> Truth:
     if rng.uniform() >= _DOUBLE_SHARE:
         return Truth("one", first[0], (first[1],), (first[2],))
     return _two(rng, end, first)
+
+
+def lasting(number: int, seed: int, hours: float) -> tuple[Truth, Truth]:
+    """Two different effects that come in and stay as they are, for one rig."""
+    rng = np.random.default_rng([seed, number, 6])
+    found: list[Drawn] = []
+    while len(found) < 2:
+        drawn = _inside(rng, hours * 3600.0)
+        if drawn[2][2] != "elapsed_time" and drawn[2][:2] not in [old[2][:2] for old in found]:
+            found.append(drawn)
+    first, second = (Truth("one", what, (table,), (label,)) for what, table, label in found)
+    return first, second
 
 
 Drawn = tuple[str, dict[str, Any], tuple[str, str, str]]

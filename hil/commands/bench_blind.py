@@ -154,3 +154,29 @@ def discovery_command(
     with Steps("diagnosing", 1.0, quiet=as_json) as steps:
         done = discovery.measure(size, seed, work, steps.update)
     finish("discovery", seed, tables(done, size), discovery.left_out(), out, as_json)
+
+
+@click.command("again")
+@click.option("--cases", default=24, show_default=True, help="Number of rigs.")
+@click.option("--hours", default=24.0, show_default=True, help="Length of each record.")
+@click.option(
+    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/again"),
+    show_default=True, help="Finished cases are kept here.",
+)  # fmt: skip
+@SEED
+@OUT
+@JSON
+def again_command(cases: int, hours: float, work: Path, seed: int, out: Path | None, as_json: bool) -> None:
+    """A twin that took up an effect, asked again: later records with nothing new, and with a second effect.
+
+    \b
+    Example:
+      hil bench again --cases 4
+      hil bench again --seed 1821 --out docs/results
+    """
+    from hil.bench import discovery_again
+    from hil.terminal import Steps
+
+    with Steps("diagnosing", 1.0, quiet=as_json) as steps:
+        done = discovery_again.measure(cases, hours, seed, work, steps.update)
+    finish("discovery_again", seed, discovery_again.tables(done, hours), (), out, as_json)

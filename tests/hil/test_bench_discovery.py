@@ -16,8 +16,9 @@ from click.testing import CliRunner
 from drivers.rigfile import load_rig
 from drivers.virtual.effects import load_effects
 from drivers.virtual.thermocouple_module import ThermocoupleModule
-from hil.bench import discovery
-from hil.bench.discovery_cases import KINDS, effects_text, profile, profile_text, setting, truth
+from hil.bench import discovery, discovery_again
+from hil.bench.discovery_again import Chain
+from hil.bench.discovery_cases import KINDS, effects_text, lasting, profile, profile_text, setting, truth
 from hil.bench.discovery_direct import direct_record
 from hil.bench.discovery_injector import RIG, opened, seal
 from hil.bench.discovery_ledger import Ledger, LedgerError, sha256_of
@@ -268,3 +269,26 @@ def test_a_direct_record_is_like_one_over_the_wire(tmp_path: Path) -> None:
         assert late.mean() == pytest.approx(values[-300:].mean(), rel=0.01), name
         if name.startswith("T_"):
             assert np.diff(late).std() == pytest.approx(np.diff(values[-300:]).std(), rel=0.3), name
+
+
+def test_effects_that_a_twin_is_asked_about_again_stay_and_differ() -> None:
+    for number in range(20):
+        first, second = lasting(number, 3, 24.0)
+        assert first.labels[0][:2] != second.labels[0][:2]
+        for drawn in (first, second):
+            assert drawn.labels[0][2] != "elapsed_time" and not {"ramp_s", "drift_per_h"} & set(drawn.effects[0])
+
+
+def test_a_twin_that_took_up_an_effect_is_counted_by_its_later_records() -> None:
+    found = judged(answer("effect found", effect()))
+    calm = judged(answer("adequate"), {**HIDDEN, "group": "none", "labels": [], "effects": []})
+    alarm = judged(answer("effect found", effect()), {**HIDDEN, "group": "none", "labels": [], "effects": []})
+    wrong = judged(answer("effect found", effect(where="heater")))
+    chains = [Chain(found, calm, found), Chain(found, alarm, wrong), Chain(found)]
+    scores, failures = discovery_again.tables(chains, 24.0)
+    counts = {row[0]: row[1:3] for row in scores.rows}
+    assert counts["first record: right but for equivalents"] == (3, 3)
+    assert counts["first record: a revision saved"] == (2, 3)
+    assert counts["later record, nothing new: adequate"] == (1, 2)
+    assert counts["later record, a second effect: right but for equivalents, of found"] == (1, 2)
+    assert [row[1] for row in failures.rows] == ["false alarm", "wrong"]
