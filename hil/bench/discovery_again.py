@@ -45,7 +45,8 @@ def measure(count: int, hours: float, seed: int, work: Path, progress: Callable[
             kept.parent.mkdir(parents=True, exist_ok=True)
             kept.write_text(json.dumps(dataclasses.asdict(_chain(number, hours, seed, kept.parent))), encoding="utf-8")
         found = json.loads(kept.read_text(encoding="utf-8"))
-        done.append(Chain(**{k: Outcome(**v) if v else None for k, v in found.items()}))
+        same, more = (Outcome(**found[key]) if found[key] else None for key in ("same", "more"))
+        done.append(Chain(Outcome(**found["first"]), same, more))
         progress((number + 1) / count, " / ".join(o.verdict for o in _outcomes(done[-1:])))
     return done
 
