@@ -113,13 +113,18 @@ class System:
         return tuple(dict.fromkeys(self.text(f.delay.flow) for _, f in self.parts if f.delay))
 
     @cached_property
-    def coefficients(self) -> dict[str, str]:
+    def own_coefficients(self) -> dict[str, str]:
+        """What elements have worked out once a sample, and reciprocal capacitances: nothing taken apart."""
         found = {self.text(name): self.text(value) for _, f in self.parts for name, value in (*f.uniform, *f.sample)}
         for j, node in enumerate(self.network.nodes):
             found[f"c{j}"] = f"1.0 / {self.text(f'<P:{node}.capacitance>')}"
+        return found
+
+    @cached_property
+    def coefficients(self) -> dict[str, str]:
         for part in (self.chain, self.slopes, self.followers, self.waters):
             assert part is not None  # each names coefficients of its own
-        return _in_order({**found, **self._named})
+        return _in_order({**self.own_coefficients, **self._named})
 
     @cached_property
     def locals_(self) -> dict[str, str]:
@@ -340,7 +345,7 @@ def remembering_source(system: System) -> str:
 
 
 def _locals(system: System) -> list[str]:
-    steps = _in_order({**system.coefficients, **system.locals_})
+    steps = _in_order({**system.own_coefficients, **system.locals_})
     return [f"{name} = {value}" for name, value in steps.items()]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -69,7 +70,7 @@ class Basis:
         structure: what the twin's structure leaves, as far as the healthy record says. plain: the noise where none of
             that is known.
         bootstrap: what healthy records drawn from this twin came to, where that was found out (`bootstrap`).
-        earlier: number of the revision that the healthy record belongs to, where it is not the twin's own, or None.
+        earlier: the twin that the healthy record belongs to, where it is not the one at hand, or None.
     """
 
     probe: Probe
@@ -81,17 +82,32 @@ class Basis:
     plain: noises.Noise | None = None
     structure: Structure | None = None
     bootstrap: Bootstrap | None = None
-    earlier: int | None = None
+    earlier: Network | None = None
 
     @property
     def sentence(self) -> str:
         """Which twin the healthy record belongs to, where it is not the one at hand, else ""."""
         if self.earlier is None:
             return ""
+        silent = [s.name for s in self.probe.network.sensors if len(s.measured) > 1 and s.node in self.taken_up]
         return (
             f"the healthy record is of the rig before the twin's last changes: noise and how far tunables are trusted "
-            f"are what its revision {self.earlier} makes of it"
-        )
+            f"are what its revision {self.earlier.revision.number} makes of it"
+        ) + (f"; the single thermometers of {' and '.join(silent)} are not compared with it" if silent else "")
+
+    @cached_property
+    def taken_up(self) -> frozenset[str]:
+        """Nodes that an effect has been taken up at since the healthy record."""
+        if self.earlier is None:
+            return frozenset()
+        now, then = self.probe.network, self.earlier
+        free = {*then.tunables("commission" if "commission" in then.sets else None)}
+        new = {
+            p.element
+            for p in now.parameters.values()
+            if p.id not in free and (p.id not in then.parameters or p.value != then.parameters[p.id].value)
+        }
+        return frozenset(node for e in now.elements if e.name in new for node in e.nodes())
 
     @property
     def wider(self) -> float:
@@ -122,7 +138,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
             tried=_tried(health.grid),
             structure=health.structure,
             bootstrap=kept(network, healthy.time_s, healthy.inputs, healthy.measured),
-            earlier=None if of is probe else of.network.revision.number,
+            earlier=None if of is probe else of.network,
         )
     state, _, residual, _ = free_run(probe, record)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.discovery.basis import Columns, basis
+from twin.discovery.basis import Basis, Columns, basis
 from twin.discovery.caution import as_commissioned, first_alone, nothing, unconfirmed
 from twin.discovery.diagnosis import Diagnosis, SensorError
 from twin.discovery.experiment import Limits
@@ -90,7 +90,7 @@ def diagnose(
         unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
         notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
     say("judging")
-    single = _members(network, record, grid, healthy, whole.contest.edges)
+    single = _members(known, record, grid, healthy, whole.contest.edges)
     found = conclude(
         finding,
         network=network,
@@ -138,16 +138,21 @@ def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[St
 
 
 def _members(
-    network: Network, record: Columns, grid: Grid, healthy: Columns | None, edges: np.ndarray
+    told: Basis, record: Columns, grid: Grid, healthy: Columns | None, edges: np.ndarray
 ) -> tuple[Members, ...]:
+    """Single thermometers where the record and a healthy one have them, but for those of a place where an effect was
+    taken up between the two: how that has changed their differences nobody knows."""
     if healthy is None or not record.members:
         return ()
+    network = told.probe.network
+    ours = {s.name for s in network.sensors if s.node not in told.taken_up}
     known = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
 
     def means(columns: Columns, on: Grid) -> dict[str, Array]:
         return {
             name: np.column_stack([binned(one, columns.time_s, on) for one in each.T])
             for name, each in columns.members.items()
+            if name in ours
         }
 
     return members(network, means(record, grid), grid, means(healthy, known), known, edges)
