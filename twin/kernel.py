@@ -80,11 +80,6 @@ class Kernel:
         """Length of a full state."""
         return self._memory.size
 
-    @property
-    def carries(self) -> bool:
-        """Whether a full state holds what water carries along."""
-        return self._memory.rows > 0
-
     def _variant(self, mode: Mode, call: Call) -> Callable[..., None]:
         key = (mode, call.lanes, call.alike)
         if key not in self._variants:

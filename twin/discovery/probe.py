@@ -29,6 +29,8 @@ KEPT = 4
 _STEP = 1.0e-4
 _STATE_STEP = 1.0e-2
 _PROBE_W = 10.0
+_LEAST_WAY = 1.0e-9
+"""Share of the greatest difference of a state that is kept."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,7 @@ class Probe:
         centre[self._gain] = 0.0
         gained = np.tile(centre, (self.k, 1))
         gained[:, self._gain] += np.eye(self.k)
-        left: _Carried | _Linear = _Carried(state) if self._kernel.carries else _Linear(state)
+        left = _Left(state)
         for b, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
             until = min(last + 1, len(grid.time))
             # Row 0 is the undisturbed run, the k after it are this block's, the rest what earlier blocks left behind.
@@ -163,40 +165,37 @@ class Probe:
         return found
 
 
-class _Carried:
-    """What earlier blocks' heat has left behind, each block's carried on by itself: for what water carries along."""
+class _Left:
+    """What earlier blocks' heat has left behind: `shares` (b * k, r) of a few ways `basis` (r, size) in which a full
+    state can differ.
 
-    def __init__(self, base: Array, rows: Array | None = None) -> None:
+    Each way is carried on by itself. There are hardly more of them than the network has nodes: what water carries along
+    has gone round many times in a block, and is what the nodes make of it.
+    """
+
+    def __init__(self, base: Array, shares: Array | None = None, basis: Array | None = None) -> None:
         self.base = np.atleast_2d(base)
-        self.rows = self.base[:0] if rows is None else rows
+        self._shares = np.empty((0, 0)) if shares is None else shares
+        self.rows = self.base[:0] if basis is None else self.base + _STATE_STEP * basis
 
     def of(self, change: Array) -> Array:
-        """Of what these rows change (r, m): what each earlier block's heat does (b * k, m)."""
-        return change
+        """Of what these rows change (r, ...): what each earlier block's heat does (b * k, ...)."""
+        found: Array = self._shares @ change / _STATE_STEP
+        return found
 
-    def after(self, states: Array, k: int) -> _Carried:
+    def after(self, states: Array, k: int) -> _Left:
         """What is left after a block, from full states (1 + k + r, size) at its end."""
-        return _Carried(states[:1], np.vstack([states[1 + k :], states[1 : 1 + k]]))
-
-
-class _Linear:
-    """The same as a linear combination (b * k, size) of what a little more of each temperature comes to."""
-
-    def __init__(self, base: Array, left: Array | None = None) -> None:
-        self.base = np.atleast_2d(base)
-        size = self.base.shape[1]
-        self._left = np.empty((0, size)) if left is None else left
-        self.rows = self.base + _STATE_STEP * np.eye(size) if len(self._left) else self.base[:0]
-
-    def of(self, change: Array) -> Array:
-        if not len(self._left):
-            return change
-        before: Array = self._left @ change / _STATE_STEP
-        return before
-
-    def after(self, states: Array, k: int) -> _Linear:
         change = states[1:] - states[0]
-        return _Linear(states[:1], np.vstack([self.of(change[k:]), change[:k]]))
+        own, carried = change[:k], change[k:] / _STATE_STEP
+        count, r = self._shares.shape
+        shares = np.zeros((count + k, r + k))
+        shares[:count, :r], shares[count:, r:] = self._shares, np.eye(k)
+        weight = np.abs(shares).max(axis=0)
+        weight[weight == 0.0] = 1.0
+        u, singular, ways = np.linalg.svd(np.vstack([carried, own]) * weight[:, None], full_matrices=False)
+        kept = singular > _LEAST_WAY * singular[0]
+        size = np.abs(ways[kept]).max(axis=1)
+        return _Left(states[:1], (shares / weight) @ (u * singular)[:, kept] * size, ways[kept] / size[:, None])
 
 
 def posterior(network: Network, probe: Probe, grid: Grid, state: Array, inflation: float, widen: float) -> Prior:
