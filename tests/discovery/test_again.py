@@ -82,3 +82,17 @@ def test_a_healthy_record_from_before_an_adoption_is_read_by_the_twin_of_then(be
     gone = diagnose(own, bench.record(16.0), before)
     assert [(e.kind, e.where, e.change) for e in gone.effects] == [("heat_source", "modules", "existing")]
     assert gone.effects[0].value == pytest.approx(-120.0, rel=0.03)
+
+
+def test_heat_that_was_taken_for_constant_gives_way_to_what_it_follows(bench: Bench) -> None:
+    own = bench.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 60.0})
+    truth = bench.with_element(
+        "fan", {"kind": "heat_source", "node": "tank", "driver": "fan_speed_pct", "law": "cubed", "power_100": 120.0}
+    )
+    answer = diagnose(own, Bench(truth).record(16.0), Bench(own).record(10.0, seed=7))
+    told = {(e.kind, e.where, e.driver): e.value for e in answer.effects}
+    assert answer.verdict == "effect found"
+    assert told == {
+        ("heat_source", "tank", "fan_speed"): pytest.approx(120.0, rel=0.05),
+        ("heat_source", "tank", "constant"): pytest.approx(-60.0, rel=0.05),
+    }

@@ -30,6 +30,8 @@ KINDS = {
 """How likely a kind of effect is before any data, relative to a heat source."""
 _MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
 """What an actuator moves: a pump that turns slower is a flow that is less."""
+NEARLY_ALL = 0.85
+"""Share of what a twin has that goes where something else stands in its stead."""
 _RARE = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
 
 
@@ -56,7 +58,8 @@ def piled_up(entries: tuple[Entry, ...], *, clean: bool = False) -> bool:
 
     Args:
         clean: they leave no more than noise, as what stands for another form hardly does; then two of different kinds
-            may share a place that do not begin at the same moment.
+            may share a place that do not begin at the same moment, and one may stand in the stead of heat that the twin
+            has there.
     """
     same = [tuple(e.candidate.changes) for e in entries]
     return len(set(same)) < len(same) or any(_collide(a, b, clean) for a, b in itertools.combinations(entries, 2))
@@ -64,7 +67,7 @@ def piled_up(entries: tuple[Entry, ...], *, clean: bool = False) -> bool:
 
 def _collide(one: Entry, other: Entry, clean: bool) -> bool:
     """Whether two effects are at one place and may not both be there."""
-    if _place(one) != _place(other):
+    if _place(one) != _place(other) or (clean and (_instead(one) or _instead(other))):
         return False
     together_s = MOMENT_S if clean else EARLY_S
     apart_s = abs(one.shape.onset_s - other.shape.onset_s)
@@ -72,6 +75,12 @@ def _collide(one: Entry, other: Entry, clean: bool) -> bool:
         return not clean or apart_s <= together_s or _one_thing(one, other)
     amid = min(one.shape.onset_s, other.shape.onset_s) > EARLY_S
     return apart_s < together_s and (amid or "late" not in (_way(one), _way(other)))
+
+
+def _instead(entry: Entry) -> bool:
+    """Whether an effect takes away all that the twin has of something, so that another may stand in its stead."""
+    c = entry.candidate
+    return c.change == "existing" and c.kind == "heat_source" and entry.size < NEARLY_ALL * c.lower < 0.0
 
 
 def _place(entry: Entry) -> str:

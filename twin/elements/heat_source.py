@@ -131,7 +131,7 @@ class HeatSource(Element):
         where = sites.places[self.node]
         if not self.driver:
             now = sites.values[f"{self.name}.power"]
-            says = "gives off {value} that the twin does not know of"
+            says = "gives off {value} beside what the twin has there" if now else _UNKNOWN
             power = self.moves("power", "heat_source", where, "constant", "W", 20.0, -now if now else 0.0, 2000.0, says)
             return (power if now else replace(power, change="new"),)
         if self.law == "proportional":
@@ -191,12 +191,14 @@ class HeatSource(Element):
         return Fragment(heat={self.node: f"{n.par('gain')} * ({column} - {n.par('reference')})"})
 
 
+_UNKNOWN = "gives off {value} that the twin does not know of"
+
+
 def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], str, float, str]]:
     """Sources that may be missing: driver, keys of the table, size parameters with weights, unit of the size, a typical
     one, wording."""
-    unknown = "gives off {value} that the twin does not know of"
     laws: list[tuple[str, dict[str, str], dict[str, float], str, float, str]] = [
-        ("constant", {}, {"power": 1.0}, "W", 20.0, unknown)
+        ("constant", {}, {"power": 1.0}, "W", 20.0, _UNKNOWN)
     ]
     sources = sites.having(HeatSource.kind)
     # A speed moves air or water, whatever heat goes along with it.
