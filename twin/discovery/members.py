@@ -7,7 +7,7 @@ they read, or to all alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,7 +33,8 @@ class Members:
 
     Attributes:
         columns: in the order of the flow. residual: (b, c) K, of block means, less what is healthy. sd: (c,) K.
-        edges_s: (b + 1,) s from the record's beginning.
+        edges_s: (b + 1,) s from the record's beginning. most: K, that any of them stood out by in a healthy block: a
+            row that is crossed by something warmer differs for a while.
     """
 
     sensor: str
@@ -41,6 +42,13 @@ class Members:
     residual: Array
     sd: Array
     edges_s: Array
+    most: float = 0.0
+
+    def by_itself(self, i: int, residual: Array) -> Array:
+        """What member i alone is off by, K, in each row of such differences (r, c)."""
+        weight = _pattern(i, residual.shape[1]) / self.sd
+        off: Array = (residual / self.sd) @ weight / (weight @ weight)
+        return off
 
 
 @dataclass(frozen=True)
@@ -87,11 +95,14 @@ def members(
         if good.sum() < 3 * basis.shape[1]:
             continue
         law, *_ = np.linalg.lstsq(basis[good], known[1][good], rcond=None)
-        scatter = (known[1][good] - basis[good] @ law).std(axis=0)
+        left = known[1][good] - basis[good] @ law
+        scatter = left.std(axis=0)
         mean, difference = _blocks(record[sensor.name], edges)
         residual = difference - _basis(network, grid, mean, edges) @ law
         sd = np.maximum(scatter, MARGIN_K / STANDS_OUT)
-        found.append(Members(sensor.name, sensor.measured, residual, sd, edges * grid.step_s))
+        here = Members(sensor.name, sensor.measured, residual, sd, edges * grid.step_s)
+        most = max(float(np.abs(here.by_itself(i, left)).max()) for i in range(left.shape[1]))
+        found.append(replace(here, most=most))
     return tuple(found)
 
 
@@ -184,8 +195,8 @@ def restless_one(found: Members) -> Odd | None:
     best: Odd | None = None
     for i in range(number):
         weight = _pattern(i, number) / found.sd
-        size = residual @ weight / (weight @ weight)
-        stands_out = np.abs(size) * (1.0 - 1.0 / number) > STANDS_OUT * found.sd[i]
+        size = found.by_itself(i, found.residual[good])
+        stands_out = np.abs(size) > max(STANDS_OUT * found.sd[i] / (1.0 - 1.0 / number), found.most)
         off = stands_out & (size**2 * (weight @ weight) > SHARE * total)
         if off.sum() < OFTEN or (best is not None and off.mean() < best.share):
             continue
