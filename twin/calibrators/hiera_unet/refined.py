@@ -110,9 +110,9 @@ class RefinedCalibrator(LeastSquares):
     def _belief(self, proposal: Proposal, before: Array) -> Belief:
         """What the network says where its gates are open; elsewhere, loosely, the values (q,) of before the window."""
         deviations, nominal = self.proposing.features.deviations, self.proposing.network.values
-        sd = proposal.sd / np.abs(deviations.scaling(nominal).slope(proposal.values))
+        sd = proposal.sd / np.abs(deviations.scaling(nominal).slope(proposal.said))
         wide = deviations.prior_sd
-        mean = deviations.theta(np.where(proposal.held, before, proposal.values), nominal)
+        mean = deviations.theta(np.where(proposal.held, before, proposal.said), nominal)
         return Belief(mean, np.where(proposal.held, wide, np.clip(sd, NARROWEST * wide, wide)))
 
     def _traced(self, window: Window, frame: Frame, found: Evidence) -> tuple[Array, Array]:

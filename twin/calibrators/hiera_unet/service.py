@@ -22,6 +22,7 @@ from twin.calibrators.hiera_unet.evidence import Evidence, estimate, step_noise
 from twin.calibrators.hiera_unet.features import Features, Frame
 from twin.calibrators.hiera_unet.gates import Evidently, Reason
 from twin.calibrators.hiera_unet.history import History
+from twin.calibrators.hiera_unet.holding import given
 from twin.calibrators.hiera_unet.members import Ensemble, Said
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.series import STEP_S
@@ -43,16 +44,18 @@ class Proposal:
     """One cycle: what the network says at a moment, and what may be written of it.
 
     Attributes:
-        time_s: of the latest sample that it has seen. values, sd: (P,) parameters and standard errors in their own
-            units. held: (P,) bool, those that may not move. reasons: closed gates.
+        time_s: of the latest sample that it has seen. said, sd: (P,) the network's parameters and standard errors in
+            their own units. held: (P,) bool, those that may not move. values: (P,) what is to be taken on, given
+            what is held where it stands. reasons: closed gates.
         half_width: (Y,) K mean half widths of the outputs' 90 % intervals. condition: see `Calibration`.
         attention: (Q, 12), what each query looked at. evaluations: simulations and forward passes.
     """
 
     time_s: float
-    values: Array
+    said: Array
     sd: Array
     held: np.ndarray
+    values: Array
     reasons: tuple[Reason, ...]
     half_width: Array
     condition: float
@@ -66,7 +69,7 @@ class Proposal:
         own = {} if whole else own
         return {
             "time_s": self.time_s,
-            "values": dict(zip(ids, self.values.tolist(), strict=True)),
+            "values": dict(zip(ids, np.where(self.held, self.said, self.values).tolist(), strict=True)),
             "standard_errors": dict(zip(ids, self.sd.tolist(), strict=True)),
             "held": {i: own.get(i, whole) for i, h in zip(ids, self.held, strict=True) if h},
             "reasons": [str(r) for r in self.reasons],
@@ -121,7 +124,7 @@ class HieraUNetCalibrator:
     def propose(self, window: Window) -> Proposal:
         """What the network says at the end of a window, or of the part of it that has gone by."""
         self.history.push(window.time, window.inputs, window.measured)
-        return self._propose()
+        return self._propose(window.parameters)
 
     def between(self, window: Window) -> tuple[Array, Array] | None:
         """Propose within a window; the live twin's values and state from there on, None where all is held."""
@@ -144,8 +147,8 @@ class HieraUNetCalibrator:
         nothing = np.full((len(time), len(self.network.sensors)), np.nan)
         return Estimate(nothing, np.broadcast_to(self._spread, nothing.shape).copy())
 
-    def _propose(self) -> Proposal:
-        """One cycle on everything that was pushed."""
+    def _propose(self, live: Array) -> Proposal:
+        """One cycle on everything that was pushed; `live` is the full vector (p,) of what the twin has now."""
         nominal, deviations = self.network.values, self.features.deviations
         series = self.history.series()
         frame = self.features.frame(series, len(series), nominal)
@@ -157,12 +160,15 @@ class HieraUNetCalibrator:
             self._leakage = self.ensemble.leakage(row)
         seen = self._evidently(frame, evidence, said, row)
         found = gates.reasons(seen, self.ids)
-        values = deviations.values(said.theta, nominal)
+        held, values = gates.held(found, self.ids), deviations.values(said.theta, nominal)
+        now = live[deviations.index]
+        theta = given(self.features, frame, nominal, said.theta, held, deviations.theta(now, nominal))
         proposal = Proposal(
             time_s=self.history.last_s,
-            values=values,
+            said=values,
             sd=said.theta_sd * deviations.scaling(nominal).slope(values),
-            held=gates.held(found, self.ids),
+            held=held,
+            values=np.where(held, now, deviations.values(theta, nominal)),
             reasons=found,
             half_width=seen.half_width,
             condition=evidence.condition,
@@ -203,7 +209,7 @@ class HieraUNetCalibrator:
         """The window with what is not held: values (q,), state at its start, readings (n, m), state at its end."""
         index = self.network.index(self.ids)
         full = window.parameters.copy()
-        full[index] = np.where(proposal.held, full[index], proposal.values)
+        full[index] = proposal.values
         data = weighted(window, self.network.sigma)
         start = align(self.features.kernel, full, window.state, data, max(window.error_K, STATE_SD))
         readings, end = self.features.kernel.trace(full, start, window.time, window.inputs)
