@@ -125,7 +125,7 @@ class Trial:
                     )
                 except WorkerError as error:
                     ablation = {"failed": str(error), "linear": [], "raw": []}
-            told: dict[str, list[float | None]] = ablation or {}
+            told: dict[str, Any] = ablation or {}
             z = max((v for v in told.get("z_truth", []) if v is not None), default=None)
             beside = [v for v in told.get("z_beside", []) if v is not None]
             outcome = judge(name, case.load, hidden, answer, seconds, z, told.get("sizes", ()), beside)

@@ -90,12 +90,12 @@ class Outcome:
 
 def judge(
     case: str, load: str, hidden: Mapping[str, Any], answer: Mapping[str, Any], seconds: float,
-    z_truth: float | None = None, sizes: Sequence[float | None] = (), z_beside: Sequence[float] = (),
+    z_truth: float | None = None, sizes: Sequence[tuple[float, str] | None] = (), z_beside: Sequence[float] = (),
 ) -> Outcome:  # fmt: skip
     """Compare an answer, `diagnosis.json`, with a truth as it was sealed.
 
     Args:
-        sizes: of the true effects in the unit of the catalogue, at the end of the record, None where it has no such.
+        sizes: and units of the true effects in the catalogue, at the end of the record, None where it has no such.
     """
     group, verdict = str(hidden["group"]), str(answer["verdict"])
     effects = list(answer["effects"])
@@ -119,8 +119,9 @@ def judge(
     if first is not None and named and group == "one" and said[0] == labels[0]:
         right_driver = same_driver(first["driver"], hidden["labels"][0][2])
         onset = abs(first["onset_s"] - hidden["effects"][0].get("onset_s", 0.0)) / SECONDS_PER_MINUTE
-        if sizes and sizes[0]:
-            size = abs(first["value"] - sizes[0]) / abs(sizes[0])
+        true = sizes[0] if sizes else None
+        if true is not None and true[1] == first["unit"] and true[0]:
+            size = abs(first["value"] - true[0]) / abs(true[0])
     return Outcome(
         case=case, group=group, what=str(hidden["what"]), load=load, verdict=verdict,
         said="; ".join(spoken(e) for e in effects) or "-",

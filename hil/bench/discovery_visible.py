@@ -45,8 +45,8 @@ def visible(contest: Contest, signatures: Sequence[Array]) -> tuple[list[float],
 
 def true_size(
     found: Sequence[Law], network: Network, table: Mapping[str, Any], label: tuple[str, str, str], span_s: float
-) -> float | None:
-    """Size of a true effect at the end of a record of `span_s`, as its candidate's; None where there is none such."""
+) -> tuple[float, str] | None:
+    """Size and unit of a true effect at the end of a record of `span_s`, as its candidate's; None if none is."""
     laws_of: list[Law] = []
     for where in dict.fromkeys((label[1], family(label[1]))):
         laws_of = laws_of or [w for w in found if (w.candidate.kind, w.candidate.where) == (label[0], where)]
@@ -56,7 +56,7 @@ def true_size(
     for law in [w for w in laws_of if same_driver(w.candidate.driver, driver)] or laws_of:
         size = catalogue_size(table, law, network)
         if size is not None:
-            return size * reached
+            return size * reached, law.candidate.unit
     return None
 
 
