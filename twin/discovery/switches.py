@@ -1,7 +1,7 @@
 """Heat that begins when its place is warmer than ever before: a temperature may have switched it on.
 
 No element switches, and one switching inside a record looks like something that simply begins. What tells them apart is
-how seldom a beginning drawn by lot falls on a new highest temperature.
+that a temperature switches when its place becomes warmer than before, the likelier the faster it does.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ def switched(finding: Finding, grid: Grid, start: float) -> tuple[tuple[Alternat
         edge = _edge(entry, grid, grid.measured[:, read[0]])
         if edge is None:
             continue
-        by_lot = _share_at_its_highest(_without(finding, entry, grid)[:, read[0]], grid, entry)
-        weight = BEFOREHAND / (BEFOREHAND + by_lot)
+        odds = BEFOREHAND * _odds(_without(finding, entry, grid)[:, read[0]], grid, entry)
+        weight = odds / (1.0 + odds)
         if weight > OPEN:
             where = entry.candidate.where.replace("_", " ")
             says = (
-                f"the heat at {where} begins at {clock(start + entry.shape.onset_s)}, as it passes {edge:.1f} degC for "
-                f"the first time: a temperature may switch it on; to see, let {where} cool below "
+                f"the heat at the {where} begins at {clock(start + entry.shape.onset_s)}, as it passes {edge:.1f} degC "
+                f"for the first time: a temperature may switch it on; to see, let the {where} cool below "
                 f"{edge - HYSTERESIS_K:.0f} degC"
             )
             out.append((Alternative("heat_source", entry.candidate.where, "threshold", weight), says))
@@ -66,7 +66,7 @@ def switched(finding: Finding, grid: Grid, start: float) -> tuple[tuple[Alternat
 def _edge(entry: Entry, grid: Grid, measured: Array) -> float | None:
     """Temperature at the onset, degC, where it was never as warm before and never much cooler after; else None."""
     since = grid.time - grid.time[0]
-    onset, spread = entry.shape.onset_s, max(_WITHIN_S, 2.0 * entry.onset_sd_s)
+    onset, spread = entry.shape.onset_s, _spread(entry)
     # What comes after the onset is warmer by the heat itself.
     before, at, after = since < onset - spread, (since >= onset - spread) & (since <= onset), since > onset + spread
     if onset < EARLY_S or not all(np.isfinite(measured[part]).any() for part in (before, at, after)):
@@ -76,13 +76,23 @@ def _edge(entry: Entry, grid: Grid, measured: Array) -> float | None:
     return edge if never_before and float(np.nanmin(measured[after])) >= edge - HYSTERESIS_K else None
 
 
-def _share_at_its_highest(readings: Array, grid: Grid, entry: Entry) -> float:
-    """Share of the time about the onset (an hour to twice the onset) in which a reading is as high as it ever was: new
-    highest ones become rarer the longer a record goes on."""
+def _odds(readings: Array, grid: Grid, entry: Entry) -> float:
+    """How much more often a temperature between the first and the highest that a place passes, drawn by lot, would have
+    switched at the onset than a time drawn by lot would have fallen on it.
+
+    Args:
+        readings: (n,) of the place, without the effect.
+    """
     since = grid.time - grid.time[0]
-    about = (since >= EARLY_S) & (since <= 2.0 * entry.shape.onset_s)
-    high = readings >= np.maximum.accumulate(readings) - _WITHIN_K
-    return max(float(np.mean(high[about])), 1.0 / len(readings)) if about.any() else 1.0
+    highest = np.maximum.accumulate(readings)
+    spread, passed = _spread(entry), float(highest[-1] - highest[0])
+    before, after = np.interp(entry.shape.onset_s + np.array([-spread, spread]), since, highest)
+    return float(after - before) / passed * float(since[-1]) / (2.0 * spread) if passed > 0.0 else 0.0
+
+
+def _spread(entry: Entry) -> float:
+    """As far as the onset may be off, s."""
+    return max(_WITHIN_S, 2.0 * entry.onset_sd_s)
 
 
 def _without(finding: Finding, entry: Entry, grid: Grid) -> Array:
