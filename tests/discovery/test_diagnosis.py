@@ -83,6 +83,20 @@ def test_two_effects_are_both_found(bench: Bench, healthy: Columns) -> None:
     assert {(e.kind, e.where) for e in found.effects} == {("heat_loss", "tank"), ("sensor", "T_heater_C")}
 
 
+def test_what_is_there_from_the_beginning_is_not_left_to_tunables_beside_another_effect(
+    bench: Bench, healthy: Columns
+) -> None:
+    """A small error of the heater's gain, which tunables far from commissioning would nearly take on."""
+    weaker = Bench(bench.with_values(heater_power__factor=0.995))
+    record = weaker.record(seed=4, changed=weaker.with_values(modules_loss__hA=1.3), onset_h=2.0)
+    found = diagnose(bench.network, record, healthy)
+    sizes = {(e.kind, e.where): (e.value, e.onset_s) for e in found.effects}
+    assert set(sizes) == {("heat_loss", "modules"), ("actuator", "heater_power")}
+    assert sizes["heat_loss", "modules"] == pytest.approx((0.3, 7200.0), rel=0.05)
+    gain, onset_s = sizes["actuator", "heater_power"]
+    assert gain == pytest.approx(-0.005, rel=0.1) and onset_s < 900.0
+
+
 def test_beside_heat_that_is_there_at_once_a_lesser_effect_is_told(bench: Bench, healthy: Columns) -> None:
     """It wins less than a further effect has to beside one that brings a form of its own."""
     both = bench.with_values(modules_power__power=150.0, T_heater_C__bias_K=0.4)

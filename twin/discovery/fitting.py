@@ -37,6 +37,7 @@ class Fit:
         entries: with their sizes and standard deviations. moved: (q + k,) of [tunables z, initial state] from
             commissioning. values: (p,) of the original network. state: (k,) at the first bin.
         total: weighted squares, of residual and of tunables against their prior. chi: residual's per block and sensor.
+        away: those of the tunables; what no effect explains may push them far.
     """
 
     entries: tuple[Entry, ...]
@@ -45,6 +46,7 @@ class Fit:
     state: Array
     total: float
     chi: float
+    away: float
 
 
 def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None) -> Fit:
@@ -133,7 +135,8 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     values = probe.network.values.copy()
     values[scaling.index] = scaling.to_values(z0 + v[:q])
     chi = float(found.residual @ found.residual) / max(contest.count, 1)
-    return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi)
+    away = float(v[: q + k] @ contest.prior.precision @ v[: q + k])
+    return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi, away)
 
 
 def look_at(contest: Contest, model: Model, found: Fit) -> None:

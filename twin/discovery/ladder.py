@@ -59,12 +59,13 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     entries, first_gain = part.entries, 0.0
     beside: Entry | None = None
     climbed: list[tuple[Fit, tuple[Ranked, ...]]] = []
-    while entries and entries[0].z >= threshold:
+    pushed = False
+    while entries and (entries[0].z >= threshold or pushed):
         beside = entries[0]
         small = share_needed((*chosen, beside), chosen, second_share) * first_gain
-        if best is not None and all_told(best, contest):
-            break
-        if best is not None and beside.gain < small and enough(best.chi, start_chi, contest):
+        little = best is not None and beside.gain < small and enough(best.chi, start_chi, contest)
+        done = best is not None and (little or all_told(best, contest))
+        if len(chosen) == MOST_EFFECTS or (done and not pushed):
             break
         worth = finalists(entries, chosen)
         if not worth:
@@ -92,7 +93,8 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
             break
         if best is not None:
             small = share_needed(winner.entries, chosen, second_share) * first_gain
-            need = threshold**2 if not enough(best.chi, start_chi, contest) else max(threshold**2, small)
+            back = pushed and winner.away < threshold**2
+            need = threshold**2 if back or not enough(best.chi, start_chi, contest) else max(threshold**2, small)
             if best.total - winner.total < need:
                 # A law at measured temperatures may promise what no element keeps.
                 beside = winner.entries[-1] if best.total - winner.total >= threshold**2 else None
@@ -112,6 +114,8 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
             first_gain = max(ladder[0].chi * contest.count - winner.total, 1.0)
         entries, told = _left(part, best)
         ladder.append(told)
+        # What acts all along, the tunables may take on, but not without leaving what commissioning knows of them.
+        pushed = best.away > threshold**2
     while len(climbed) > 1 and (fewer := _pruned(part, climbed, start)) is not None:
         climbed[-2:] = [fewer]
         ladder[-2:] = [_left(part, fewer[0])[1]]
@@ -145,7 +149,12 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
 def _left(part: Part, best: Fit) -> tuple[list[Entry], Rung]:
     """What scores beside the effects of a fit, and the rung that they are."""
     part.reset()
-    look_at(part.contest, Model.of(part.basis.probe, best.entries), best)
+    at = best
+    if best.away > part.threshold**2:
+        # Far from commissioning, slopes of there mislead; what is missing is where the tunables would not have to move.
+        start = part.state[: len(best.state)]
+        at = replace(best, moved=np.zeros_like(best.moved), values=part.basis.probe.network.values, state=start)
+    look_at(part.contest, Model.of(part.basis.probe, best.entries), at)
     entries = varied(scan(part.contest, part.laws, np.stack([e.placed(part.contest) for e in best.entries])))
     entries.sort(key=lambda e: -e.gain)
     what = " + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in best.entries)
