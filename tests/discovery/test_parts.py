@@ -21,6 +21,7 @@ from twin.discovery.ranking import piled_up
 from twin.discovery.readings import stuck
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
+from twin.discovery.words import said
 from twin.network import TwinFileError
 from twin.twinfile import load
 
@@ -125,6 +126,16 @@ def test_single_modules_and_all_of_them_are_places_of_their_own() -> None:
     places = {c.where for c in catalogue(load(ROOT / SIX)) if c.kind == "heat_source"}
     assert {"pm1", "pm6", "modules", "heater", "radiator", "tank"} <= places
     assert "element" not in places  # what nothing reads is told by what stands beside it
+
+
+def test_less_of_something_is_not_said_as_a_negative_more(bench: Bench) -> None:
+    (loss,) = (c for c in catalogue(bench.network) if "tank_loss.hA" in c.changes)
+    assert said(loss, 0.5) == "The tank loses 0.5 W/K more to the room than when commissioned"
+    assert said(loss, -0.5) == "The tank loses 0.5 W/K less to the room than when commissioned"
+    signed = [c for c in catalogue(bench.network) if c.lower < 0.0]
+    opposite = [(said(c, 0.01), said(c, -0.01)) for c in signed if "more" in c.says or "too high" in c.says]
+    assert len(opposite) > 0.5 * len(signed)
+    assert all("-" not in less and more != less for more, less in opposite)
 
 
 def test_a_law_says_what_the_element_itself_does(bench: Bench, healthy: Columns) -> None:

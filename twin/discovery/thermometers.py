@@ -71,7 +71,7 @@ def _in_its_own_shape(one: Members, odd: Odd) -> Odd:
 
 def _fault(one: Members, odd: Odd, start: float) -> Effect:
     spread, drifts = SE90 * odd.sd, odd.shape.name != "step"
-    off = f"reads {amount(odd.final, 'K')} off"
+    off = f"reads {amount(abs(odd.final), 'K', spread)} too {'high' if odd.final > 0.0 else 'low'}"
     said = f"drifts and {off} at the record's end," if drifts else off
     return Effect(
         kind="sensor", where=odd.column, driver="elapsed_time" if drifts else "constant",

@@ -216,6 +216,7 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
     spread *= grown
     gain = max(finding.start - (finding.fit.total if finding.fit else 0.0), 0.0)
     share = gain / max(finding.start, 1e-9)
+    says = sentence(entry, start, grown, spread)
     return Effect(
         kind=c.kind,
         where=c.where,
@@ -233,9 +234,9 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
         confidence=sure.get((c.kind, c.where), 1.0),
         z=math.sqrt(gain),
         family_wise=finding.null.family_wise(math.sqrt(gain)),
-        evidence=f"{sentence(entry, start, grown)}; with it {100.0 * share:.1f} % of the mismatch is gone",
+        evidence=f"{says}; with it {100.0 * share:.1f} % of the mismatch is gone",
         growth_s=entry.shape.growth_s,
-        says=sentence(entry, start, grown),
+        says=says,
     )
 
 

@@ -14,12 +14,13 @@ from twin.elements.base import Candidate
 if TYPE_CHECKING:
     from twin.discovery.ranking import Finding
 
+_OPPOSITES = (("} more", "} less"), ("} too high", "} too low"))
 _DRIVEN = {"threshold": "a temperature that switches it"}
 
 
-def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0) -> str:
-    """The effect in plain words; `grown` is the share of its size that it has reached."""
-    text = said(entry.candidate, entry.size * grown)
+def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0, spread: float = 0.0) -> str:
+    """The effect in plain words; `grown` is the share of its size that it has reached, `spread` half its interval."""
+    text = said(entry.candidate, entry.size * grown, spread)
     since = when(entry.shape, start)
     if entry.shape.name == "ramp":
         until = f" for {clock(entry.shape.growth_s)}" if grown >= 1.0 else ""
@@ -29,13 +30,16 @@ def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0) -> str:
     return f"{text}, {since}"
 
 
-def said(candidate: Candidate, size: float) -> str:
-    """What a candidate of this size does, in plain words."""
+def said(candidate: Candidate, size: float, spread: float = 0.0) -> str:
+    """What a candidate of this size, more or less by `spread`, does, in plain words."""
     c = candidate
     named = c.kind == "sensor" and c.where.endswith("_C")
     who = c.where if named else f"The {c.where.replace('_', ' ')}"
     says = _plural(c.says) if not named and c.where.endswith("s") else c.says
-    return f"{who} {says.format(value=amount(size, c.unit))}"
+    for much, little in _OPPOSITES:
+        if size < 0.0 and much in says:
+            says, size = says.replace(much, little), -size
+    return f"{who} {says.format(value=amount(size, c.unit, spread), share=amount(size, 'W/W', spread))}"
 
 
 def when(shape: Shape, start: float) -> str:
@@ -48,13 +52,13 @@ def _plural(says: str) -> str:
     return f"{verb.get(first, first.removesuffix('s'))} {rest}"
 
 
-def amount(value: float, unit: str) -> str:
-    """A size as an operator reads it."""
-    if unit.startswith("of the"):
-        return f"{100.0 * value:.3g} % {unit}"
-    if unit == "W/W":
-        return f"{100.0 * value:.3g} %"
-    return f"{value:.3g}" if unit == "1" else f"{value:.3g} {unit}"
+def amount(value: float, unit: str, spread: float = 0.0) -> str:
+    """A size as an operator reads it, with its interval where it has a `spread`."""
+    part = unit == "W/W" or unit.startswith("of the")
+    named = {"1": "", "W/W": " %"}.get(unit, f" % {unit}" if part else f" {unit}")
+    factor = 100.0 if part else 1.0
+    low, high = (f"{factor * (value + side * spread):.3g}" for side in (-1.0, 1.0))
+    return f"{factor * value:.3g}{named}" + (f" ({low} to {high})" if low != high else "")
 
 
 def clock(seconds: float) -> str:

@@ -47,7 +47,7 @@ class AmbientLoss(Element):
 
     def moved(self, sites: Sites) -> tuple[Candidate, ...]:
         where = sites.places[self.node]
-        says, now = "loses {value} to the room beside what it lost when commissioned", sites.values[f"{self.name}.hA"]
+        says, now = "loses {value} more to the room than when commissioned", sites.values[f"{self.name}.hA"]
         return (self.moves("hA", "heat_loss", where, "temperature_difference", "W/K", 1.0, -now, 60.0, says),)
 
     def emit(self, n: Names) -> Fragment:

@@ -43,14 +43,12 @@ class Conduction(Element):
         )  # fmt: skip
 
     def moved(self, sites: Sites) -> tuple[Candidate, ...]:
-        says, now = (
-            f"exchanges {{value}} more with {self.a} than when commissioned",
-            sites.values[f"{self.name}.resistance"],
-        )
+        now = sites.values[f"{self.name}.resistance"]
+        says = f"has {{value}} more resistance to {self.a} than when commissioned"
         return (
             self.moves(
                 "resistance", "coupling", sites.places[self.b], "temperature_difference", "K/W", 0.1 * now,
-                -0.9 * now, 20.0 * now, says.replace("more ", ""),
+                -0.9 * now, 20.0 * now, says,
             ),
         )  # fmt: skip
 

@@ -65,7 +65,7 @@ class Evaporation(Element):
     def moved(self, sites: Sites) -> tuple[Candidate, ...]:
         where, now = sites.places[self.node], sites.values[f"{self.name}.area"]
         driver = "humidity" if self.humidity else "temperature"
-        says = "loses heat by evaporation from {value} of open water beside what was commissioned"
+        says = "loses heat by evaporation from {value} more of open water than when commissioned"
         return (self.moves("area", "heat_loss", where, driver, "m2", 0.02, -now, 2.0, says),)
 
     def emit(self, n: Names) -> Fragment:

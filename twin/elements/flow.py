@@ -101,7 +101,7 @@ class Flow(Element):
         return (
             self.moves(
                 "factor", "flow", "loop", "constant", "of the nominal flow", 0.03, -0.8 * now, 1.0,
-                "carries another flow: a change by {value}",
+                "carries {value} more than when commissioned",
             ),
         )  # fmt: skip
 

@@ -131,13 +131,12 @@ class HeatSource(Element):
         where = sites.places[self.node]
         if not self.driver:
             now = sites.values[f"{self.name}.power"]
-            says = "gives off {value} beside what the twin has there" if now else _UNKNOWN
+            says = "gives off {value} more than the twin has there" if now else _UNKNOWN
             power = self.moves("power", "heat_source", where, "constant", "W", 20.0, -now if now else 0.0, 2000.0, says)
             return (power if now else replace(power, change="new"),)
         if self.law == "proportional":
-            says = f"turns {{value}} more of {self.driver} into heat"
-            now = sites.values[f"{self.name}.factor"]
-            where = self.driver.rsplit("_", 1)[0]
+            now, where = sites.values[f"{self.name}.factor"], self.driver.rsplit("_", 1)[0]
+            says = "gives {value} more heat than its reading says"
             return (self.moves("factor", "actuator", where, "constant", "W/W", 0.03, -now, 3.0, says),)
         if self.law in ("daily", "daylight"):
             return self._other_day(where, sites)

@@ -52,7 +52,7 @@ class NaturalConvection(Element):
 
     def moved(self, sites: Sites) -> tuple[Candidate, ...]:
         where, now = sites.places[self.node], sites.values[f"{self.name}.coefficient"]
-        says = "loses more heat to the room by natural convection than when commissioned, {value}"
+        says = "loses heat to the room by natural convection, {value} more than when commissioned"
         return (self.moves("coefficient", "heat_loss", where, "temperature", "W/K^1.25", 0.5, -now, 40.0, says),)
 
     def emit(self, n: Names) -> Fragment:

@@ -95,14 +95,14 @@ class Radiator(Element):
             *flows,
             self.moves(
                 "UA_100", *rejects, "constant", "W/K", 0.05 * full, -0.95 * full, 3.0 * full,
-                "rejects heat with another conductance at full fan speed: a change by {value}",
+                "rejects heat with {value} more at full fan speed than when commissioned",
             ),
             self.moves(
                 "fan_exponent", *rejects, "fan_speed", "1", 0.1, -now["fan_exponent"], 2.0 - now["fan_exponent"],
                 f"rejects heat {law}",
             ),
             self.moves("UA_still", *rejects, "constant", "W/K", 1.0, -sites.values[f"{self.name}.UA_still"], 200.0,
-                "rejects {value} whatever the fan does"),
+                "rejects {value} more than when commissioned whatever the fan does"),
             replace(
                 self.moves("recirculation", *rejects, "rejected_heat", "K/W", 0.001, -own, 0.1 - own,
                     "draws in its own warm air: {value}"),

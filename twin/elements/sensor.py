@@ -76,11 +76,11 @@ class Sensor(Element):
         ]  # fmt: skip
         found = [
             replace(
-                self.moves("bias_K", *sensor, "constant", "K", 0.2, -20.0, 20.0, "reads {value} off"), change="new"
+                self.moves("bias_K", *sensor, "constant", "K", 0.2, -20.0, 20.0, "reads {value} too high"), change="new"
             ),
             replace(
                 self.moves("gain", *sensor, "temperature", "1", 0.01, 0.5 - now["gain"], 1.5 - now["gain"],
-                    "reads by a factor that differs by {value}"),
+                    "reads by a factor that is {share} too high"),
                 change="new",
             ),
             *later,
