@@ -2,7 +2,8 @@
 time, with an embargo on either side for as long as the rig remembers.
 
 Everything is linear about the fit: for each block the tunables and the sizes are solved from the
-other blocks, once with the effects and once without, and both predict the block; so does the twin as commissioned. The
+other blocks, once with the effects and once without, and both predict the block; so does the twin as commissioned, with
+the effects and without. The
 whitened residual is turned back from cosines into time, where a row belongs to a moment.
 
 Source: h-block cross-validation (Burman, Chow & Nolan, Biometrika 81 (1994) 351).
@@ -66,9 +67,13 @@ def validate(contest: Contest, model: Model, fitted: Fit) -> tuple[Fold, ...]:
             continue
         tuned = _predict(slopes, without, train & contest.known.T, rest, prior, fitted.moved[:q])
         full = _predict(both, left, train & contest.known.T, rest, precision, moved)
-        # Re-tuning may do worse elsewhere than leaving the twin alone; the effects have to beat the better of the two.
-        bare = min(float((x[inside] ** 2).sum()) for x in (tuned, commissioned[rest]))
-        gain = bare - float((full[inside] ** 2).sum())
+        added = _predict(effects, commissioned - effects @ sizes, train & contest.known.T, rest, weak, sizes)
+        # Re-tuning may do worse elsewhere than leaving the twin alone, with the effects and without; the better of the
+        # two with them has to beat the better without.
+        bare, best = (
+            min(float((x[inside] ** 2).sum()) for x in pair) for pair in ((tuned, commissioned[rest]), (full, added))
+        )
+        gain = bare - best
         span = contest.step_s
         folds.append(Fold(start + first * span, start + last * span, int(inside.sum()), gain))
     return tuple(folds)
