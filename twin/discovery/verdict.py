@@ -95,7 +95,10 @@ def conclude(
     found = courses(whole, sites_of(network, whole, laws))
     # What is late is no multiple of its law, by which its gain would be taken for less.
     told = finding.entries and found and not any(e.candidate.driver in LATE for e in finding.entries)
-    good = good and not (told and outdone(explained(whole, laws, finding.entries), found[0]))
+    if good and told:
+        # What cannot be told from the answer is as much of it as what it says first.
+        answers = (finding.entries, *(r.entries for r in remaining(finding)[1:]))
+        good = not outdone(max(explained(whole, laws, entries) for entries in answers), found[0])
     claimed = finding.fit is not None and good
     calm = finding.ladder[0].best_z < CALM * finding.threshold
     adequate = finding.fit is None and (usual or enough(finding.start / scale, 0.0, finding.contest, quiet=calm))
