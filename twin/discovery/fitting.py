@@ -6,6 +6,7 @@ at the commissioned values: beginning at values that have already absorbed an ef
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -124,10 +125,16 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     shapes = shapes_at(v)
-    onset_sd = np.zeros(e)
+    onset_sd, size_sd = np.zeros(e), sd[q + k : first_time].copy()
     onset_sd[timed] = sd[first_time:first_growth] * 3600.0
+    for i in (i for i, x in enumerate(entries) if x.shape.grows):
+        # Size, onset and growth of what has not ended growing are not told from one another; what they come to is.
+        reached = np.array([_reached(shapes_at(row)[i], grid.span_s) for row in (v, *(v + np.diag(steps)))])
+        slope = v[q + k + i] * (reached[1:] - reached[0]) / steps
+        slope[q + k + i] = reached[0]
+        size_sd[i] = math.sqrt(max(float(slope @ covariance @ slope), 0.0)) / max(reached[0], 1e-9)
     fitted = tuple(
-        replace(x, size=float(v[q + k + i]), sd=float(sd[q + k + i]), shape=shapes[i], onset_sd_s=float(onset_sd[i]))
+        replace(x, size=float(v[q + k + i]), sd=float(size_sd[i]), shape=shapes[i], onset_sd_s=float(onset_sd[i]))
         for i, x in enumerate(entries)
     )
     fitted = tuple(_going_on(x, grid.span_s) for x in fitted)
@@ -145,6 +152,11 @@ def look_at(contest: Contest, model: Model, found: Fit) -> None:
     run = model.run(contest.grid.time, contest.grid.inputs, found.state[None].copy(), found.values[None], sizes)
     readings = _between(run)[0]
     contest.look_at(Run(readings, readings), found.moved)
+
+
+def _reached(shape: Shape, span_s: float) -> float:
+    """Amplitude at the end of a record."""
+    return shape.mean(span_s - 1.0, span_s)
 
 
 def _between(readings: Array) -> Array:

@@ -23,7 +23,10 @@ _TINY = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One hypothesis, its size fitted alone: `vector` (sites, b) at size 1."""
+    """One hypothesis, its size fitted alone: `vector` (sites, b) at size 1.
+
+    `sd` of what grows is that of what it comes to at the record's end, as a size.
+    """
 
     law: Law
     shape: Shape

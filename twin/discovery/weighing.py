@@ -61,15 +61,15 @@ def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> lis
         for i, hypothesis in enumerate(ranked):
             # An effect that does nothing in a later record leaves the twin as it is there.
             before = [e for e in hypothesis.entries if e.candidate.id in laws]
-            grown = [e.size * e.shape.entered.mean(span_s - 1.0, span_s) for e in before]
+            grown = [e.shape.entered.mean(span_s - 1.0, span_s) for e in before]
             entries = tuple(
-                from_the_start(replace(e, law=laws[e.candidate.id]), size).refreshed(part.contest)
-                for e, size in zip(before, grown, strict=True)
+                from_the_start(replace(e, law=laws[e.candidate.id]), share * e.size).refreshed(part.contest)
+                for e, share in zip(before, grown, strict=True)
             )
             part.reset()
             fitted = fit(part.contest, Model.of(part.contest.probe, entries), part.state)
             sizes = zip(before, grown, fitted.entries, strict=True)
-            costs.append(fitted.total + sum(_apart(e, size, later) for e, size, later in sizes))
+            costs.append(fitted.total + sum(_apart(e, share, later) for e, share, later in sizes))
             chis[i].append(fitted.chi)
         # What even the best leaves over noise is the twin's own error: differences count by as much less.
         excess = max(min(chi[-1] for chi in chis) / part.contest.expected, 1.0)
@@ -81,6 +81,7 @@ def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> lis
 
 
 def _apart(first: Entry, grown: float, later: Entry) -> float:
-    """What two sizes of one effect, fitted apart, cost in weighted squares."""
-    spread = first.sd**2 + later.sd**2 + (SAME_SIZE * grown) ** 2
-    return (grown - later.size) ** 2 / max(spread, 1e-30)
+    """What two sizes of one effect, fitted apart, cost in weighted squares; of the first, its `grown` share."""
+    size, sd = grown * first.size, grown * first.sd
+    spread = sd**2 + later.sd**2 + (SAME_SIZE * size) ** 2
+    return (size - later.size) ** 2 / max(spread, 1e-30)
