@@ -53,6 +53,8 @@ def test_one_that_drifts_is_told_with_what_it_comes_to(
     (drift,) = found.effects
     assert (drift.kind, drift.where, drift.driver, drift.shape) == ("sensor", "T_pm3_C", "elapsed_time", "ramp")
     assert drift.value == pytest.approx(1.0, rel=0.1) and drift.onset_s == pytest.approx(from_h * 3600.0, abs=3600.0)
+    low, high = drift.onset_interval90_s
+    assert low <= from_h * 3600.0 <= high < low + 5400.0
 
 
 def test_a_thermometer_beside_something_else_does_not_explain_it_away(bench: Bench, healthy: Columns) -> None:

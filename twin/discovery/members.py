@@ -14,6 +14,7 @@ import numpy as np
 from twin.discovery.equivalence import width
 from twin.discovery.grid import Grid
 from twin.discovery.shapes import Shape, family
+from twin.gauss_newton import SE90
 from twin.network import Array, Network
 
 LEAST_MEMBERS = 3
@@ -23,6 +24,8 @@ STANDS_OUT = 6.0
 """Times the healthy scatter of a block that one thermometer must differ by."""
 SHARE = 0.7
 """Share of the differences that one member must carry to be named alone."""
+CORRELATED = 6.0
+"""Blocks that say as much as one of its own would: what thermometers in a row differ by comes and goes slowly."""
 OFTEN = 3
 """Blocks in which one member must stand out by itself to be called restless (decision 0021)."""
 
@@ -176,11 +179,33 @@ def _oddest(found: Members, good: np.ndarray, shapes: tuple[Shape, ...]) -> Odd 
             carried = size**2 * float(weight @ weight)
             gain = carried * power
             if best is None or gain > best.z**2:
-                sd = float(found.sd[i]) / np.sqrt(max(power / 6.0, 1.0))
+                sd = float(found.sd[i]) / np.sqrt(max(power / CORRELATED, 1.0))
                 final = shape.mean(float(found.edges_s[-1]) - 1.0, float(found.edges_s[-1]))
                 share = carried / max(total, 1e-12)
                 best = Odd(found.columns[i], size, sd, shape, share, float(np.sqrt(gain)), size * final)
     return best
+
+
+def began_between(found: Members, odd: Odd) -> tuple[float, float]:
+    """90 % interval, s from the record's beginning, of when a member came to be off as `odd` says."""
+    good = np.flatnonzero(np.isfinite(found.residual).all(axis=1))
+    i, edges, end_s = found.columns.index(odd.column), found.edges_s, float(found.edges_s[-1])
+    off = found.by_itself(i, found.residual[good])
+
+    def gain(onset_s: float) -> float:
+        shapes = [replace(odd.shape, onset_s=onset_s)]
+        if odd.shape.name == "ramp":
+            ended_s = odd.shape.onset_s + odd.shape.growth_s
+            shapes += [Shape("ramp", onset_s, g) for g in (ended_s - onset_s, *family("ramp", end_s)) if g > 0.0]
+        courses = [shape.block_means(edges)[good] for shape in shapes]
+        return max(float(c @ off) ** 2 / max(float(c @ c), 1e-12) for c in courses)
+
+    onsets = np.append(edges[: max(int(0.95 * len(found.residual)), 1)], odd.shape.onset_s)
+    gains = np.array([gain(float(t)) for t in onsets])
+    weight = _pattern(i, len(found.columns)) / found.sd
+    able = onsets[gains >= gains.max() - CORRELATED * SE90**2 / float(weight @ weight)]
+    block = float(edges[1] - edges[0])
+    return max(float(able.min()) - block, 0.0), min(float(able.max()) + block, end_s)
 
 
 def restless_one(found: Members) -> Odd | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.discovery.diagnosis import Diagnosis, Effect, Verdict
 from twin.discovery.equivalence import width
-from twin.discovery.members import Members, Odd, odd_one, restless_one
+from twin.discovery.members import Members, Odd, began_between, odd_one, restless_one
 from twin.discovery.readings import Stuck
 from twin.discovery.words import amount, clock, when
 from twin.gauss_newton import SE90
@@ -71,12 +71,13 @@ def _in_its_own_shape(one: Members, odd: Odd) -> Odd:
 
 def _fault(one: Members, odd: Odd, start: float) -> Effect:
     spread, drifts = SE90 * odd.sd, odd.shape.name != "step"
+    low, high = began_between(one, odd)
     off = f"reads {amount(abs(odd.final), 'K', spread)} too {'high' if odd.final > 0.0 else 'low'}"
     said = f"drifts and {off} at the record's end," if drifts else off
     return Effect(
         kind="sensor", where=odd.column, driver="elapsed_time" if drifts else "constant",
         change="new", value=odd.final, unit="K", interval90=(odd.final - spread, odd.final + spread),
-        onset_s=start + odd.shape.onset_s, onset_interval90_s=(start + odd.shape.onset_s,) * 2, shape=odd.shape.name,
+        onset_s=start + odd.shape.onset_s, onset_interval90_s=(start + low, start + high), shape=odd.shape.name,
         confidence=odd.share, z=odd.z,
         evidence=f"it carries {100.0 * odd.share:.0f} % of what differs among the thermometers of {one.sensor}",
         says=f"{odd.column} {said} {when(odd.shape, start)}",
