@@ -43,6 +43,7 @@ class Outcome:
         onset_min: error of the onset, minutes. size: relative error. errors_K: RMSE on the held-out part, re-tuned,
             with the effects, and the thermometers' noise, over all sensors.
         excess: share of the squared error above the floor that the effects took away.
+        size_held, onset_held: the answer's 90 % interval holds the true one.
     """
 
     case: str
@@ -67,6 +68,8 @@ class Outcome:
     size: float | None
     errors_K: tuple[float, float, float] | None
     z_least: float | None = None
+    size_held: bool | None = None
+    onset_held: bool | None = None
 
     @property
     def named(self) -> bool:
@@ -105,7 +108,7 @@ def judge(
     said = [(e["kind"], e["where"]) for e in effects]
     others = [(a["kind"], a["where"]) for a in answer["indistinguishable"]]
     exact = top1 = class1 = in_set = right_place = right_driver = None
-    set_size = onset = size = None
+    set_size = onset = size = size_held = onset_held = None
     if group in ("one", "two") and named:
         exact = sorted(said) == sorted(labels)
         top1 = said[0] in labels
@@ -118,18 +121,25 @@ def judge(
     in_words = group == "outside" and named and _in_words(effects, answer["indistinguishable"], hidden["labels"][0])
     if first is not None and named and group == "one" and said[0] == labels[0]:
         right_driver = same_driver(first["driver"], hidden["labels"][0][2])
-        onset = abs(first["onset_s"] - hidden["effects"][0].get("onset_s", 0.0)) / SECONDS_PER_MINUTE
+        began_s = hidden["effects"][0].get("onset_s", 0.0)
+        onset = abs(first["onset_s"] - began_s) / SECONDS_PER_MINUTE
+        onset_held = _held(first["onset_interval90_s"], began_s)
         true = sizes[0] if sizes else None
         if true is not None and true[1] == first["unit"] and true[0]:
             size = abs(first["value"] - true[0]) / abs(true[0])
+            size_held = _held(first["interval90"], true[0])
     return Outcome(
         case=case, group=group, what=str(hidden["what"]), load=load, verdict=verdict,
         said="; ".join(spoken(e) for e in effects) or "-",
         z=first["z"] if first else None, confidence=first["confidence"] if first else None,
         seconds=seconds, z_truth=z_truth, exact=exact, top1=top1, class1=class1, in_set=in_set, set_size=set_size,
         place=right_place, driver=right_driver, in_words=in_words, onset_min=onset, size=size, errors_K=pooled(answer),
-        z_least=min(z_beside, default=None),
+        z_least=min(z_beside, default=None), size_held=size_held, onset_held=onset_held,
     )  # fmt: skip
+
+
+def _held(interval: Sequence[float], true: float) -> bool:
+    return interval[0] <= true <= interval[1]
 
 
 def _in_words(

@@ -87,6 +87,8 @@ def _scores(outcomes: Sequence[Outcome], how: str) -> Table:
         _count("not in the catalogue: a wrong cause named", outside, lambda o: o.named and not o.in_words),
         _count("not in the catalogue, left unexplained: place right",
                [o for o in outside if o.verdict == "unexplained"], lambda o: o.place),
+        _count("one effect: 90 % interval of the size holds it", one, lambda o: o.size_held),
+        _count("one effect: 90 % interval of the onset holds it", one, lambda o: o.onset_held),
         _count("no answer (an error)", outcomes, lambda o: o.verdict == "crashed"),
     ]  # fmt: skip
     columns = ("what", "cases", "of", "%", "90 % from", "to")

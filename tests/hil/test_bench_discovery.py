@@ -34,6 +34,7 @@ from hil.record import read_record
 def effect(kind: str = "heat_source", where: str = "tank", driver: str = "constant", **more: Any) -> dict[str, Any]:
     return {
         "kind": kind, "where": where, "driver": driver, "value": 44.0, "unit": "W", "onset_s": 3600.0, "z": 20.0,
+        "interval90": [38.0, 50.0], "onset_interval90_s": [3300.0, 3900.0],
         "confidence": 0.9, "shape": "step", **more,
     }  # fmt: skip
 
@@ -66,6 +67,7 @@ def test_a_right_answer_scores_in_every_respect() -> None:
     assert (o.exact, o.top1, o.class1, o.in_set, o.place, o.driver, o.right) == (True,) * 7
     assert o.onset_min == pytest.approx(10.0)
     assert o.size == pytest.approx(0.1)
+    assert (o.size_held, o.onset_held) == (True, False)
     assert o.errors_K == pytest.approx((0.3, 0.05, 0.04))
     assert failure(o) is None
 
