@@ -139,6 +139,16 @@ def fouling(onset: int, hours: float = HOURS) -> tuple[Any, Any, Any]:
     return t, u, clean + 0.05 * np.random.default_rng(0).standard_normal(clean.shape)
 
 
+def test_what_happened_in_the_last_ten_minutes_is_proposed(ensemble: Ensemble) -> None:
+    """The target of a window is hidden from the fit that is evidence, so it has to be one that is still to come."""
+    t, u, y = fouling(onset=3600)
+    tracker = TwinTracker(LOOP, calibrator(ensemble))
+    proposals = tracker.push(t[:4201], u[:4201], y[:4201]).proposals
+    before, after = (next(p for p in proposals if p["time_s"] == moment) for moment in (3599.0, 4199.0))
+    assert before["values"]["fins.UA_100"] == pytest.approx(60.0, abs=1.0)
+    assert after["values"]["fins.UA_100"] == pytest.approx(45.0, abs=2.0)
+
+
 def refined(ensemble: Ensemble) -> TwinTracker:
     return TwinTracker(LOOP, RefinedCalibrator(LOOP, calibrator(ensemble)))
 

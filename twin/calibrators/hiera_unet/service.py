@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from twin.calibrators.hiera_unet.history import History
 from twin.calibrators.hiera_unet.holding import given
 from twin.calibrators.hiera_unet.members import Ensemble, Said
 from twin.calibrators.hiera_unet.parameters import Deviations
-from twin.calibrators.hiera_unet.series import STEP_S
+from twin.calibrators.hiera_unet.series import STEP_S, Series
 from twin.calibrators.hiera_unet.windows import TARGET, Windows
 from twin.calibrators.outcome import Report, conclude
 from twin.calibrators.posterior import STATE_SD, weighted
@@ -76,6 +76,15 @@ class Proposal:
             "half_width_K": self.half_width.tolist(),
             "condition": self.condition,
         }
+
+
+class _Reading(NamedTuple):
+    """A window as the network reads it, and what it says."""
+
+    frame: Frame
+    evidence: Evidence
+    row: Windows
+    said: Said
 
 
 class HieraUNetCalibrator:
@@ -151,18 +160,16 @@ class HieraUNetCalibrator:
         """One cycle on everything that was pushed; `live` is the full vector (p,) of what the twin has now."""
         nominal, deviations = self.network.values, self.features.deviations
         series = self.history.series()
-        frame = self.features.frame(series, len(series), nominal)
-        evidence = estimate(self.features, frame, nominal)
-        frame = self.features.explained(frame, nominal, evidence.theta, evidence.steps)
-        row = one(frame, evidence, nominal)
-        said = self.ensemble.ask(row)
-        if self._leakage is None and frame.begin == 0:
-            self._leakage = self.ensemble.leakage(row)
-        seen = self._evidently(frame, evidence, said, row)
+        past = self._read(series)
+        if self._leakage is None and past.frame.begin == 0:
+            self._leakage = self.ensemble.leakage(past.row)
+        # A target is hidden from the fit that is evidence: what is proposed is of one that is still to come.
+        _, evidence, _, said = ahead = self._read(series.ahead(TARGET))
+        seen = self._evidently(past, ahead)
         found = gates.reasons(seen, self.ids)
         held, values = gates.held(found, self.ids), deviations.values(said.theta, nominal)
         now = live[deviations.index]
-        theta = given(self.features, frame, nominal, said.theta, held, deviations.theta(now, nominal))
+        theta = given(self.features, past.frame, nominal, said.theta, held, deviations.theta(now, nominal))
         proposal = Proposal(
             time_s=self.history.last_s,
             said=values,
@@ -173,17 +180,28 @@ class HieraUNetCalibrator:
             half_width=seen.half_width,
             condition=evidence.condition,
             attention=said.attention,
-            evaluations=evidence.evaluations + len(self.ensemble.members),
+            evaluations=past.evidence.evaluations + evidence.evaluations + 2 * len(self.ensemble.members),
         )
         self._spread = seen.half_width / NORMAL90
         self.records.append(proposal.document(self.ids))
         self._untold.append(self.records[-1])
         return proposal
 
-    def _evidently(self, frame: Frame, evidence: Evidence, said: Said, row: Windows) -> Evidently:
+    def _read(self, series: Series) -> _Reading:
+        """What a fit and the members say of the window that ends with a series."""
+        nominal = self.network.values
+        frame = self.features.frame(series, len(series), nominal)
+        evidence = estimate(self.features, frame, nominal)
+        frame = self.features.explained(frame, nominal, evidence.theta, evidence.steps)
+        row = one(frame, evidence, nominal)
+        return _Reading(frame, evidence, row, self.ensemble.ask(row))
+
+    def _evidently(self, past: _Reading, ahead: _Reading) -> Evidently:
+        """What the gates look at: of the record and of what was foretold in the past, of parameters what is ahead."""
+        frame, said = past.frame, past.said
         needed = self.features.table.indices("u", "y", "r")
-        half = self.ensemble.half_widths(said, int(row.regime[0, -1]))
-        full = self.features.deviations.full(evidence.theta, row.nominal[0])
+        half = self.ensemble.half_widths(said, int(past.row.regime[0, -1]))
+        full = self.features.deviations.full(past.evidence.theta, past.row.nominal[0])
         time = np.arange(TARGET, dtype=np.float64) * STEP_S
         twin = self.features.kernel.trace(full, frame.state, time, frame.held[-TARGET:])[0][0]
         error = frame.target - twin - said.delta
@@ -195,13 +213,13 @@ class HieraUNetCalibrator:
             steps=len(frame.time) - frame.begin,
             measured=frame.target,
             noise=step_noise(self.features),
-            condition=evidence.condition,
-            told=evidence.told,
+            condition=ahead.evidence.condition,
+            told=ahead.evidence.told,
             half_width=half.mean(axis=0),
             missed=np.where(count > 0, np.sqrt(squares.sum(axis=0) / np.maximum(count, 1)), np.nan),
-            sd=said.theta_sd,
+            sd=ahead.said.theta_sd,
             prior=self.features.deviations.prior_sd,
-            distance=said.distance,
+            distance=ahead.said.distance,
             leakage=self._leakage or 0.0,
         )
 
