@@ -13,7 +13,8 @@ from twin.discovery.grid import on_grid
 from twin.discovery.model import Model
 from twin.discovery.noise import CAUTION, bands, learn
 from twin.discovery.null import FALSE_ALARMS, Null
-from twin.discovery.search import Entry
+from twin.discovery.part import Part
+from twin.discovery.search import Entry, able_to_begin
 from twin.discovery.shapes import Shape
 from twin.discovery.validation import holds, validate
 
@@ -89,3 +90,16 @@ def test_a_block_that_says_nothing_is_not_asked() -> None:
     assert not holds((Fold(0.0, 1.0, 10, -30.0), Fold(1.0, 2.0, 10, 40.0)))
     assert not holds(tuple(Fold(0.0, 1.0, 10, g) for g in (-15.0, 40.0, 40.0, 4.0)))
     assert holds(tuple(Fold(0.0, 1.0, 10, g) for g in (-9.0, 21.0, 7.0)))  # as chance does to a weak one
+
+
+def test_a_faint_effect_may_have_begun_at_more_times_than_a_strong_one(bench: Bench, healthy: Columns) -> None:
+    onset_s, spans = 5.0 * 3600.0, []
+    for power in (1.0, 100.0):
+        record = bench.record(12.0, changed=bench.with_values(modules_power__power=power), onset_h=5.0)
+        grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+        part = Part.of(basis(bench.network, healthy, grid), grid)
+        heat = next(e for e in part.entries if e.label == ("heat_source", "modules", "constant"))
+        first_s, last_s = able_to_begin(part.contest, heat, np.zeros(0))
+        assert first_s - part.contest.step_s <= onset_s <= last_s + part.contest.step_s
+        spans.append(last_s - first_s)
+    assert spans[1] < 600.0 < spans[0]

@@ -12,6 +12,7 @@ from twin.discovery.laws import Law
 from twin.discovery.shapes import Shape
 from twin.discovery.sweep import LAST_SHARE, Courses, Given, Squares
 from twin.elements.base import Candidate
+from twin.gauss_newton import SE90
 from twin.network import Array
 
 WORTH_GROWING = 4.0
@@ -83,15 +84,8 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
     beside = Given(contest, given) if given is not None and len(given) else None
     found: list[Entry] = []
     for law in laws:
-        squares, (others, courses) = Squares.of(contest, law), known.beyond(law.candidate)
-        p, score, bottom, growing = squares.blocks, contest.scored(squares.blocks), squares.steps, squares.growths
-        if beside is not None:
-            share = beside.share(p)
-            score = score - beside.score(share)
-            bottom = bottom - (share[::-1].cumsum(axis=0)[::-1][: len(onsets)] ** 2).sum(axis=1)
-            growing = growing - ((share.T @ courses) ** 2).sum(axis=0)
-        least = _TINY * max(float(squares.steps.max()), _TINY)
-        bottom = np.maximum(bottom, least)
+        others, courses = known.beyond(law.candidate)
+        p, score, bottom, growing = _beside(contest, law, beside)
         size, gain = _gains(law, score @ steps, bottom)
         if law.candidate.lumped and gain.max() - gain[0] < CAME_IN:
             gain[np.abs(size) < law.candidate.lumped] = 0.0
@@ -103,7 +97,7 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
             found.append(_entry(law, shape, vector, size[best], bottom[best], gain[best]))
         if law.candidate.shapes == ("step",) or (gain[best] < WORTH_GROWING and not put_in):
             continue
-        bottom = np.maximum(growing, least)
+        bottom = growing
         size, gain = _gains(law, score @ courses, bottom)
         each = max(len(others), 1) if put_in else len(onsets[::3])
         for first in range(0, len(others), each):
@@ -112,6 +106,41 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
                 found.append(_entry(law, others[best], p * courses[:, best], size[best], bottom[best], gain[best]))
     found.sort(key=lambda e: -e.gain)
     return found
+
+
+def able_to_begin(contest: Contest, entry: Entry, given: Array) -> tuple[float, float]:
+    """The earliest and the latest onset, s, with which an effect wins as much as its best, but for what chance takes
+    from one in ten.
+
+    Args:
+        given: vectors (e, sites, b) of the effects beside it.
+    """
+    known = Courses.of(contest)
+    beside = Given(contest, given) if len(given) else None
+    _, score, bottom, growing = _beside(contest, entry.law, beside)
+    if entry.shape.name == "step":
+        onsets, gain = known.onsets, _gains(entry.law, score @ known.steps, bottom)[1]
+    else:
+        shapes, courses = known.beyond(entry.candidate)
+        of_it = np.array([shape.name == entry.shape.name for shape in shapes], dtype=bool)
+        onsets = np.array([shape.onset_s for shape in shapes])[of_it]
+        gain = _gains(entry.law, score @ courses, growing)[1][of_it]
+    able = onsets[gain > gain.max(initial=0.0) - SE90**2]
+    return (float(able.min()), float(able.max())) if len(able) else (entry.shape.onset_s, entry.shape.onset_s)
+
+
+def _beside(contest: Contest, law: Law, beside: Given | None) -> tuple[Array, Array, Array, Array]:
+    """A law's blocks (sites, b) and score (b,), and the squares of its steps and of what else it may be, less what
+    those beside it stand for."""
+    squares = Squares.of(contest, law)
+    p, score, bottom, growing = squares.blocks, contest.scored(squares.blocks), squares.steps, squares.growths
+    if beside is not None:
+        share = beside.share(p)
+        score = score - beside.score(share)
+        bottom = bottom - (share[::-1].cumsum(axis=0)[::-1][: len(bottom)] ** 2).sum(axis=1)
+        growing = growing - ((share.T @ Courses.of(contest).beyond(law.candidate)[1]) ** 2).sum(axis=0)
+    least = _TINY * max(float(squares.steps.max()), _TINY)
+    return p, score, np.maximum(bottom, least), np.maximum(growing, least)
 
 
 def _gains(law: Law, top: Array, bottom: Array) -> tuple[Array, Array]:

@@ -25,7 +25,7 @@ from twin.discovery.model import Model
 from twin.discovery.probe import Run
 from twin.discovery.ranking import Finding, Ranked, enough, stand
 from twin.discovery.readings import Stuck
-from twin.discovery.search import Entry
+from twin.discovery.search import Entry, able_to_begin
 from twin.discovery.sites import drivers_of, signatures, sites_of, unknown
 from twin.discovery.spells import as_effect, came_and_went, described, explained, explains, outdone
 from twin.discovery.switches import switched
@@ -215,6 +215,7 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
     c, start = entry.candidate, float(grid.time[0])
     spread = SE90 * entry.sd * math.sqrt(max(finding.fit.chi, 1.0)) if finding.fit else 0.0
     onset_spread = SE90 * entry.onset_sd_s
+    first_s, last_s = _onsets(entry, finding)
     grown = _final(entry, grid)
     spread *= grown
     gain = max(finding.start - (finding.fit.total if finding.fit else 0.0), 0.0)
@@ -230,8 +231,8 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
         interval90=(entry.size * grown - spread, entry.size * grown + spread),
         onset_s=start + entry.shape.onset_s,
         onset_interval90_s=(
-            start + max(entry.shape.onset_s - onset_spread, 0.0),
-            start + entry.shape.onset_s + onset_spread,
+            start + max(min(entry.shape.onset_s - onset_spread, first_s), 0.0),
+            start + max(entry.shape.onset_s + onset_spread, last_s),
         ),
         shape=entry.shape.entered.name,
         confidence=sure.get((c.kind, c.where), 1.0),
@@ -290,6 +291,15 @@ def _bigger(finding: Finding, network: Network, grid: Grid) -> Network:
         if i in own and v != p.value
     }
     return model.network.with_values(values)
+
+
+def _onsets(entry: Entry, finding: Finding) -> tuple[float, float]:
+    """Between which onsets, s, the scan cannot tell: slopes about a fit see no further than the next edge."""
+    if entry.shape.onset_s <= 0.0:
+        return 0.0, 0.0
+    assert finding.fit is not None
+    others = [e.placed(finding.contest) for e in finding.fit.entries if e is not entry]
+    return able_to_begin(finding.contest, entry, np.stack(others) if others else np.zeros((0,)))
 
 
 def _final(entry: Entry, grid: Grid) -> float:
