@@ -1,6 +1,7 @@
 """The parts of the search, each against arithmetic that it could get wrong."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.discovery.conftest import Bench
+from twin.discovery import ladder
 from twin.discovery.basis import Columns, basis
 from twin.discovery.catalogue import catalogue, extended, sized
 from twin.discovery.contest import Contest
@@ -229,6 +231,25 @@ def test_a_stream_and_heat_share_a_place_unless_they_begin_together(bench: Bench
     loss = replace(entry("heat_loss", "temperature_difference", 14.0), vector=-np.ones(3))
     assert piled_up((source, loss), clean=True)
     assert not piled_up((replace(source, shape=Shape("step")), loss), clean=True)
+    assert not piled_up((replace(source, size=0.2), loss), clean=True)
+
+
+@pytest.mark.parametrize(("wins", "told"), [(30.0, False), (60.0, True)])
+def test_of_two_that_hide_each_other_more_is_asked_than_of_one(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, wins: float, told: bool
+) -> None:
+    """There are as many more pairs as there are single effects."""
+    known = {(c.kind, c.where, c.driver): c for c in catalogue(bench.network)}
+    pair = tuple(
+        Entry(Law(known[kind, "modules", driver], None, None), Shape("step"), np.empty(0), 1.0, 0.1, 100.0)
+        for kind, driver in (("heat_source", "constant"), ("heat_loss", "temperature_difference"))
+    )
+    fit = SimpleNamespace(total=300.0 - wins, chi=0.3, entries=pair)
+    monkeypatch.setattr(ladder, "_pairs", lambda _: [pair])
+    monkeypatch.setattr(ladder, "fitted", lambda _, groups: [(fit, group) for group in groups])
+    part = SimpleNamespace(contest=SimpleNamespace(count=900), threshold=4.5)
+    found = ladder._hidden(part, 300.0)  # type: ignore[arg-type]
+    assert [r.entries for r in found] == ([pair] if told else [])
 
 
 def test_what_is_slow_needs_a_larger_share_of_what_came_first(bench: Bench) -> None:

@@ -90,7 +90,10 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         order = rank(trials, contest, start)
         winner = order[0].fit
         if best is None and start - winner.total - unusual(winner.entries) < threshold**2:
-            break
+            order = _hidden(part, start)
+            if not order:
+                break
+            winner = order[0].fit
         if best is not None:
             small = share_needed(winner.entries, chosen, second_share) * first_gain
             back = pushed and winner.away < threshold**2
@@ -144,6 +147,15 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         )  # fmt: skip
     part.reset()
     return found if shorter is None else replace(shorter, beside=beside)
+
+
+def _hidden(part: Part, start: float) -> tuple[Ranked, ...]:
+    """Pairs of effects that hide each other, ranked: together they win what neither does alone; none where none do."""
+    trials = fitted(part, _pairs(part))
+    order = rank(trials, part.contest, start) if trials else ()
+    if order and start - order[0].fit.total - unusual(order[0].fit.entries) < 2.0 * part.threshold**2:
+        return ()
+    return order
 
 
 def _left(part: Part, best: Fit) -> tuple[list[Entry], Rung]:

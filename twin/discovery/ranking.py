@@ -6,6 +6,8 @@ import itertools
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from twin.discovery.catalogue import LATE
 from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Fold, Rung
@@ -30,6 +32,8 @@ KINDS = {
 """How likely a kind of effect is before any data, relative to a heat source."""
 _MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
 """What an actuator moves: a pump that turns slower is a flow that is less."""
+UNDONE = 0.25
+"""Share of what came that has to go for the two to be one thing that came and went."""
 NEARLY_ALL = 0.85
 """Share of what a twin has that goes where something else stands in its stead."""
 _RARE = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
@@ -95,7 +99,8 @@ def _one_thing(one: Entry, other: Entry) -> bool:
         e.candidate.where in ("pump_speed", "fan_speed") or e.candidate.kind in ("flow", "heat_rejection")
         for e in (one, other)
     )
-    opposite = one.size * one.vector.sum() * other.size * other.vector.sum() < 0.0
+    heats = sorted(abs(e.size) * float(np.abs(e.vector).sum(axis=0).max()) for e in (one, other))
+    opposite = one.size * one.vector.sum() * other.size * other.vector.sum() < 0.0 and heats[0] > UNDONE * heats[1]
     return (
         one.candidate.kind == other.candidate.kind
         or moved
