@@ -13,6 +13,7 @@ from twin.calibrators.hiera_unet.binding import identity_of, physics_of
 from twin.calibrators.hiera_unet.ensemble import together
 from twin.calibrators.hiera_unet.evidence import Belief, estimate
 from twin.calibrators.hiera_unet.features import Features
+from twin.calibrators.hiera_unet.holding import NARROWEST
 from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble
 from twin.calibrators.hiera_unet.score import NINETY, Outcome, outcome
 from twin.calibrators.hiera_unet.series import STEP_S
@@ -21,8 +22,6 @@ from twin.calibrators.hiera_unet.train import Physics
 from twin.calibrators.hiera_unet.windows import Windows, concatenate
 
 Z90 = 1.645
-NARROWEST = 0.1
-"""Least standard deviation of the network's belief, as a share of what was known before any data."""
 
 
 def contestants(card: Path, features: Features) -> dict[str, Contestant]:

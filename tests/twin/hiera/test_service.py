@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,13 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
 
-from twin.calibrators.hiera_unet import gates  # noqa: E402
+from twin.calibrators.hiera_unet import gates, service  # noqa: E402
 from twin.calibrators.hiera_unet.binding import config_for, identity_of  # noqa: E402
 from twin.calibrators.hiera_unet.channels import table  # noqa: E402
 from twin.calibrators.hiera_unet.checkpoint import Member, load, save  # noqa: E402
 from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
 from twin.calibrators.hiera_unet.envelope import Envelope  # noqa: E402
+from twin.calibrators.hiera_unet.evidence import HORIZONS, estimate  # noqa: E402
 from twin.calibrators.hiera_unet.features import Features  # noqa: E402
 from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble  # noqa: E402
 from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
@@ -149,6 +151,23 @@ def test_what_happened_in_the_last_ten_minutes_is_proposed(ensemble: Ensemble) -
     assert after["values"]["fins.UA_100"] == pytest.approx(45.0, abs=2.0)
 
 
+def test_a_fit_of_the_latest_minutes_alone_hides_nothing(ensemble: Ensemble, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The channels of such a fit begin late, as after a change; what the rig delivers is there all along."""
+    seen: list[list[float]] = []
+    reasons = gates.reasons
+
+    def noted(e: gates.Evidently, ids: tuple[str, ...]) -> tuple[gates.Reason, ...]:
+        seen[-1].append(e.hidden)
+        return reasons(e, ids)
+
+    monkeypatch.setattr(gates, "reasons", noted)
+    for horizons in (HORIZONS, (45,)):
+        monkeypatch.setattr(service, "estimate", partial(estimate, horizons=horizons))
+        seen.append([])
+        TwinTracker(LOOP, calibrator(ensemble)).push(*record({}))
+    assert len(seen[0]) > 10 and seen[0] == seen[1]
+
+
 def refined(ensemble: Ensemble) -> TwinTracker:
     return TwinTracker(LOOP, RefinedCalibrator(LOOP, calibrator(ensemble)))
 
@@ -242,7 +261,8 @@ def open_gates() -> gates.Evidently:
     return gates.Evidently(
         hidden=0.1, steps=1440, measured=rng.normal(size=(120, 2)), noise=np.ones(2), condition=30.0,
         told=np.array([True, True]), half_width=np.array([0.1, 0.2]), missed=np.array([0.1, np.nan]),
-        sd=np.array([0.1, 0.1]), prior=np.array([0.4, 0.4]), distance=0.5, leakage=0.0,
+        left=np.array([0.02, np.nan]), tolerated=0.1, sd=np.array([0.1, 0.1]), prior=np.array([0.4, 0.4]),
+        distance=0.5, leakage=0.0,
     )  # fmt: skip
 
 
@@ -257,7 +277,9 @@ def open_gates() -> gates.Evidently:
         ({"half_width": np.array([0.1, 0.9])}, "HIGH_UNCERTAINTY", [True, True]),
         ({"sd": np.array([0.3, 0.1])}, "HIGH_UNCERTAINTY", [True, False]),
         ({"distance": 1.2}, "OUT_OF_ENVELOPE", [True, True]),
-        ({"missed": np.array([0.5, np.nan])}, "CONTRADICTORY_EVENT", [True, True]),
+        ({"missed": np.array([0.5, np.nan]), "left": np.array([0.2, 0.0])}, "CONTRADICTORY_EVENT", [True, True]),
+        ({"missed": np.array([0.5, np.nan])}, "", [False, False]),
+        ({"missed": np.full(2, 0.09), "half_width": np.full(2, 0.01), "left": np.full(2, 0.2)}, "", [False, False]),
         ({"leakage": 0.1}, "LEAKAGE", [True, True]),
     ],
 )  # fmt: skip

@@ -21,7 +21,8 @@ UNSURE_K = 0.8
 VAGUE = 0.5
 """Standard deviation of a parameter, as a share of what was known of it before any data."""
 UNEXPLAINED = 3.0
-"""Error of the calibrated outputs that were measured, in half widths of their intervals."""
+"""Error of what was foretold, in half widths of its intervals, from which it is a surprise; never less than a
+calibrated twin may miss by."""
 ROUGH = 12.0
 """Median change from step to step, in noises of a step: more is no record of a thing that has a thermal mass."""
 FLAT_STEPS = 120
@@ -51,8 +52,9 @@ class Evidently:
     Attributes:
         hidden: share of what is required that is hidden, since the record began. steps: of record seen.
         measured: (n, Y) degC, the target. noise: (Y,) K of one step. condition: of all parameters together.
-        told: (P,) bool, tells them apart. half_width: (Y,) K mean half widths. missed: (Y,) K, root mean square of
-            measured minus calibrated over the target, NaN where nothing was measured.
+        told: (P,) bool, tells them apart. half_width: (Y,) K mean half widths. missed, left: (Y,) K, root mean squares
+            of measured minus foretold over the target, and of what a fit of the latest stretch leaves there; NaN where
+            nothing was measured. tolerated: K by which a calibrated twin may miss.
         sd, prior: (P,) of the deviations, now and before any data. distance: from the envelope, 1 at its limit.
         leakage: how far deviations hang on the last moments.
     """
@@ -65,6 +67,8 @@ class Evidently:
     told: np.ndarray
     half_width: Array
     missed: Array
+    left: Array
+    tolerated: float
     sd: Array
     prior: Array
     distance: float
@@ -100,8 +104,8 @@ def reasons(e: Evidently, ids: tuple[str, ...]) -> tuple[Reason, ...]:
         found.append(Reason("HIGH_UNCERTAINTY", f"an output is known to no better than {widest:.2f} K"))
     if e.distance > 1.0:
         found.append(Reason("OUT_OF_ENVELOPE", f"{e.distance:.1f} times as far from what was trained on as is allowed"))
-    missed = e.missed / np.maximum(e.half_width, 1e-9)
-    if np.isfinite(missed).any() and np.nanmax(missed) > UNEXPLAINED:
+    surprised = (e.missed > np.maximum(UNEXPLAINED * e.half_width, e.tolerated)).any()
+    if surprised and (e.left > e.tolerated).any():
         found.append(
             Reason("CONTRADICTORY_EVENT", "neither parameters nor corrections explain what was measured: a jump?")
         )

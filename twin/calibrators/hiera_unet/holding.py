@@ -1,41 +1,46 @@
-"""What to take on of a proposal when some of its parameters may not move.
+"""What the twin takes on of a proposal: the record fitted from what the network believes, what may not move held.
 
-What data tell is mostly sums of parameters: with one of two taken on and the other left as it was, a twin would be
-neither what the network proposes nor what it was before. So those that may move go where the twin reads, over all that
-the window holds of the record, what it would read with all of the proposal.
+The network's parameters are drawn towards what is usual: of a rig that has changed they read halfway. And what data
+tell is mostly sums of parameters: with one of two taken on and the other left as it was, a twin would be neither what
+the network proposes nor what it was before. So the latest stretch that one set of parameters explains (`evidence`) is
+fitted once more with the network's belief as the prior: what the record tells moves to where the twin reads right, all
+else stays where the network has it.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from twin.calibrators.hiera_unet.evidence import STATE_SD, step_noise
+from twin.calibrators.hiera_unet.evidence import Belief, estimate
 from twin.calibrators.hiera_unet.features import Features, Frame
-from twin.gauss_newton import Data, Prior, Problem
 from twin.network import Array
 
-MOST = 4
-"""Linearisations: what is held is seldom far off in what the record tells."""
+NARROWEST, HELD = 0.1, 0.01
+"""Least standard deviation of the network's belief, and that of what is held, as shares of what was known before any
+data."""
 
 
-def given(features: Features, frame: Frame, values: Array, said: Array, held: np.ndarray, now: Array) -> Array:
-    """Deviations (P,) that read as `said` (P,) does, with those that are `held` (P,) bool left `now` (P,).
+@dataclass(frozen=True)
+class Taken:
+    """Deviations (P,) to take on, and linearisations that it cost."""
+
+    theta: Array
+    evaluations: int = 0
+
+
+def taken(
+    features: Features, frame: Frame, values: Array, said: Array, sd: Array, held: np.ndarray, now: Array
+) -> Taken:
+    """Deviations that explain the context of a window from the belief `said` (P,) with `sd` (P,).
 
     Args:
-        values: full vector (p,) of the commissioned twin.
+        values: full vector (p,) of the commissioned twin. held: (P,) bool, those that stay at `now` (P,).
     """
-    if not held.any() or held.all():
-        return np.where(held, now, said)
-    rows, deviations = slice(frame.begin, None), features.deviations
-    time, inputs = np.ascontiguousarray(frame.time[rows]), np.ascontiguousarray(frame.held[rows])
-    readings = features.kernel.trace(deviations.full(said, values), frame.start, time, inputs)[0][0]
-    weight = np.broadcast_to(1.0 / step_noise(features), readings.shape).copy()
-    nodes = len(features.network.nodes)
-    begun = np.concatenate([np.where(held, now, said), frame.start[:nodes]])
-    precision = np.diag(np.concatenate([deviations.prior_sd, np.full(nodes, STATE_SD)]) ** -2.0)
-    problem = Problem(
-        features.kernel, deviations.scaling(values), values, Data(time, inputs, readings, weight), frame.start
-    )
-    stay = np.concatenate([held, np.zeros(nodes, dtype=bool)])
-    fit = problem.minimise(begun, Prior(begun.copy(), precision), held=stay, most=MOST, tolerance=1e-3)
-    return fit.v[: len(deviations)] if np.isfinite(fit.cost) else begun[: len(deviations)]
+    if held.all():
+        return Taken(now)
+    wide = features.deviations.prior_sd
+    spread = np.where(held, HELD * wide, np.clip(sd, NARROWEST * wide, wide))
+    found = estimate(features, frame, values, belief=Belief(np.where(held, now, said), spread))
+    return Taken(np.where(held, now, found.theta), found.evaluations)

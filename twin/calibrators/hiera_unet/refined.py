@@ -19,6 +19,7 @@ from twin.calibrators.base import Calibration, Window, from_plain, plain
 from twin.calibrators.hiera_unet import gates
 from twin.calibrators.hiera_unet.evidence import HORIZONS, LEAST_CHI, Belief, Evidence, estimate, step_noise
 from twin.calibrators.hiera_unet.features import Frame
+from twin.calibrators.hiera_unet.holding import NARROWEST
 from twin.calibrators.hiera_unet.series import STEP_S, binned
 from twin.calibrators.hiera_unet.service import HieraUNetCalibrator, Proposal
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
@@ -30,8 +31,6 @@ from twin.network import Array, Network
 BETTER = 3.0
 """Factor by which the mean square over the latest minutes must fall for the second fit to count."""
 LATEST_S = HORIZONS[-1] * STEP_S
-NARROWEST = 0.1
-"""Least standard deviation of the network's belief, as a share of what was known before any data."""
 
 
 @dataclass(frozen=True)

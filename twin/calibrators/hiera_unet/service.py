@@ -22,11 +22,11 @@ from twin.calibrators.hiera_unet.evidence import Evidence, estimate, step_noise
 from twin.calibrators.hiera_unet.features import Features, Frame
 from twin.calibrators.hiera_unet.gates import Evidently, Reason
 from twin.calibrators.hiera_unet.history import History
-from twin.calibrators.hiera_unet.holding import given
+from twin.calibrators.hiera_unet.holding import taken
 from twin.calibrators.hiera_unet.members import Ensemble, Said
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.series import STEP_S, Series
-from twin.calibrators.hiera_unet.windows import TARGET, Windows
+from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows
 from twin.calibrators.outcome import Report, conclude
 from twin.calibrators.posterior import STATE_SD, weighted
 from twin.gauss_newton import align
@@ -45,8 +45,8 @@ class Proposal:
 
     Attributes:
         time_s: of the latest sample that it has seen. said, sd: (P,) the network's parameters and standard errors in
-            their own units. held: (P,) bool, those that may not move. values: (P,) what is to be taken on, given
-            what is held where it stands. reasons: closed gates.
+            their own units. held: (P,) bool, those that may not move. values: (P,) what is to be taken on: the record
+            fitted from `said`, what is held where it stands. reasons: closed gates.
         half_width: (Y,) K mean half widths of the outputs' 90 % intervals. condition: see `Calibration`.
         attention: (Q, 12), what each query looked at. evaluations: simulations and forward passes.
     """
@@ -169,18 +169,20 @@ class HieraUNetCalibrator:
         found = gates.reasons(seen, self.ids)
         held, values = gates.held(found, self.ids), deviations.values(said.theta, nominal)
         now = live[deviations.index]
-        theta = given(self.features, past.frame, nominal, said.theta, held, deviations.theta(now, nominal))
+        took = taken(
+            self.features, ahead.frame, nominal, said.theta, said.theta_sd, held, deviations.theta(now, nominal)
+        )
         proposal = Proposal(
             time_s=self.history.last_s,
             said=values,
             sd=said.theta_sd * deviations.scaling(nominal).slope(values),
             held=held,
-            values=np.where(held, now, deviations.values(theta, nominal)),
+            values=np.where(held, now, deviations.values(took.theta, nominal)),
             reasons=found,
             half_width=seen.half_width,
             condition=evidence.condition,
             attention=said.attention,
-            evaluations=past.evidence.evaluations + evidence.evaluations + 2 * len(self.ensemble.members),
+            evaluations=sum(e.evaluations for e in (past.evidence, evidence, took)) + 2 * len(self.ensemble.members),
         )
         self._spread = seen.half_width / NORMAL90
         self.records.append(proposal.document(self.ids))
@@ -197,17 +199,18 @@ class HieraUNetCalibrator:
         return _Reading(frame, evidence, row, self.ensemble.ask(row))
 
     def _evidently(self, past: _Reading, ahead: _Reading) -> Evidently:
-        """What the gates look at: of the record and of what was foretold in the past, of parameters what is ahead."""
+        """What the gates look at: of the record and of what was foretold in the past, of parameters what is ahead.
+
+        What nobody could foretell contradicts only where no fit explains it since.
+        """
         frame, said = past.frame, past.said
-        needed = self.features.table.indices("u", "y", "r")
+        # Channels of a fit are hidden before the stretch that it is of, which is no loss of readings.
+        channels = self.features.table.channels
+        needed = [k for k in self.features.table.indices("u", "y", "r") if channels[k].formula != "fitted"]
         half = self.ensemble.half_widths(said, int(past.row.regime[0, -1]))
         full = self.features.deviations.full(past.evidence.theta, past.row.nominal[0])
         time = np.arange(TARGET, dtype=np.float64) * STEP_S
         twin = self.features.kernel.trace(full, frame.state, time, frame.held[-TARGET:])[0][0]
-        error = frame.target - twin - said.delta
-        good = np.isfinite(error)
-        squares = np.where(good, error, 0.0) ** 2
-        count = good.sum(axis=0)
         return Evidently(
             hidden=float(1.0 - frame.m[frame.begin :, needed].mean()),
             steps=len(frame.time) - frame.begin,
@@ -216,12 +219,22 @@ class HieraUNetCalibrator:
             condition=ahead.evidence.condition,
             told=ahead.evidence.told,
             half_width=half.mean(axis=0),
-            missed=np.where(count > 0, np.sqrt(squares.sum(axis=0) / np.maximum(count, 1)), np.nan),
+            missed=_rms(frame.target - twin - said.delta),
+            left=self._left(ahead),
+            tolerated=self.network.rules.calibrated_K,
             sd=ahead.said.theta_sd,
             prior=self.features.deviations.prior_sd,
             distance=ahead.said.distance,
             leakage=self._leakage or 0.0,
         )
+
+    def _left(self, ahead: _Reading) -> Array:
+        """What a fit of the latest stretch leaves of it (Y,), root mean square, K; of ten minutes at most."""
+        frame, found, last = ahead.frame, ahead.evidence, CONTEXT - TARGET
+        rows = slice(max(last - found.steps, frame.begin), last)
+        full = self.features.deviations.full(found.theta, ahead.row.nominal[0])
+        fitted = self.features.kernel.trace(full, found.start, frame.time[rows], frame.held[rows])[0][0]
+        return _rms((frame.measured[rows] - fitted)[-TARGET:])
 
     def _taken_on(self, window: Window, proposal: Proposal) -> tuple[Array, Array, Array, Array]:
         """The window with what is not held: values (q,), state at its start, readings (n, m), state at its end."""
@@ -262,6 +275,14 @@ class HieraUNetCalibrator:
         self._leakage = state["leakage"]
         self._spread = from_plain(state["spread"])
         self.records = deque(state["records"], maxlen=RECORDS)
+
+
+def _rms(left: Array) -> Array:
+    """Root mean squares (Y,) of what is left (n, Y); NaN where nothing was measured."""
+    good = np.isfinite(left)
+    count = good.sum(axis=0)
+    squares = np.where(good, left, 0.0) ** 2
+    return np.where(count > 0, np.sqrt(squares.sum(axis=0) / np.maximum(count, 1)), np.nan)
 
 
 def one(frame: Frame, evidence: Evidence, nominal: Array) -> Windows:
