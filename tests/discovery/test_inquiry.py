@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
+from twin.discovery import inquiry
 from twin.discovery.basis import Columns, basis
 from twin.discovery.engine import diagnose
 from twin.discovery.grid import on_grid
 from twin.discovery.inquiry import Inquiry, came_in
 from twin.discovery.ladder import search
+from twin.discovery.ranking import Finding
 from twin.kernel import Kernel
 from twin.revisions import with_elements
 
@@ -77,3 +82,27 @@ def test_a_short_lag_is_told_where_it_came_in(bench: Bench, healthy: Columns, on
     assert [(e.kind, e.where, e.driver) for e in found.effects] == (
         [("sensor", "T_heater_C", "rate_of_change")] if found.effects else []
     )
+
+
+@pytest.mark.parametrize(
+    ("won", "left", "effects"),
+    [(30.0, 3.19, 2), (30.0, 3.21, 1), (400.0, 3.21, 2), (400.0, 3.4, 1)],
+    ids=["it foretells", "neither tells", "the fit tells", "it foretells worse"],
+)
+def test_where_the_last_part_tells_neither_the_fit_decides(
+    monkeypatch: pytest.MonkeyPatch, won: float, left: float, effects: int
+) -> None:
+    def finding(count: int, total: float, shorter: Finding | None) -> Finding:
+        parts: dict[str, Any] = dict.fromkeys(("retuned", "state"))
+        return Finding(
+            entries=(None,) * count, fit=SimpleNamespace(total=total, chi=0.4), ranked=(), scanned=(), start=20_000.0,
+            count=1000, ladder=(), contest=SimpleNamespace(expected=0.5), null=SimpleNamespace(quantile=lambda _: 4.5),
+            shorter=shorter, **parts,
+        )  # type: ignore[arg-type]  # fmt: skip
+
+    one = finding(1, 300.0 + won, None)
+    two = finding(2, 300.0, one)
+    monkeypatch.setattr(inquiry, "_as_used", lambda found, _: found)
+    held_out = SimpleNamespace(left=lambda found, _: left if len(found.entries) == 2 else 3.2)
+    told = Inquiry._foretelling(SimpleNamespace(_held_out=held_out), two, None, 0)  # type: ignore[arg-type]
+    assert len(told.entries) == effects and told.refuted == (effects == 1)

@@ -33,6 +33,9 @@ FORETELLS_SHARE, FORETELLS = 0.15, 0.5
 effect has to take, to be told all the same."""
 OTHER_FORM = 0.5
 """Share of those squares that as many effects of another form may leave, to be told in the place of plain ones."""
+ALIKE, TOLD = 0.01, 4.0
+"""Share by which those squares may differ where they tell neither, and the gain, in what a score at the threshold has,
+from which the fit then decides."""
 WELL_SEEN, KEPT = LAST_SHARE - 0.01, 6
 """Share of a part within which a search looks for an onset wherever the part's blocks may end, and bins that no fit
 sees even so."""
@@ -169,12 +172,14 @@ class Inquiry:
         """The finding without those of its last effects that make the part that no fit saw no better.
 
         Where so much is left without one that there must be something, it stays: how it goes on is then told wrongly.
+        So it does where that part tells neither, and the fit far more than that there is something.
         """
         while finding.shorter is not None and finding.shorter.fit is not None:
             if not enough(finding.shorter.fit.chi, finding.start / finding.count, finding.contest, quiet=True):
                 break
             shorter = _as_used(finding.shorter, train)
-            if self._held_out.left(finding, split) < self._held_out.left(shorter, split):
+            left, before = (self._held_out.left(f, split) for f in (finding, shorter))
+            if left < before or (left < (1.0 + ALIKE) * before and _well_told(finding)):
                 break
             finding = replace(shorter, refuted=True)
         return finding
@@ -201,6 +206,13 @@ class Inquiry:
             return False
         left, before = (self._held_out.left(f, fuller.split) for f in (late, found.finding))
         return left < (1.0 if more or weak(found.finding) else OTHER_FORM) * before
+
+
+def _well_told(finding: Finding) -> bool:
+    """Whether the last effect won far more than one has to, and leaves no more than noise."""
+    assert finding.fit is not None and finding.shorter is not None and finding.shorter.fit is not None
+    won = finding.shorter.fit.total - finding.fit.total
+    return won > TOLD * finding.threshold**2 and finding.fit.chi <= finding.contest.expected
 
 
 def _begins_late(whole: Part, train: Part, split: int) -> bool:
