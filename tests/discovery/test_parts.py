@@ -234,20 +234,20 @@ def test_a_stream_and_heat_share_a_place_unless_they_begin_together(bench: Bench
     assert not piled_up((replace(source, size=0.2), loss), clean=True)
 
 
-@pytest.mark.parametrize(("wins", "told"), [(30.0, False), (60.0, True)])
+@pytest.mark.parametrize(("wins", "left", "told"), [(30.0, 0.3, False), (60.0, 0.3, True), (60.0, 0.6, False)])
 def test_of_two_that_hide_each_other_more_is_asked_than_of_one(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, wins: float, told: bool
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, wins: float, left: float, told: bool
 ) -> None:
-    """There are as many more pairs as there are single effects."""
+    """There are as many more pairs as there are single effects, and two fit more of what a lumped twin leaves."""
     known = {(c.kind, c.where, c.driver): c for c in catalogue(bench.network)}
     pair = tuple(
         Entry(Law(known[kind, "modules", driver], None, None), Shape("step"), np.empty(0), 1.0, 0.1, 100.0)
         for kind, driver in (("heat_source", "constant"), ("heat_loss", "temperature_difference"))
     )
-    fit = SimpleNamespace(total=300.0 - wins, chi=0.3, entries=pair)
+    fit = SimpleNamespace(total=300.0 - wins, chi=left, entries=pair)
     monkeypatch.setattr(ladder, "_pairs", lambda _: [pair])
     monkeypatch.setattr(ladder, "fitted", lambda _, groups: [(fit, group) for group in groups])
-    part = SimpleNamespace(contest=SimpleNamespace(count=900), threshold=4.5)
+    part = SimpleNamespace(contest=SimpleNamespace(count=900, expected=0.5), threshold=4.5)
     found = ladder._hidden(part, 300.0)  # type: ignore[arg-type]
     assert [r.entries for r in found] == ([pair] if told else [])
 

@@ -150,8 +150,11 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
 
 
 def _hidden(part: Part, start: float) -> tuple[Ranked, ...]:
-    """Pairs of effects that hide each other, ranked: together they win what neither does alone; none where none do."""
-    trials = fitted(part, _pairs(part))
+    """Pairs of effects that hide each other, ranked: together they win what neither does alone; none where none do.
+
+    No more than noise may be left: of what a lumped twin leaves, two effects fit more than one does.
+    """
+    trials = [(found, pair) for found, pair in fitted(part, _pairs(part)) if found.chi <= part.contest.expected]
     order = rank(trials, part.contest, start) if trials else ()
     if order and start - order[0].fit.total - unusual(order[0].fit.entries) < 2.0 * part.threshold**2:
         return ()
