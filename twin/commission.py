@@ -19,6 +19,7 @@ from twin.calibrators.identifiability import CANNOT_TELL, condition
 from twin.gauss_newton import SE90, Data, Fit, Prior, Scaling, descend
 from twin.kernel import Kernel, clean_time, held, masked
 from twin.network import Array, Network, Revision, TwinFileError
+from twin.stretches import stretches, traced
 
 FIRST_SAMPLES = 30
 """Readings whose mean is the first guess of the initial state, unless an input moves before."""
@@ -45,7 +46,7 @@ class Commission:
             the last over the part that was fitted. NaN for a sensor without a measurement there.
         covariance: (q, q) of the fitted values in the optimiser's variables, as `gauss_newton.Scaling` maps them.
         condition: condition number of the data's correlation matrix of the tunables.
-        state: (k,) initial state. evaluations: linearisations over all starts.
+        state: (s * k,) at the beginning of each stretch that was fitted. evaluations: linearisations over all starts.
     """
 
     network: Network
@@ -125,6 +126,8 @@ def commission(
         )
     if not initial_sd > 0.0:
         raise TwinFileError(f"initial_sd must be above 0 K, got {initial_sd:g}")
+    known = stretches(network, t, np.asarray(inputs, dtype=np.float64).reshape(u.shape))
+    weight = np.where(known.lost[:, None], 0.0, weight)
     split, end = _held_out(network, t, u, held_out)
     seen = np.ones(len(t), dtype=bool)
     seen[split:end] = False
@@ -133,10 +136,13 @@ def commission(
 
     kernel, scaling = Kernel(network, ids), Scaling.of(network, ids)
     raw = np.where(weight > 0.0, y, np.nan)
-    state0 = network.initial_state(raw[: _before_any_input_moves(network, u)])
+    firsts = [slice(b, b + _before_any_input_moves(network, u[b:])) for b in known.begins]
+    every0 = np.concatenate([network.initial_state(raw[first]) for first in firsts])
     start = network.values[scaling.index]
     rows = split if end == len(t) else len(t)
-    data = Data(t[:rows], u[:rows], y[:rows], np.where(seen[:, None], weight, 0.0)[:rows])
+    begins = tuple(b for b in known.begins if b < rows)
+    state0 = every0[: len(begins) * len(network.nodes)]
+    data = Data(t[:rows], u[:rows], y[:rows], np.where(seen[:, None], weight, 0.0)[:rows], begins)
     prior = weak_prior(scaling, start, state0, initial_sd)
     rng = np.random.default_rng(seed)
     fits: list[Fit] = []
@@ -149,7 +155,8 @@ def commission(
     def free_run(values: Array, state: Array) -> Array:
         full = network.values.copy()
         full[scaling.index] = values
-        return kernel.trace(full, state, t, u)[0][0]
+        states = np.concatenate([state, every0[len(state) :]])
+        return traced(kernel, full[None], states[None], t, u, known.begins)[0]
 
     stale = np.where(weight > 0.0, free_run(start, state0) - y, np.nan)
     residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
@@ -166,6 +173,9 @@ def commission(
     names = network.sensor_names
     errors = [dict(zip(names, rmse(r), strict=True)) for r in (stale[~seen], residual[~seen], residual[seen])]
     notes = _notes(network, ids, (agree, len(fits)), best, told, u[seen], widened)
+    notes += [known.sentence] if known.gaps else []
+    silent = [name for j, name in enumerate(network.sensor_names) if not (weight[:, j] > 0.0).any()]
+    notes += [f"{', '.join(silent)}: no reading in the record, so nothing was fitted to it"] if silent else []
     values = dict(zip(ids, best.values.tolist(), strict=True))
     revision = Revision(
         number=network.revision.number + 1,

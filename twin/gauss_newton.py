@@ -19,6 +19,7 @@ import numpy as np
 from twin.codegen import LANES
 from twin.kernel import Kernel
 from twin.network import Array, Network, TwinFileError
+from twin.stretches import parts
 
 PRIOR_LOG = 0.5
 """Prior standard deviation of a parameter varied in its logarithm: a factor of 1.65 either way."""
@@ -77,12 +78,26 @@ class Scaling:
 
 @dataclass(frozen=True)
 class Data:
-    """One record or window, cleaned: time (n,), inputs (n, c), measured and weight (n, m)."""
+    """One record or window, cleaned: time (n,), inputs (n, c), measured and weight (n, m).
+
+    `begins`: rows at which the rig is followed anew (`twin.stretches`); a state is then the node temperatures (s * k,)
+    at each of them.
+    """
 
     time: Array
     inputs: Array
     measured: Array
     weight: Array
+    begins: tuple[int, ...] = (0,)
+
+    def stretches(self) -> tuple[Data, ...]:
+        """Each stretch by itself, up to the first row of the next one, which has no weight."""
+        found = []
+        for rows in parts(self.begins, len(self.time)):
+            r, weight = slice(rows.start, rows.stop + 1), self.weight[rows.start : rows.stop + 1].copy()
+            weight[rows.stop - rows.start :] = 0.0
+            found.append(Data(self.time[r], self.inputs[r], self.measured[r], weight))
+        return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -114,7 +129,8 @@ class Fit:
     """Result of one descent.
 
     Attributes:
-        v: (q + k,) the minimum, [z, initial temperatures]. values: physical (q,). state: at the first sample.
+        v: (q + s * k,) the minimum, [z, temperatures at the beginnings]. values: physical (q,). state: at the first
+            sample of each stretch.
         data: residuals linearised there. cost: weighted squares plus prior.
         at_bound: (q,) bool. evaluations: linearisations made.
     """
@@ -134,7 +150,7 @@ class Fit:
 
     @property
     def normal(self) -> Array:
-        """J'J of the data alone (q + k, q + k), in z and K."""
+        """J'J of the data alone (q + s * k, q + s * k), in z and K."""
         return self.data.jtj
 
 
@@ -168,48 +184,75 @@ def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, dat
 
 
 class Problem:
-    """Weighted squares of a record as a function of v = [z (q,), initial node temperatures (k,)].
+    """Weighted squares of a record as a function of v = [z (q,), node temperatures at each beginning (s * k,)].
 
     Args:
         base: full parameter vector (p,); entries of `scaling.index` are replaced.
-        state: at the first sample; what it holds beyond the k temperatures (`twin.memory`) is taken as known.
+        state: (s * k,) at the beginnings; or, of a record in one stretch, a full state at the first sample, of which
+            what it holds beyond the k temperatures (`twin.memory`) is taken as known.
     """
 
     def __init__(self, kernel: Kernel, scaling: Scaling, base: Array, data: Data, state: Array) -> None:
-        self.q, states = len(scaling.ids), len(kernel.network.nodes)
-        if self.q + states >= LANES:
+        self.q, self.k = len(scaling.ids), len(kernel.network.nodes)
+        if self.q + self.k >= LANES:
             raise TwinFileError(
-                f"{self.q} tunables and {states} nodes are too many for one fit; at most {LANES - 1} together"
+                f"{self.q} tunables and {self.k} nodes are too many for one fit; at most {LANES - 1} together"
             )
         self.kernel, self.scaling, self.data = kernel, scaling, data
+        self._pieces = data.stretches()
+        states = len(self._pieces) * self.k
         self.low = np.concatenate([scaling.to_z(scaling.lower), np.full(states, -np.inf)])
         self.high = np.concatenate([scaling.to_z(scaling.upper), np.full(states, np.inf)])
         self._steps = np.concatenate([np.full(self.q, _STEP), np.full(states, 1e-2)])
-        self._full = np.tile(base, (1 + self.q + states, 1))
-        self._states = np.tile(state, (1 + self.q + states, 1))
+        self._full = np.tile(base, (1 + self.q + self.k, 1))
+        self._rest = state[states:] if len(self._pieces) == 1 else state[:0]
         self._reach = np.concatenate([REACH * scaling.prior_sd(), np.full(states, np.inf)])
         self.evaluations = 0
 
     def linearise(self, v: Array) -> Linearisation:
-        """Residuals and their derivatives at v (q + k,)."""
+        """Residuals and their derivatives at v (q + s * k,)."""
         steps = self._lanes(v)
-        return linearise(self.kernel, self._full, self._states, steps, self.data)
+        if len(self._pieces) == 1:
+            return linearise(self.kernel, self._full, self._begun(v, 0, self._rest), steps, self.data)
+        found, rest = [], self._rest
+        for i, piece in enumerate(self._pieces):
+            found.append(linearise(self.kernel, self._full, self._begun(v, i, rest), steps, piece))
+            rest = found[-1].end[self.k :]
+        jtj, jtr = np.zeros((v.size, v.size)), np.zeros(v.size)
+        for i, each in enumerate(found):
+            own = self._own(i)
+            jtj[np.ix_(own, own)] += each.jtj
+            jtr[own] += each.jtr
+        rows = parts(self.data.begins, len(self.data.time))
+        readings = np.concatenate([e.readings[: r.stop - r.start] for e, r in zip(found, rows, strict=True)])
+        return Linearisation(readings, found[-1].end, jtj, jtr, np.sum([each.sse for each in found], axis=0))
 
     def jacobian(self, v: Array) -> Array:
-        """Derivatives (n, m, q + k) of the readings at v (q + k,), unweighted."""
+        """Derivatives (n, m, q + k) of the readings at v (q + k,), unweighted, of a record in one stretch."""
         steps = self._lanes(v)
-        traced, _ = self.kernel.trace(self._full, self._states, self.data.time, self.data.inputs)
+        traced, _ = self.kernel.trace(self._full, self._begun(v, 0, self._rest), self.data.time, self.data.inputs)
         derivatives: Array = np.moveaxis((traced[1:] - traced[0]) / steps[:, None, None], 0, 2)
         return derivatives
 
+    def _own(self, i: int) -> np.ndarray:
+        """Places in v of what stretch i depends on."""
+        return np.concatenate([np.arange(self.q), self.q + i * self.k + np.arange(self.k)])
+
     def _lanes(self, v: Array) -> Array:
-        """Parameters and states that differ from v by a step each; the steps (q + k,)."""
+        """Set parameters that differ from v by a step each; the steps (q + k,), the last k of temperatures."""
         self.evaluations += 1
-        steps = np.where(v + self._steps > self.high, -self._steps, self._steps)
-        rows = v + np.vstack([np.zeros(v.size), np.diag(steps)])
-        self._full[:, self.scaling.index] = self.scaling.to_values(rows[:, : self.q])
-        self._states[:, : v.size - self.q] = rows[:, self.q :]
+        one = slice(0, self.q + self.k)
+        steps = np.where(v[one] + self._steps[one] > self.high[one], -self._steps[one], self._steps[one])
+        rows = v[: self.q] + np.vstack([np.zeros(self.q), np.diag(steps[: self.q]), np.zeros((self.k, self.q))])
+        self._full[:, self.scaling.index] = self.scaling.to_values(rows)
         return steps
+
+    def _begun(self, v: Array, i: int, rest: Array) -> Array:
+        """States (1 + q + k, ...) of stretch i, the last k rows a step away each; `rest` is what is remembered."""
+        own = v[self.q + i * self.k : self.q + (i + 1) * self.k]
+        rows = np.tile(np.concatenate([own, rest]), (1 + self.q + self.k, 1))
+        rows[1 + self.q :, : self.k] += np.diag(self._steps[self.q : self.q + self.k])
+        return rows
 
     def minimise(
         self,
@@ -221,10 +264,10 @@ class Problem:
         most: int = 40,
         tolerance: float = 1e-6,
     ) -> Fit:
-        """Descend from v (q + k,) on squares plus prior.
+        """Descend from v (q + s * k,) on squares plus prior.
 
         Args:
-            first: what `linearise` gave at v, if it is known. held: (q + k,) bool, variables that stay.
+            first: what `linearise` gave at v, if it is known. held: (q + s * k,) bool, variables that stay.
             most: linearisations. tolerance: relative decrease of the cost below which the descent ends.
         """
         low, high, q = self.low, self.high, self.q
@@ -267,8 +310,7 @@ class Problem:
                 if damping > 1e12:
                     break
         at_bound = (v[:q] <= low[:q] + 1e-9) | (v[:q] >= high[:q] - 1e-9)
-        state = self._states[0].copy()
-        state[: v.size - q] = v[q:]
+        state = np.concatenate([v[q:], self._rest])
         return Fit(v, self.scaling.to_values(v[:q]), state, out, cost, at_bound, self.evaluations)
 
 
@@ -290,7 +332,7 @@ def descend(
         values, state: where to start, (q,) and a state.
     """
     problem = Problem(kernel, scaling, base, data, state)
-    temperatures = state[: len(kernel.network.nodes)]
+    temperatures = state[: len(data.begins) * problem.k]
     v = np.clip(np.concatenate([scaling.to_z(values), temperatures]), problem.low, problem.high)
     return problem.minimise(v, prior, most=most, tolerance=tolerance)
 

@@ -216,16 +216,17 @@ class Network:
     def select(self, columns: Mapping[str, ArrayLike]) -> tuple[Array, Array]:
         """Inputs (N, k) and measured (N, m) out of a record's columns.
 
-        A sensor of several thermometers is the mean of those that are finite at that sample. NaN and infinite
-        values stay NaN: the simulation holds the last good input, the fit masks the measurement.
+        A sensor of several thermometers is the mean of those that are finite at that sample (`mean_of_several`).
+        NaN and infinite values stay NaN: the simulation holds the last good input, the fit masks the measurement. A
+        sensor without a column (`unread`) is NaN throughout.
 
         Raises:
-            TwinFileError: an input column is missing, all thermometers of a sensor are missing, or columns
-                differ in length.
+            TwinFileError: an input column is missing, more than half of the sensors are, or columns differ in length.
         """
         missing = [c for c in self.input_columns if c not in columns]
-        missing += [c for s in self.sensors for c in s.measured if not any(x in columns for x in s.measured)]
-        if missing:
+        unread = self.unread(columns)
+        if missing or 2 * len(unread) > len(self.sensors):
+            missing += unread
             raise TwinFileError(
                 f"the record lacks {', '.join(missing)}, which twin {self.name!r} needs; "
                 f"rename the columns of the record or the keys of the twin file"
@@ -237,11 +238,16 @@ class Network:
             lengths = ", ".join(f"{c}: {a.size}" for c, a in taken.items())
             raise TwinFileError(f"the columns of the record differ in length ({lengths})")
         inputs = _finite(np.column_stack([taken[c] for c in self.input_columns]))
-        measured = [
-            _mean_of_finite(_finite(np.column_stack([taken[c] for c in s.measured if c in taken])))
-            for s in self.sensors
-        ]
-        return inputs, np.column_stack(measured)
+        measured = np.full((len(inputs), len(self.sensors)), np.nan)
+        for j, sensor in enumerate(self.sensors):
+            if read := [taken[c] for c in sensor.measured if c in taken]:
+                measured[:, j] = mean_of_several(_finite(np.column_stack(read)))
+        return inputs, measured
+
+    def unread(self, columns: Iterable[str]) -> tuple[str, ...]:
+        """Columns of the sensors of which a record with these columns has no thermometer."""
+        there = set(columns)
+        return tuple(c for s in self.sensors if there.isdisjoint(s.measured) for c in s.measured)
 
     def initial_state(self, measured: ArrayLike) -> Array:
         """State (k,) at the first sample: the mean of each node's finite readings in the rows of `measured`.
@@ -294,6 +300,18 @@ def _mean_of_finite(a: Array) -> Array:
     total = np.where(good, a, 0.0).sum(axis=1)
     mean: Array = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     return mean
+
+
+def mean_of_several(each: Array) -> Array:
+    """Means (N,) of thermometers (N, c) in one place, NaN where none is finite.
+
+    A mean of fewer does not jump where one drops out: each counts as what it differs from the mean of all by, on
+    average over the samples in which all are there.
+    """
+    whole = np.isfinite(each).all(axis=1)
+    if whole.all() or not whole.any():
+        return _mean_of_finite(each)
+    return _mean_of_finite(each - (each[whole] - each[whole].mean(axis=1, keepdims=True)).mean(axis=0))
 
 
 def frozen_mapping(items: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -30,7 +30,7 @@ BETTER = 0.9
 class Columns:
     """A record as a network sees it: time (N,) s, inputs (N, c), measured (N, m) degC.
 
-    `members` holds the single thermometers (N, c) of every sensor that is the mean of several.
+    `members` holds the single thermometers (N, c) of every sensor that is the mean of several, NaN where one is not.
     """
 
     time_s: Array
@@ -42,10 +42,11 @@ class Columns:
     def of(cls, network: Network, time_s: ArrayLike, columns: Mapping[str, ArrayLike]) -> Columns:
         """Select a network's columns; raises TwinFileError where some are missing."""
         inputs, measured = network.select(columns)
+        nothing = np.full(len(measured), np.nan)
         single = {
-            s.name: np.column_stack([np.asarray(columns[c], dtype=np.float64) for c in s.measured])
+            s.name: np.column_stack([np.asarray(columns.get(c, nothing), dtype=np.float64) for c in s.measured])
             for s in network.sensors
-            if len(s.measured) > 1 and all(c in columns for c in s.measured)
+            if len(s.measured) > 1
         }
         return cls(np.asarray(time_s, dtype=np.float64), inputs, measured, single)
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from twin.discovery.grid import Grid, filled
 from twin.discovery.laws import Law
@@ -52,6 +53,15 @@ def narrowed(whitened: Array, opened: tuple[Array, Array]) -> Array:
     return out
 
 
+def repeated(prior: Prior, q: int, stretches: int) -> Prior:
+    """A prior of [tunables z (q,), state] with the state's part for each of several stretches."""
+    if stretches == 1:
+        return prior
+    state = prior.precision[q:, q:]
+    precision = block_diag(prior.precision[:q, :q], *[state] * stretches)
+    return Prior(np.concatenate([prior.mean[:q], np.tile(prior.mean[q:], stretches)]), precision)
+
+
 @dataclass(frozen=True)
 class Estimate:
     """Several effects at once.
@@ -79,7 +89,8 @@ class Contest:
             places, which are the k nodes and then the m sensors.
         total: weighted squares of the run last looked at, and of how far its tunables have moved.
         expected: misfit per block and sensor where there is nothing but noise.
-        slopes: (b * m, q + k) whitened, of tunables and initial state. residual: (b * m,) whitened, of that run.
+        slopes: (b * m, q + s * k) whitened, of tunables and the state at the beginning of each stretch.
+        residual: (b * m,) whitened, of that run.
         memory: blocks until what a block of heat did to the readings has gone by nineteen parts in twenty.
         gram: (sites * b, sites * b), the same for every run. score: (sites * b,). misfit: those squares less what
             tunables and initial state can still take up, to first order.
@@ -90,7 +101,7 @@ class Contest:
         self, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: Prior,
         structure: Structure | None = None, laws: Sequence[Law] = (),
     ) -> None:  # fmt: skip
-        self.probe, self.grid, self.prior = probe, grid, prior
+        self.probe, self.grid, self.prior = probe, grid, repeated(prior, probe.q, len(grid.begins))
         self.noise = noise.where_moved(run.readings, grid.step_s)
         self.edges = block_edges(len(grid.time))
         self.b, self.k, self.m = len(self.edges) - 1, probe.k, probe.m
@@ -98,8 +109,14 @@ class Contest:
         self.step_s = grid.span_s / self.b
         self.present = np.isfinite(grid.measured)
         self.known = np.add.reduceat(self.present, self.edges[:-1], axis=0) >= 0.3 * np.diff(self.edges)[:, None]
+        # A block that is begun anew in its midst has a mean of two stretches.
+        amid = [b for b in grid.begins[1:] if b not in self.edges]
+        self.known[np.searchsorted(self.edges, amid) - 1] = False
         heat = probe.blocks(grid, state, self.edges)
-        after = np.abs(heat[:, :, 0, :]).sum(axis=(1, 2))
+        # From the beginning of the longest stretch, since nothing is remembered beyond a stretch's end.
+        longest = max(grid.stretches, key=lambda rows: rows.stop - rows.start)
+        begun = int(np.searchsorted(self.edges[:-1], longest.start))
+        after = np.abs(heat[begun:, :, min(begun, self.b - 1), :]).sum(axis=(1, 2))
         self.memory = int(np.flatnonzero(after > FORGOTTEN * after.max())[-1]) + 1
         onto = np.eye(self.b * self.m).reshape(self.b, self.m, self.b, self.m)
         # Columns go place by place, blocks within a place.
@@ -108,7 +125,7 @@ class Contest:
         self._open, self._less = self._left_by(structure, laws)
         self._columns = self._narrowed(self._columns)
         self.slopes = self.features(probe.sensitivities(grid, state))
-        self._normal = self.slopes.T @ self.slopes + prior.precision
+        self._normal = self.slopes.T @ self.slopes + self.prior.precision
         cross = self.slopes.T @ self._columns
         self._taken = np.linalg.solve(self._normal, cross)
         self.gram = self._columns.T @ self._columns - cross.T @ self._taken
@@ -177,7 +194,7 @@ class Contest:
         return whitened if self._open is None else narrowed(whitened, self._open)
 
     def look_at(self, run: Run, moved: Array | None = None) -> None:
-        """Take the residual of a run, whose tunables and state stand `moved` (q + k,) away from the prior's mean."""
+        """Take the residual of a run, whose tunables and state stand `moved` (q + s * k,) off the prior's mean."""
         residual = self.residual_of(run.readings)
         self.residual = residual
         pull = self.slopes.T @ residual
@@ -261,13 +278,13 @@ class Contest:
         return gram
 
     def moved(self, vectors: Array, sizes: Array) -> Array:
-        """Change of [tunables z, initial state] (q + k,) that goes with effects of these sizes."""
+        """Change of [tunables z, initial state] (q + s * k,) that goes with effects of these sizes."""
         shift = np.array(self._shift, dtype=np.float64)
         for vector, size in zip(vectors, sizes, strict=True):
             shift -= self._taken @ vector.ravel() * size
         return shift
 
     def tunables_sd(self) -> Array:
-        """Posterior standard deviation (q + k,) of [tunables z, initial state] after this record."""
+        """Posterior standard deviation (q + s * k,) of [tunables z, initial state] after this record."""
         sd: Array = np.sqrt(np.diag(np.linalg.inv(self._normal)))
         return sd

@@ -21,6 +21,7 @@ from twin.elements.empirical_heat import KNOTS
 from twin.kernel import Kernel
 from twin.network import Array, Network
 from twin.revisions import with_elements
+from twin.stretches import traced
 
 if TYPE_CHECKING:
     from twin.discovery.basis import Basis
@@ -88,10 +89,12 @@ def offer(
         return None
     _, name, knots, heats, moved = best
     bigger = _with_curve(network, known, node, name, knots, heats, moved)
-    state = finding.state + moved[known.probe.q :]
-    read = centred(Kernel(bigger, ()).trace(bigger.values, state, grid.time, grid.inputs)[0][0])
+    state = known.probe.first_state(grid)
+    state[: len(finding.state)] = finding.state + moved[known.probe.q :]
+    run = traced(Kernel(bigger, ()), bigger.values[None], state[None], grid.time, grid.inputs, grid.begins)
+    read = centred(run[0])
     late = grid.measured[split:] - read[split:]
-    after = np.sqrt(np.nanmean(late**2, axis=0))
+    after = np.sqrt(np.nansum(late**2, axis=0) / np.maximum(np.isfinite(late).sum(axis=0), 1))
     pairs = {n: (errors[n].means[1], float(after[j])) for j, n in enumerate(network.sensor_names) if n in errors}
     sigma = dict(zip(network.sensor_names, network.sigma.tolist(), strict=True))
     before_all = sum((b / sigma[n]) ** 2 for n, (b, _) in pairs.items())

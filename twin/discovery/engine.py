@@ -22,8 +22,9 @@ from twin.discovery.ranking import Finding
 from twin.discovery.readings import Stuck, stuck
 from twin.discovery.thermometers import explained_by_one
 from twin.discovery.verdict import conclude
-from twin.network import Array, Network, TwinFileError
+from twin.network import Array, Network, TwinFileError, mean_of_several
 from twin.steady import steady_state
+from twin.stretches import stretches
 
 HELD_OUT = 0.25
 
@@ -51,13 +52,16 @@ def diagnose(
         TwinFileError: a record too short or without readings, a healthy record that is not healthy.
     """
     say("reading")
+    record, unread = _comparable(network, record, healthy)
     record, still = _without_stuck(network, record)
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
     known = basis(network, healthy, grid)
     say("scanning")
     inquiry = Inquiry(network, record, known, grid, say)
     whole = inquiry.whole
-    notes = [told.sentence for told in (known, known.structure, known.bootstrap) if told is not None and told.sentence]
+    gaps = stretches(network, record.time_s, record.inputs)
+    said = (known, known.structure, known.bootstrap, gaps)
+    notes = [*unread, *(told.sentence for told in said if told is not None and told.sentence)]
     answer = inquiry.answer(held_out)
     finding, split, doubted = answer.finding, answer.split, answer.doubted
     notes += answer.notes
@@ -73,8 +77,8 @@ def diagnose(
         further = [inquiry.part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
         for each in further:
             each.know(answers)
-        finding, said = weighed(finding, answer.train, further)
-        notes += said
+        finding, decided = weighed(finding, answer.train, further)
+        notes += decided
     off = on_unseen(finding)
     good_as_ever = healthy is None and as_commissioned(network, off)
     if good_as_ever or (finding.fit is not None and not more and unconfirmed(finding, off)):
@@ -116,6 +120,27 @@ def diagnose(
     return explained_by_one(found, network, record, single, again)
 
 
+def _comparable(network: Network, record: Columns, healthy: Columns | None) -> tuple[Columns, list[str]]:
+    """The record without the readings of sensors that the healthy one has none of, and what is to say of those that are
+    missing in either."""
+    measured, notes = record.measured.copy(), []
+    for j, name in enumerate(network.sensor_names):
+        if not np.isfinite(measured[:, j]).any():
+            notes.append(f"{name} has no reading in this record: what is there is told by the others")
+        elif healthy is not None and not np.isfinite(healthy.measured[:, j]).any():
+            measured[:, j] = np.nan
+            notes.append(f"{name} is left aside, as the healthy record has no reading of it")
+        elif healthy is not None and name in record.members and name in healthy.members:
+            here, then = record.members[name], healthy.members[name]
+            seen, whole = np.asarray(np.isfinite(here).any(axis=0)), np.asarray(np.isfinite(then).all(axis=1))
+            # The mean of fewer thermometers than were there in health is another one.
+            if not seen.all() and whole.any():
+                measured[:, j] -= float((then[whole][:, seen].mean(axis=1) - then[whole].mean(axis=1)).mean())
+                missing = [c for i, c in enumerate(network.sensors[j].measured) if not seen[i]]
+                notes.append(f"{' and '.join(missing)} is not in this record: {name} is the mean of the others")
+    return replace(record, measured=measured), notes
+
+
 def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[Stuck, ...]]:
     """The record without the readings of thermometers that stand still, and what was taken out."""
     found: list[Stuck] = []
@@ -130,9 +155,7 @@ def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[St
         for span in spans:
             columns[span.rows, names.index(span.column)] = np.nan
         if spans and each is not None:
-            good = np.isfinite(each)
-            total = np.where(good, each, 0.0).sum(axis=1)
-            measured[:, j] = np.where(good.any(axis=1), total / np.maximum(good.sum(axis=1), 1), np.nan)
+            measured[:, j] = mean_of_several(each)
         found += spans
     return replace(record, measured=measured, members=members), tuple(found)
 

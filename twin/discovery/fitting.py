@@ -19,6 +19,7 @@ from twin.discovery.shapes import Shape
 from twin.discovery.stepping import Squares, minimise
 from twin.discovery.sweep import LAST_SHARE
 from twin.network import Array
+from twin.stretches import each_alone
 
 ROUNDS, AGAIN = 12, 4
 """Rounds of a fit, and of one that begins where another of the same effects ended."""
@@ -35,8 +36,8 @@ class Fit:
     """Effects and tunables together.
 
     Attributes:
-        entries: with their sizes and standard deviations. moved: (q + k,) of [tunables z, initial state] from
-            commissioning. values: (p,) of the original network. state: (k,) at the first bin.
+        entries: with their sizes and standard deviations. moved: (q + s * k,) of [tunables z, initial state] from
+            commissioning. values: (p,) of the original network. state: (s * k,) at the first bin of each stretch.
         total: weighted squares, of residual and of tunables against their prior. chi: residual's per block and sensor.
         away: those of the tunables; what no effect explains may push them far.
     """
@@ -54,11 +55,11 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     """Minimise the contest's squares over tunables, initial state and sizes; the contest then looks at the result.
 
     Args:
-        state: initial temperatures (k,), about which the contest was linearised.
-        moved: (q + k,) of [tunables z, initial state] at which another fit of the same effects ended, to begin there.
+        state: temperatures (s * k,) at the beginnings, about which the contest was linearised.
+        moved: (q + s * k,) of [tunables z, initial state] where another fit of the same effects ended, to begin there.
     """
     probe, grid, entries = contest.probe, contest.grid, model.entries
-    scaling, q, k, e = probe.scaling, probe.q, probe.k, len(entries)
+    scaling, q, k, e = probe.scaling, probe.q, len(grid.begins) * probe.k, len(entries)
     timed = [i for i, x in enumerate(entries) if x.shape.onset_s > 0.0]
     grown = [i for i, x in enumerate(entries) if x.shape.free(grid.span_s)]
     first_time, first_growth = q + k + e, q + k + e + len(timed)
@@ -96,7 +97,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         values[:, scaling.index] = scaling.to_values(z0 + v[:, :q])
         shapes = tuple(shapes_at(row) for row in v)
         start, sizes = state[:k] + v[:, q : q + k], v[:, q + k : first_time]
-        return _between(model.run(grid.time, grid.inputs, start, values, sizes, shapes))
+        return _between(model.run(grid.time, grid.inputs, start, values, sizes, shapes, grid.begins))
 
     def look(rows: Array) -> tuple[Array, Array]:
         """Whitened residuals (P, rows) and readings (P, n, m) of runs at `rows` (P, count)."""
@@ -106,10 +107,16 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     def slopes_at(v: Array) -> tuple[Array, Array]:
         """Whitened slopes (rows, count), and those (rows, onsets) that onsets have towards earlier times."""
         sign = np.where(v + steps > high, -steps, steps)
-        moves = np.vstack([np.zeros(count), np.diag(sign), -np.diag(steps)[onsets]])
+        alone = np.diag(sign)
+        # A beginning is felt in its own stretch alone, so that all of them are moved at once.
+        at_once = alone[q : q + k].reshape(-1, probe.k, count).sum(axis=0)
+        moves = np.vstack([np.zeros(count), alone[:q], at_once, alone[q + k :], -np.diag(steps)[onsets]])
         # A run is cut where any of those beside it is: only with these is the difference that of the move.
         readings = run(v + moves)
-        both = contest.features(np.moveaxis(readings[1:] - readings[0], 0, 2) / np.append(sign, -steps[onsets]))
+        change = np.moveaxis(readings[1:] - readings[0], 0, 2)
+        states = each_alone(change[..., q : q + probe.k], grid.begins)
+        each = np.concatenate([change[..., :q], states, change[..., q + probe.k :]], axis=2)
+        both = contest.features(each / np.append(sign, -steps[onsets]))
         return both[:, :count], both[:, count:]
 
     onsets = np.arange(first_time, first_growth)
@@ -149,7 +156,8 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
 def look_at(contest: Contest, model: Model, found: Fit) -> None:
     """Have the contest look at what a fit has found; the model is of its effects."""
     sizes = np.array([[e.size for e in model.entries]])
-    run = model.run(contest.grid.time, contest.grid.inputs, found.state[None].copy(), found.values[None], sizes)
+    grid = contest.grid
+    run = model.run(grid.time, grid.inputs, found.state[None], found.values[None], sizes, begins=grid.begins)
     readings = _between(run)[0]
     contest.look_at(Run(readings, readings), found.moved)
 

@@ -2,7 +2,7 @@
 
 Irregular sampling, gaps and repeated stamps end here. A bin without a reading stays NaN; `filled` closes such gaps by
 straight lines, and does the same to every signature that is compared with the residual, so that both went through the
-same linear operation.
+same linear operation. Where the inputs are missing, too, the rig is followed anew after the gap (`twin.stretches`).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from twin.kernel import clean_time, held
 from twin.network import Array, Network, TwinFileError
+from twin.stretches import parts, stretches
 
 BIN_S = 10.0
 LEAST_BINS = 120
@@ -23,7 +24,8 @@ LEAST_BINS = 120
 class Grid:
     """Bins of `step_s`: `time` (n,) s at their beginnings, `inputs` (n, c), `measured` (n, m) degC with NaN.
 
-    `sigma` (m,) is the white noise of a bin's mean, K.
+    `sigma` (m,) is the white noise of a bin's mean, K. `begins`: bins at which the rig is followed anew; states of a
+    record are the node temperatures (s * k,) at each of them.
     """
 
     time: Array
@@ -31,6 +33,12 @@ class Grid:
     measured: Array
     sigma: Array
     step_s: float
+    begins: tuple[int, ...] = (0,)
+
+    @property
+    def stretches(self) -> tuple[slice, ...]:
+        """Bins of each stretch that is followed in one go."""
+        return parts(self.begins, len(self.time))
 
     @property
     def span_s(self) -> float:
@@ -39,7 +47,8 @@ class Grid:
     def part(self, first: int, last: int) -> Grid:
         """Bins `first` to `last`, the latter left out."""
         rows = slice(first, last)
-        return Grid(self.time[rows], self.inputs[rows], self.measured[rows], self.sigma, self.step_s)
+        begins = (0, *(b - first for b in self.begins if first < b < last))
+        return Grid(self.time[rows], self.inputs[rows], self.measured[rows], self.sigma, self.step_s, begins)
 
 
 def on_grid(
@@ -55,7 +64,8 @@ def on_grid(
         TwinFileError: too short, or not a single reading.
     """
     t, u = clean_time(time_s), bridged(network, time_s, inputs)
-    y = np.asarray(measured, dtype=np.float64)
+    known = stretches(network, t, np.asarray(inputs, dtype=np.float64))
+    y = np.where(known.lost[:, None], np.nan, np.asarray(measured, dtype=np.float64))
     if len(t) < 2:
         raise TwinFileError("the record has fewer than two samples; diagnosis needs at least two windows of data")
     period = float(np.median(np.diff(t)))
@@ -74,8 +84,16 @@ def on_grid(
     total = np.stack([np.bincount(where, np.where(good[:, j], y[:, j], 0.0), bins) for j in range(y.shape[1])], axis=1)
     mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     per_bin = max(1.0, step / period)
-    grid_time = t[0] + step * np.arange(bins)
-    return Grid(grid_time, _held_means(t, u, where, grid_time), mean, network.sigma / np.sqrt(per_bin), step)
+    grid_time, begins = t[0] + step * np.arange(bins), [0]
+    for row in known.begins[1:]:
+        before = int(np.flatnonzero(~known.lost[:row])[-1])
+        # A bin that began in the gap is of both.
+        first = int(where[row]) + int(where[row] == where[row - 1])
+        mean[where[before] + 1 : first] = np.nan
+        if begins[-1] < first < bins:
+            begins.append(first)
+    u_means = _held_means(t, u, where, grid_time)
+    return Grid(grid_time, u_means, mean, network.sigma / np.sqrt(per_bin), step, tuple(begins))
 
 
 def centred(readings: Array) -> Array:

@@ -55,9 +55,9 @@ class Health:
         grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
         state, run, residual, good = free_run(probe, grid)
         known = np.where(good, residual, np.nan)
-        rms = np.sqrt(np.nanmean(known**2, axis=0))
+        rms = np.sqrt((np.where(good, residual, 0.0) ** 2).sum(axis=0) / np.maximum(good.sum(axis=0), 1))
         single = np.array([network.parameters[f"{s.name}.sigma"].value for s in network.sensors])
-        worst = int(np.nanargmax(rms / single))
+        worst = int(np.argmax(rms / single))
         if rms[worst] > UNHEALTHY * single[worst]:
             raise NotHealthyError(
                 f"the healthy record does not fit the twin: {network.sensor_names[worst]} is off by {rms[worst]:.2f} K "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from twin.discovery.noise import Noise
 from twin.discovery.ranking import Finding
 from twin.discovery.search import Entry
 from twin.network import Array, Network
+from twin.stretches import stretches
 
 FAR_OFF, UNUSUAL, FAR_SHARE = 3.0, 1.5, 0.25
 """Times a thermometer's noise, and what is usual there, that block means may be off where a fit was not shown them, and
@@ -45,7 +47,7 @@ class HeldOut:
     _runs: dict[tuple[object, ...], Array] = field(default_factory=dict, repr=False)
 
     def errors(self, finding: Finding, split: int) -> dict[str, SensorError]:
-        """RMSE per sensor from bin `split` on, of free runs from the record's beginning."""
+        """RMSE per sensor from bin `split` on, of free runs from the beginning of a stretch."""
         found = finding.retuned, finding.fit or finding.retuned
         runs = [self._run(finding, self.network.values, finding.state)]
         runs += [self._run(finding, f.values, f.state, f.entries) for f in found]
@@ -84,27 +86,41 @@ class HeldOut:
         key = (values.tobytes(), state.tobytes(), *((e.candidate.id, e.shape, e.size) for e in entries))
         if key not in self._runs:
             inputs = bridged(self.network, self.record.time_s, self.record.inputs)
-            model = Model.of(finding.contest.probe, entries)
-            begin, sizes = state[None, : len(self.network.nodes)], np.array([[e.size for e in entries]])
+            model, time = Model.of(finding.contest.probe, entries), self.record.time_s
+            begins = tuple(int(np.searchsorted(time, self.grid.time[b])) for b in self.grid.begins)
+            state = model.begun(time, inputs, self._measured, state, values, begins)
+            sizes = np.array([[e.size for e in entries]])
             while len(self._runs) >= KEPT:
                 del self._runs[next(iter(self._runs))]
-            self._runs[key] = model.run(self.record.time_s, inputs, begin, values[None, :], sizes)[0]
+            self._runs[key] = model.run(time, inputs, state[None], values[None, :], sizes, begins=begins)[0]
         return self._runs[key]
 
     def _off(self, run: Array, split: int, sensor: int) -> Array:
         """Measured less run (N,) of a sensor, NaN before bin `split`."""
         late = self.record.time_s >= self.grid.time[split]
-        return np.where(late, self.record.measured[:, sensor] - run[:, sensor], np.nan)
+        return np.where(late, self._measured[:, sensor] - run[:, sensor], np.nan)
+
+    @cached_property
+    def _measured(self) -> Array:
+        """Readings (N, m) with NaN in gaps in which nothing tells what drove the rig."""
+        lost = stretches(self.network, self.record.time_s, self.record.inputs).lost
+        return np.where(lost[:, None], np.nan, self.record.measured)
 
     def _mean(self, off: Array) -> float:
         """Root mean square of means over a bin."""
         return _rms(binned(off, self.record.time_s, self.grid))
 
+    def _begun(self, finding: Finding) -> Array:
+        """The state of a finding, with those of stretches that it has not seen."""
+        if len(finding.contest.grid.begins) == len(self.grid.begins):
+            return finding.state
+        return np.concatenate([finding.state, finding.contest.probe.first_state(self.grid)[len(finding.state) :]])
+
     def _usual(self, finding: Finding, split: int) -> Array:
         """What a healthy record lets expect of means over a bin (m,), K; 0 without one."""
         if self.healthy is None:
             return np.zeros(len(self.network.sensors))
-        here = finding.contest.probe.run(self.grid, finding.state).readings[split:]
+        here = finding.contest.probe.run(self.grid, self._begun(finding)).readings[split:]
         return self.healthy.where_moved(here, self.grid.step_s).rms(len(here))
 
 

@@ -79,7 +79,8 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         if not chosen and start - min(f.total for f, _ in trials) < threshold**2:
             # A law at measured temperatures may promise what its element does not keep, and hide what would.
             others = [e for e in part.entries if e.z >= threshold and all(e is not f for f in worth)]
-            more = finalists(others, ())
+            # What is late may promise nothing at all there: water that comes a minute later is as warm in the long run.
+            more = [*finalists(others, ()), *part.late(entries[0].shape.onset_s)]
             say(f"fitting {len(more)} more")
             trials += fitted(part, [(e,) for e in more])
         if best is not None and enough(best.chi, start_chi, contest):

@@ -117,15 +117,15 @@ def _reading(network: Network, candidate: Candidate, grid: Grid, run: Run) -> Ar
         j = network.sensor_names.index(element)
         seen = run.temperatures[:, network.nodes.index(network.sensors[j].node)]
         if parameter == "bias_K":
-            out[:, j] = weight
+            out[:, j] += weight
         elif parameter == "gain":
-            out[:, j] = weight * seen
+            out[:, j] += weight * seen
         elif parameter == "lag_s":
             size = candidate.typical
-            out[:, j] = weight * (follow(seen, size, grid.step_s) - seen) / size
+            out[:, j] += weight * (follow(seen, size, grid.step_s) - seen) / size
         elif parameter == "cross_talk":
             other = candidate.replaces[element]["other"] if candidate.replaces else network.sensors[j].other
-            out[:, j] = weight * (run.temperatures[:, network.nodes.index(other)] - seen)
+            out[:, j] += weight * (run.temperatures[:, network.nodes.index(other)] - seen)
     return out
 
 

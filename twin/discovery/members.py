@@ -18,6 +18,8 @@ from twin.gauss_newton import SE90
 from twin.network import Array, Network
 
 LEAST_MEMBERS = 3
+PRESENT = 0.7
+"""Share of a sensor's bins in which a thermometer has to have a reading, to be compared with the others."""
 MARGIN_K = 0.06
 """Differences below this are not looked at: contact and placement shift by as much."""
 STANDS_OUT = 6.0
@@ -56,8 +58,8 @@ class Members:
 
 @dataclass(frozen=True)
 class Odd:
-    """One member that differs: `column`, by `size` K times its `shape`, `final` K at the record's end, carrying `share`
-    of all differences."""
+    """One member that differs: `column`, by `size` K times its `shape`, `final` K where it was last read, carrying
+    `share` of all differences."""
 
     column: str
     size: float
@@ -89,10 +91,14 @@ def members(
     """
     found = []
     for sensor in network.sensors:
-        if sensor.name not in record or sensor.name not in healthy or record[sensor.name].shape[1] < LEAST_MEMBERS:
+        if sensor.name not in record or sensor.name not in healthy:
+            continue
+        # One that is not there most of the time is not compared; the others are, with each other.
+        there = _present(record[sensor.name]) & _present(healthy[sensor.name])
+        if there.sum() < LEAST_MEMBERS:
             continue
         bins = int(np.diff(edges).mean().round())
-        known = _blocks(healthy[sensor.name], np.arange(0, len(healthy_grid.time) + 1, bins))
+        known = _blocks(healthy[sensor.name][:, there], np.arange(0, len(healthy_grid.time) + 1, bins))
         basis = _basis(network, healthy_grid, known[0], np.arange(0, len(healthy_grid.time) + 1, bins))
         good = np.isfinite(basis).all(axis=1) & np.isfinite(known[1]).all(axis=1)
         if good.sum() < 3 * basis.shape[1]:
@@ -100,13 +106,21 @@ def members(
         law, *_ = np.linalg.lstsq(basis[good], known[1][good], rcond=None)
         left = known[1][good] - basis[good] @ law
         scatter = left.std(axis=0)
-        mean, difference = _blocks(record[sensor.name], edges)
+        mean, difference = _blocks(record[sensor.name][:, there], edges)
         residual = difference - _basis(network, grid, mean, edges) @ law
         sd = np.maximum(scatter, MARGIN_K / STANDS_OUT)
-        here = Members(sensor.name, sensor.measured, residual, sd, edges * grid.step_s)
+        columns = tuple(c for c, t in zip(sensor.measured, there, strict=True) if t)
+        here = Members(sensor.name, columns, residual, sd, edges * grid.step_s)
         most = max(float(np.abs(here.by_itself(i, left)).max()) for i in range(left.shape[1]))
         found.append(replace(here, most=most))
     return tuple(found)
+
+
+def _present(values: Array) -> np.ndarray:
+    """Which of several (n, c) have a reading most of the time that any has one: (c,) bool."""
+    good = np.isfinite(values)
+    present: np.ndarray = good.mean(axis=0) > PRESENT * good.any(axis=1).mean()
+    return present
 
 
 def _blocks(values: Array, edges: np.ndarray) -> tuple[Array, Array]:
@@ -169,7 +183,7 @@ def _oddest(found: Members, good: np.ndarray, shapes: tuple[Shape, ...]) -> Odd 
     for shape in shapes:
         course = shape.block_means(found.edges_s)[good]
         power = float(course @ course)
-        if power < 3.0 * course.max(initial=0.0) ** 2:
+        if power <= 3.0 * course.max(initial=0.0) ** 2:
             continue
         amplitude = course @ found.residual[good] / power
         total = float(((amplitude / found.sd) ** 2).sum())
@@ -180,7 +194,8 @@ def _oddest(found: Members, good: np.ndarray, shapes: tuple[Shape, ...]) -> Odd 
             gain = carried * power
             if best is None or gain > best.z**2:
                 sd = float(found.sd[i]) / np.sqrt(max(power / CORRELATED, 1.0))
-                final = shape.mean(float(found.edges_s[-1]) - 1.0, float(found.edges_s[-1]))
+                last_s = float(found.edges_s[good[-1] + 1])
+                final = shape.mean(last_s - 1.0, last_s)
                 share = carried / max(total, 1e-12)
                 best = Odd(found.columns[i], size, sd, shape, share, float(np.sqrt(gain)), size * final)
     return best

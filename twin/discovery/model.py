@@ -17,7 +17,10 @@ from twin.discovery.shapes import Shape
 from twin.elements.base import Candidate
 from twin.kernel import Kernel
 from twin.network import Array, Network
+from twin.stretches import begun_anew, parts
 
+SETTLE_S, FIRST_ROWS, STATE_STEP_K = 900.0, 6, 1.0e-2
+"""Readings at a beginning that tell its temperatures, those that give a first guess, and how far it is moved."""
 PIECE_S, READ_PIECE_S = 600.0, 300.0
 """A growing effect is held constant for so long; an error of reading, which nothing evens out, for less."""
 
@@ -123,18 +126,20 @@ class Model:
         values: Array,
         sizes: Array,
         shapes: tuple[tuple[Shape, ...], ...] | None = None,
+        begins: tuple[int, ...] = (0,),
     ) -> Array:
         """Readings (P, n, m) in degC of free runs.
 
         Args:
-            state: (P, k) at the first sample. values: (P, p) of the original network. sizes: (P, e).
-            shapes: (P, e) how the effects come in, as the entries say by default.
+            state: (P, s * k) at the first sample of each stretch. values: (P, p) of the original network.
+            sizes: (P, e). shapes: (P, e) how the effects come in, as the entries say by default.
+            begins: (s,) rows at which stretches begin.
         """
         since = time - time[0]
         each = shapes or tuple(tuple(e.shape for e in self.entries) for _ in range(len(values)))
         all_shapes = {s for row in each for s in row}
         read = any(e.candidate.kind == "sensor" for e in self.entries)
-        cuts = _cuts(since, all_shapes, READ_PIECE_S if read else PIECE_S)
+        cuts = np.union1d(_cuts(since, all_shapes, READ_PIECE_S if read else PIECE_S), begins)
         edges = np.append(since[cuts[:-1]], since[-1])
         edges[-1] = max(edges[-1], edges[-2] + 1e-3)
         course = {s: s.entered.block_means(edges) for s in all_shapes}
@@ -143,19 +148,60 @@ class Model:
         )
         readings = np.empty((len(values), len(time), len(self.network.sensors)))
         before = np.zeros((len(values), len(self.entries)))
+        begun = state.reshape(len(state), len(begins), -1)
         for piece, (first, last) in enumerate(itertools.pairwise(cuts.tolist())):
             until, at = min(last + 1, len(time)), sized[:, :, piece]
+            if first == 0:
+                state = np.ascontiguousarray(begun[:, 0])
+            elif first in begins:
+                state = begun_anew(state, begun[:, begins.index(first)])
             for effect, mass, node, column in self._masses if first else ():
                 # A mass that comes in now has had the time to be as warm as what it stands beside, or is cold. A little
                 # of it is there before, where it comes in between two samples.
-                begins = (before[:, effect] < 0.5) & (at[:, effect] >= 0.5)
+                new = (before[:, effect] < 0.5) & (at[:, effect] >= 0.5)
                 room = inputs[first, self.network.input_columns.index(column)] if column else None
-                state[begins, mass] = state[begins, node] if room is None else room
+                state[new, mass] = state[new, node] if room is None else room
             before = at
             full = self.parameters(values, sizes * at)
             part, state = self.kernel.trace(full, state, time[first:until], inputs[first:until], LANES)
             readings[:, first:last] = part[:, : last - first]
         return readings
+
+    def begun(
+        self,
+        time: Array,
+        inputs: Array,
+        measured: Array,
+        state: Array,
+        values: Array,
+        begins: tuple[int, ...],
+    ) -> Array:
+        """State (s * k,) at all beginnings of a record, where a fit has seen the first ones.
+
+        What a fit has not seen is told by the readings of the first quarter of an hour, parameters and sizes as they
+        are: the rig is followed from there as from the record's beginning.
+
+        Args:
+            measured: (n, m) degC. state: (t * k,) of the first t stretches. values: (p,) of the original network.
+        """
+        k, sizes = len(self.original.nodes), np.array([[e.size for e in self.entries]])
+        if len(state) >= len(begins) * k:
+            return state[: len(begins) * k]
+        later = parts(begins, len(time))[len(state) // k :]
+        settling = [slice(r.start, int(np.searchsorted(time[r], time[r.start] + SETTLE_S)) + r.start) for r in later]
+        guess = np.concatenate([self.original.initial_state(measured[r][:FIRST_ROWS]) for r in settling])
+        rows = np.tile(np.concatenate([state, guess]), (1 + k, 1))
+        rows[1:, len(state) :] += STATE_STEP_K * np.tile(np.eye(k), len(later))
+        count = len(rows)
+        readings = self.run(time, inputs, rows, np.tile(values, (count, 1)), np.tile(sizes, (count, 1)), begins=begins)
+        for i, r in enumerate(settling):
+            good = np.isfinite(measured[r])
+            off = np.where(good, (measured[r] - readings[0, r]) / self.original.sigma, 0.0).ravel()
+            slopes = np.moveaxis(readings[1:, r] - readings[0, r], 0, 2) / STATE_STEP_K
+            slopes = np.where(good[..., None], slopes / self.original.sigma[:, None], 0.0).reshape(-1, k)
+            step = np.linalg.solve(slopes.T @ slopes + np.eye(k), slopes.T @ off)
+            guess[i * k : (i + 1) * k] += step
+        return np.concatenate([state, guess])
 
 
 def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:

@@ -9,7 +9,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
+
 from twin.discovery.basis import Basis
+from twin.discovery.catalogue import LATE
 from twin.discovery.contest import Contest
 from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit, fit
@@ -19,6 +22,7 @@ from twin.discovery.model import Model
 from twin.discovery.null import FALSE_ALARMS, Null, null_scores
 from twin.discovery.probe import Run, free_run
 from twin.discovery.search import Entry, refine, scan
+from twin.discovery.shapes import EARLY_S, Shape
 from twin.elements.base import Candidate
 from twin.network import Array
 
@@ -27,6 +31,8 @@ SIDE_BY_SIDE = 4
 """Fits that run at once, where there are so many cores: kernels do without the interpreter's lock."""
 SLOWER = (1.4, 1.2, 1.1)
 """Factors by which a time constant is tried longer and shorter, one after the other."""
+MUCH = 4.0
+"""Typical sizes at which a fit of what is late begins."""
 WORTH = 4.0
 """Gain that another form of the same thing must have over the catalogue's to be looked at."""
 
@@ -92,6 +98,18 @@ class Part:
         known = {law.candidate.id for law in self.laws}
         further = {c.id: c for c in candidates if c.id not in known}
         self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, tuple(further.values()))]
+
+    def late(self, onset_s: float) -> list[Entry]:
+        """Every law that is late, at several times a typical size, all along and since an onset."""
+        found = []
+        for law in self.laws:
+            c = law.candidate
+            if c.driver in LATE and not c.begins:
+                size = min(MUCH * c.typical, c.upper)
+                for since in {0.0, onset_s if onset_s > EARLY_S else 0.0}:
+                    entry = Entry(law, Shape("step", since), np.empty(0), size, 0.0, 0.0)
+                    found.append(entry.refreshed(self.contest))
+        return found
 
     @cached_property
     def plain(self) -> Contest | None:

@@ -22,6 +22,7 @@ from twin.elements.sensor import Sensor
 from twin.gauss_newton import Data, Prior, Scaling, align
 from twin.kernel import Kernel
 from twin.network import Array, InputSpec, Network
+from twin.stretches import begun_anew, each_alone, traced
 
 FIRST_BINS = 6
 SETTLE_BINS = 90
@@ -73,28 +74,34 @@ class Probe:
         return np.ascontiguousarray(np.hstack([grid.inputs, extra]))
 
     def first_state(self, grid: Grid, values: Array | None = None) -> Array:
-        """Initial temperatures (k,) that fit the first quarter of an hour."""
-        state = self.probed_state(grid)
-        rows = slice(0, SETTLE_BINS)
-        measured = np.full((len(grid.time[rows]), len(self.probed.sensors)), np.nan)
-        measured[:, : self.m] = grid.measured[rows]
-        good = np.isfinite(measured)
-        sigma = np.concatenate([grid.sigma, np.ones(measured.shape[1] - self.m)])
-        data = Data(
-            grid.time[rows], self._inputs(grid, None)[rows], np.where(good, measured, 0.0),
-            np.where(good, 1.0 / sigma, 0.0),
-        )  # fmt: skip
-        return align(self._kernel, self.values(values), state, data, 1.0)
+        """Temperatures (s * k,) at the beginning of each stretch that fit its first quarter of an hour."""
+        probed, inputs = self.probed_state(grid).reshape(-1, self.k), self._inputs(grid, None)
+        sigma = np.concatenate([grid.sigma, np.ones(len(self.probed.sensors) - self.m)])
+        found = []
+        for state, stretch in zip(probed, grid.stretches, strict=True):
+            rows = slice(stretch.start, min(stretch.start + SETTLE_BINS, stretch.stop))
+            measured = np.full((rows.stop - rows.start, len(sigma)), np.nan)
+            measured[:, : self.m] = grid.measured[rows]
+            good = np.isfinite(measured)
+            weight = np.where(good, 1.0 / sigma, 0.0)
+            data = Data(grid.time[rows], inputs[rows], np.where(good, measured, 0.0), weight)
+            found.append(align(self._kernel, self.values(values), state, data, 1.0)[: self.k])
+        return np.concatenate(found)
 
     def probed_state(self, grid: Grid) -> Array:
-        """Node temperatures (k,) from the first readings."""
-        return self.network.initial_state(grid.measured[:FIRST_BINS])
+        """Node temperatures (s * k,) from the first readings of each stretch."""
+        firsts = [slice(r.start, min(r.start + FIRST_BINS, r.stop)) for r in grid.stretches]
+        return np.concatenate([self.network.initial_state(grid.measured[rows]) for rows in firsts])
 
     def run(self, grid: Grid, state: Array, values: Array | None = None, injected: Array | None = None) -> Run:
-        """Free run from `state`, with heat `injected` (n, k) W on top of the network's own."""
-        readings, _ = self._kernel.trace(self.values(values), state, grid.time, self._inputs(grid, injected))
+        """Free run from `state` (s * k,), with heat `injected` (n, k) W on top of the network's own."""
+        readings = self._traced(self.values(values)[None, :], state[None, :], grid, self._inputs(grid, injected))
         means = centred(readings[0])
         return Run(means[:, : self.m], means[:, self._reads])
+
+    def _traced(self, rows: Array, states: Array, grid: Grid, inputs: Array) -> Array:
+        """Readings (P, n, m) with parameters `rows` (P, p), from `states` (P, s * k)."""
+        return traced(self._kernel, rows, states, grid.time, inputs, grid.begins)
 
     def responses(self, grid: Grid, state: Array, injected: Array, values: Array | None = None) -> Array:
         """What heat does to the readings (n, m, j), K, for j courses `injected` (n, k, j) W."""
@@ -112,14 +119,14 @@ class Probe:
         return made
 
     def sensitivities(self, grid: Grid, state: Array, values: Array | None = None) -> Array:
-        """d reading / d (tunables in z, initial temperatures): (n, m, q + k)."""
+        """d reading / d (tunables in z, temperatures at the beginnings): (n, m, q + s * k)."""
         what = ("sensitivities", state.tobytes(), None if values is None else values.tobytes())
         return self._kept(what, grid, lambda: self._sensitivities(grid, state, values))
 
     def _sensitivities(self, grid: Grid, state: Array, values: Array | None) -> Array:
         centre = self.values(values)
         count = 1 + self.q + self.k
-        rows, states = np.tile(centre, (count, 1)), np.tile(state[: self.k], (count, 1))
+        rows, states = np.tile(centre, (count, 1)), np.tile(state, (count, 1)).reshape(count, -1, self.k)
         z = self.scaling.to_z(centre[self._tunable])
         upper = self.scaling.to_z(self.scaling.upper)
         steps = np.where(z + _STEP > upper, -_STEP, _STEP)
@@ -127,11 +134,13 @@ class Probe:
             moved = z.copy()
             moved[i] += steps[i]
             rows[1 + i, self._tunable] = self.scaling.to_values(moved)
-        states[1 + self.q :] += _STATE_STEP * np.eye(self.k)
-        readings, _ = self._kernel.trace(rows, states, grid.time, self._inputs(grid, None))
+        states[1 + self.q :] += _STATE_STEP * np.eye(self.k)[:, None, :]
+        readings = self._traced(rows, states.reshape(count, -1), grid, self._inputs(grid, None))
         scale = np.concatenate([steps, np.full(self.k, _STATE_STEP)])
         change: Array = (readings[1:, :, : self.m] - readings[0, :, : self.m]) / scale[:, None, None]
-        return centred(np.ascontiguousarray(np.moveaxis(change, 0, 2)))
+        slopes = np.moveaxis(change, 0, 2)
+        states = each_alone(slopes[..., self.q :], grid.begins)
+        return centred(np.concatenate([slopes[..., : self.q], states], axis=2))
 
     def blocks(self, grid: Grid, state: Array, edges: np.ndarray, values: Array | None = None) -> Array:
         """Mean readings in each of b blocks when 1 W enters one node during one block: (b, m, b, k) K/W.
@@ -150,19 +159,35 @@ class Probe:
         centre[self._gain] = 0.0
         gained = np.tile(centre, (self.k, 1))
         gained[:, self._gain] += np.eye(self.k)
-        left = _Left(state)
+        left = _Left(state[: self.k])
         for b, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
             until = min(last + 1, len(grid.time))
             # Row 0 is the undisturbed run, the k after it are this block's, the rest what earlier blocks left behind.
             begun = np.vstack([np.repeat(left.base, 1 + self.k, axis=0), left.rows])
             rows = np.vstack([centre[None, :], gained, np.repeat(centre[None, :], len(left.rows), axis=0)])
-            readings, states = self._kernel.trace(rows, begun, grid.time[first:until], inputs[first:until])
+            readings, states = self._carried(rows, begun, state, grid, inputs, slice(first, until), last)
             mean = readings[:, : last - first, : self.m].mean(axis=1)
             own, before = mean[1 : 1 + self.k] - mean[0], left.of(mean[1 + self.k :] - mean[0])
             found[b, :, b] = own.T / _PROBE_W
             found[b, :, :b] = before.reshape(b, self.k, self.m).transpose(2, 0, 1) / _PROBE_W
             left = left.after(states, self.k)
         return found
+
+    def _carried(
+        self, rows: Array, begun: Array, state: Array, grid: Grid, inputs: Array, part: slice, last: int
+    ) -> tuple[Array, Array]:
+        """Readings (P, n, m) over a part of the grid and full states at its end; all begin anew where a stretch does,
+        before bin `last`."""
+        at, states, readings = part.start, begun, []
+        for i, first in enumerate(grid.begins):
+            if i == 0 or not part.start <= first < last:
+                continue
+            if first > at:
+                own, states = self._kernel.trace(rows, states, grid.time[at : first + 1], inputs[at : first + 1])
+                readings.append(own[:, :-1])
+            at, states = first, begun_anew(states, np.tile(state[i * self.k : (i + 1) * self.k], (len(rows), 1)))
+        own, states = self._kernel.trace(rows, states, grid.time[at : part.stop], inputs[at : part.stop])
+        return (np.concatenate([*readings, own], axis=1) if readings else own), states
 
 
 class _Left:
@@ -207,14 +232,13 @@ def posterior(network: Network, probe: Probe, grid: Grid, state: Array, inflatio
     j = probe.sensitivities(grid, state) * weight[:, :, None]
     flat = j.reshape(-1, j.shape[2])
     prior_sd = probe.scaling.prior_sd()
-    state_precision = np.full(probe.k, 1.0)
+    state_precision = np.full(j.shape[2] - probe.q, 1.0)
     precision = flat.T @ flat / inflation + np.diag(np.concatenate([prior_sd**-2.0, state_precision]))
     covariance = np.linalg.inv(precision)[: probe.q, : probe.q] * widen
     limit = prior_sd / np.sqrt(np.diag(covariance))
     covariance = covariance * np.outer(np.minimum(limit, 1.0), np.minimum(limit, 1.0))
-    full = np.zeros_like(precision)
+    full = np.eye(probe.q + probe.k)
     full[: probe.q, : probe.q] = np.linalg.inv(covariance)
-    full[probe.q :, probe.q :] = np.eye(probe.k)
     values = network.values[probe.scaling.index]
     return Prior(np.concatenate([probe.scaling.to_z(values), state[: probe.k]]), full)
 
@@ -253,7 +277,7 @@ def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, t
 
 
 def free_run(probe: Probe, grid: Grid) -> tuple[Array, Run, Array, np.ndarray]:
-    """First state (k,), the run from it, its residual (n, m) in K with gaps closed, and where (n, m) one was read."""
+    """First state (s * k,), the run from it, its residual (n, m) in K, gaps closed, and where (n, m) one was read."""
     state = probe.first_state(grid)
     run = probe.run(grid, state)
     off = grid.measured - run.readings

@@ -101,5 +101,5 @@ def _without(finding: Finding, entry: Entry, grid: Grid) -> Array:
     fitted = finding.fit
     model = Model.of(finding.contest.probe, fitted.entries)
     sizes = np.array([[0.0 if e is entry else e.size for e in fitted.entries]])
-    state = fitted.state[None, :]
-    return model.run(grid.time, grid.inputs, state, fitted.values[None, :], sizes)[0]
+    state = model.begun(grid.time, grid.inputs, grid.measured, fitted.state, fitted.values, grid.begins)[None]
+    return model.run(grid.time, grid.inputs, state, fitted.values[None, :], sizes, begins=grid.begins)[0]

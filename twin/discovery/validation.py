@@ -37,7 +37,8 @@ MUTE, MUTE_SHARE = 10.0, 0.01
 def validate(contest: Contest, model: Model, fitted: Fit) -> tuple[Fold, ...]:
     """Folds of the record that the contest holds, which is left looking at the fit of the model's effects."""
     grid, sizes = contest.grid, np.array([e.size for e in fitted.entries])
-    runs = model.run(grid.time, grid.inputs, fitted.state[None, :], fitted.values[None, :], sizes[None, :])
+    at = fitted.state[None, :], fitted.values[None, :], sizes[None, :]
+    runs = model.run(grid.time, grid.inputs, *at, begins=grid.begins)
     readings = centred(runs[0])
     contest.look_at(Run(readings, readings), fitted.moved)
     b, m = contest.b, contest.m

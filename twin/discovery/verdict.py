@@ -187,7 +187,8 @@ def _stale(known: Basis, grid: Grid) -> Run:
 def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
     model = Model.of(finding.contest.probe, fitted.entries)
     sizes = np.array([[e.size for e in fitted.entries]])
-    return centred(model.run(grid.time, grid.inputs, fitted.state[None, :], fitted.values[None, :], sizes)[0])
+    state = model.begun(grid.time, grid.inputs, grid.measured, fitted.state, fitted.values, grid.begins)
+    return centred(model.run(grid.time, grid.inputs, state[None], fitted.values[None, :], sizes, begins=grid.begins)[0])
 
 
 def _groups(ranked: tuple[Ranked, ...]) -> dict[tuple[str, str], float]:

@@ -84,7 +84,7 @@ def _faults(column: str, name: str, now: Mapping[str, float]) -> list[Candidate]
     what, unit = column.rsplit("_", 1)
     if unit == "C":
         return [
-            Candidate("sensor", column, "constant", "new", {f"{name}.offset": 1.0}, "K", 0.5, -20.0, 20.0,
+            Candidate("sensor", column, "constant", "new", {f"{name}.offset": -1.0}, "K", 0.5, -20.0, 20.0,
                 "reads {value} too high"),
         ]  # fmt: skip
     gain, droop, lag = now["gain"], now["droop"], now["lag_s"]

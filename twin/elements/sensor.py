@@ -23,6 +23,8 @@ from twin.elements.base import Candidate, Element, Fragment, Lag, Names, Paramet
 LUMPED_S, PIPED_S = 25.0, 6.0
 """What water needs through a small loop's hoses and cold plates; without pipes a twin takes it for a late reading. And
 with them, what it mixes there."""
+ADJUSTED_C = 25.0
+"""Temperature of a room in which thermometers are adjusted."""
 LAGS_S = (15.0, 60.0, 240.0)
 """Lags about which an unknown one is looked for, s: a late reading is not proportional to how late it is."""
 
@@ -85,6 +87,11 @@ class Sensor(Element):
             ),
             *later,
         ]  # fmt: skip
+        # A thermometer is right where it was adjusted: at the ice point, or in the room.
+        slope = self.moves("gain", *sensor, "temperature", "1", 0.01, 0.5 - now["gain"], 1.5 - now["gain"],
+            f"reads by {{share}} of what is above {ADJUSTED_C:.0f} degC too high")  # fmt: skip
+        about = {f"{self.name}.gain": 1.0, f"{self.name}.bias_K": -ADJUSTED_C}
+        found.insert(2, replace(slope, change="new", changes=about))
         if self.other:
             now_c = sites.values[f"{self.name}.cross_talk"]
             says = f"picks up another share of the temperature of {self.other}: a change by {{value}}"
