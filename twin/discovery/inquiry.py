@@ -36,6 +36,9 @@ OTHER_FORM = 0.5
 ALIKE, TOLD = 0.01, 4.0
 """Share by which those squares may differ where they tell neither, and the gain, in what a score at the threshold has,
 from which the fit then decides."""
+USUAL, BACK = 0.5, 4.0
+"""Squares a sensor, in what is usual there, up to which that part is foretold as well as can be asked: then an effect
+may stay that brings the tunables back to where commissioning had them, and so many times nearer than it has to win."""
 WELL_SEEN, KEPT = LAST_SHARE - 0.01, 6
 """Share of a part within which a search looks for an onset wherever the part's blocks may end, and bins that no fit
 sees even so."""
@@ -181,6 +184,8 @@ class Inquiry:
             left, before = (self._held_out.left(f, split) for f in (finding, shorter))
             if left < before or (left < (1.0 + ALIKE) * before and _well_told(finding)):
                 break
+            if left < USUAL * len(self.network.sensors) and _brings_back(finding):
+                break
             finding = replace(shorter, refuted=True)
         return finding
 
@@ -213,6 +218,15 @@ def _well_told(finding: Finding) -> bool:
     assert finding.fit is not None and finding.shorter is not None and finding.shorter.fit is not None
     won = finding.shorter.fit.total - finding.fit.total
     return won > TOLD * finding.threshold**2 and finding.fit.chi <= finding.contest.expected
+
+
+def _brings_back(finding: Finding) -> bool:
+    """Whether the tunables had to leave what commissioning knows of them without the last effect, and return with it.
+
+    They foretell as well where they have taken on what acts all along, so that squares there tell neither.
+    """
+    assert finding.fit is not None and finding.shorter is not None and finding.shorter.fit is not None
+    return finding.shorter.fit.away > finding.threshold**2 > BACK * finding.fit.away
 
 
 def _begins_late(whole: Part, train: Part, split: int) -> bool:

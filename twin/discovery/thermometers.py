@@ -42,6 +42,10 @@ def single(
         return (verdict, effects) if restless is None else ("unexplained", (*effects, _restless(one, restless, start)))
     at = _belongs_to(odd, here, effects, finding)
     if at is not None and effects[at].kind not in ("unknown", "sensor"):
+        own = _in_its_own_shape(one, odd)
+        if own is not odd:
+            # What came in at another time, or grew, is another thing: the thermometer's own.
+            return verdict, (*effects, _fault(one, own, start))
         old = effects[at]
         changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
         return verdict, tuple(changed if i == at else e for i, e in enumerate(effects))

@@ -45,6 +45,8 @@ _USUAL = (
 )
 CALM = 1.5
 """Times the threshold that something may score that no fit confirms, and the twin still be adequate."""
+REFUTED_SHARE = 0.5
+"""Share of the first score from which what is left is of something, though no form of it that was tried foretells."""
 SURE = 0.8
 """Share of the weight that one kind at one place must have to be named alone."""
 
@@ -78,7 +80,9 @@ def conclude(
     start = float(grid.time[0])
     scale = finding.count
     left = finding.retuned.chi if finding.fit is None else finding.fit.chi
-    quiet = finding.beside is None and (finding.refuted or finding.ladder[-1].best_z < finding.threshold)
+    rest = finding.ladder[-1].best_z
+    refuted = finding.refuted and rest < REFUTED_SHARE * finding.ladder[0].best_z
+    quiet = finding.beside is None and (refuted or rest < finding.threshold)
     quiet = quiet and not doubted
     good = enough(left, 0.0 if doubted else finding.start / scale, finding.contest, quiet=quiet)
     good = good and (finding.fit is None or stand(finding.fit, finding.contest))

@@ -3,13 +3,14 @@
     no driver      Q = power
     proportional   Q = factor * column                             the column is a power
     linear         Q = gain * (column - reference)                 any column
-    cubed          Q = power_100 * (column / 100)^3                the column is a speed
+    squared, cubed Q = power_100 * (column / 100)^2, ^3            the column is a speed
     daily          Q = c cos(2 pi h / 24) + s sin(2 pi h / 24)     the column is a clock
     daylight       c cos(2 pi h / 24) + s sin(2 pi h / 24) - n, 0 where that would be negative
 
 Sources: Q_j of eq. 1 of Energies 2026, 19, 2452: the heater's is its measured electrical power times the "effective
 heat input" of Table 2, the modules' the constant Q_pm of Table 1, zero in a healthy loop. Cubed: a pump's shaft
-power by the affinity laws (Karassik et al., Pump Handbook, 4th ed., sec. 2.3), which ends as heat in the water.
+power by the affinity laws (Karassik et al., Pump Handbook, 4th ed., sec. 2.3), which ends as heat in the water;
+squared: what goes with its head.
 Daily: first harmonic of a day, of amplitude sqrt(c^2 + s^2) with its peak at 24/(2 pi) atan2(s, c) o'clock;
 `daylight` is the sun on a surface, for which the night counts nothing: it lasts 24/pi acos(n / sqrt(c^2 + s^2)) h.
 
@@ -27,7 +28,8 @@ from typing import ClassVar
 
 from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
 
-LAWS = ("proportional", "linear", "cubed", "daily", "daylight")
+LAWS = ("proportional", "linear", "squared", "cubed", "daily", "daylight")
+POWERS = ("squared", "cubed")
 CLOSER = (
     ((-1.0, -0.5, 0.0, 0.5, 1.0), (-4.0, -2.0, 0.0, 2.0)),
     ((-0.25, 0.0, 0.25), (-1.0, 0.0, 1.0)),
@@ -59,7 +61,7 @@ class HeatSource(Element):
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:
         if not self.driver:
             return self.parameters
-        if self.law == "cubed":
+        if self.law in POWERS:
             return (ParameterSpec("power_100", "W", 0.0, -1.0e4, 1.0e4, "tunable", "heat at 100 % speed"),)
         if self.law in ("daily", "daylight"):
             source = "component of the daily swing; both zero without one"
@@ -87,7 +89,7 @@ class HeatSource(Element):
             return None if self.law == "proportional" else f"the law {self.law!r} needs a driver"
         if self.law == "proportional" and not self.driver.endswith("_W"):
             return f"driver {self.driver!r} is not a power: its name does not end in _W; the law 'linear' takes others"
-        if self.law == "cubed" and not self.driver.endswith("_pct"):
+        if self.law in POWERS and not self.driver.endswith("_pct"):
             return f"driver {self.driver!r} is not a speed in %: its name does not end in _pct"
         if self.law in ("daily", "daylight") and not self.driver.endswith("_h"):
             return f"driver {self.driver!r} is not a time of day in hours: its name does not end in _h"
@@ -118,7 +120,7 @@ class HeatSource(Element):
                     adds=adds,
                 )  # fmt: skip
                 if table.get("law") == "cubed":
-                    source = replace(source, near=partial(_in_proportion, source))
+                    source = replace(source, near=partial(_other_powers, source))
                 if table.get("law") == "daylight":
                     peak_h = 12.0 / math.pi * math.atan2(sizes["sine"], sizes["cosine"])
                     # A day that itself grows would pass for whatever else grows.
@@ -146,7 +148,7 @@ class HeatSource(Element):
             return (self.moves("gain", "heat_source", where, column, "W/W", 0.03, -now, 3.0, says),)
         if unit != "pct":
             return ()
-        size, full = ("power_100", 1.0) if self.law == "cubed" else ("gain", 100.0)
+        size, full = ("power_100", 1.0) if self.law in POWERS else ("gain", 100.0)
         now = full * sites.values[f"{self.name}.{size}"]
         says = f"gives off {{value}} more at full {column.replace('_', ' ')} than when commissioned"
         power = self.moves(size, "heat_source", where, column, "W", 20.0, -now, 2000.0, says)
@@ -169,10 +171,11 @@ class HeatSource(Element):
         if not self.driver:
             return Fragment(heat={self.node: n.par("power")})
         column = n.input(self.driver)
-        if self.law == "cubed":
-            share, cube = n.local("share"), n.local("cube")
-            uniform = ((share, f"max({column}, 0.0) * 0.01"), (cube, f"{share} * {share} * {share}"))
-            return Fragment(uniform=uniform, heat={self.node: f"{n.par('power_100')} * {cube}"})
+        if self.law in POWERS:
+            share, power = n.local("share"), n.local("cube" if self.law == "cubed" else "square")
+            product = " * ".join([share] * (3 if self.law == "cubed" else 2))
+            uniform = ((share, f"max({column}, 0.0) * 0.01"), (power, product))
+            return Fragment(uniform=uniform, heat={self.node: f"{n.par('power_100')} * {power}"})
         if self.law in ("daily", "daylight"):
             turn, square, cosine, sine = (n.local(name) for name in ("turn", "square", "cosine", "sine"))
             heat = f"{n.par('cosine')} * {cosine} + {n.par('sine')} * {sine}"
@@ -225,12 +228,19 @@ def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], str
     return laws
 
 
-def _in_proportion(cubed: Candidate) -> tuple[Candidate, ...]:
-    """A source that follows a speed with its cube as one in proportion to it: a belt or a bearing, say, is no shaft."""
-    changes = {name.replace(".power_100", "_straight.gain"): 0.01 * w for name, w in cubed.changes.items()}
-    adds = {f"{name}_straight": {**table, "law": "linear"} for name, table in cubed.adds.items()}
-    says = cubed.says.replace(CUBED, "in proportion to it")
-    return (replace(cubed, changes=changes, adds=adds, says=says, near=None),)
+def _other_powers(cubed: Candidate) -> tuple[Candidate, ...]:
+    """A source that follows a speed with its cube as one with its square, or in proportion to it: what a fan's head or
+    a belt makes warm is no shaft."""
+
+    def other(suffix: str, law: str, size: str, full: float, words: str) -> Candidate:
+        changes = {name.replace(".power_100", f"_{suffix}.{size}"): w / full for name, w in cubed.changes.items()}
+        adds = {f"{name}_{suffix}": {**table, "law": law} for name, table in cubed.adds.items()}
+        return replace(cubed, changes=changes, adds=adds, says=cubed.says.replace(CUBED, words), near=None)
+
+    return (
+        other("straight", "linear", "gain", 100.0, "in proportion to it"),
+        other("squared", "squared", "power_100", 1.0, "with its square"),
+    )
 
 
 def day(peak_h: float, hours: float) -> dict[str, float]:
