@@ -85,24 +85,31 @@ def test_a_short_lag_is_told_where_it_came_in(bench: Bench, healthy: Columns, on
 
 
 @pytest.mark.parametrize(
-    ("won", "left", "effects"),
-    [(30.0, 3.19, 2), (30.0, 3.21, 1), (400.0, 3.21, 2), (400.0, 3.4, 1)],
-    ids=["it foretells", "neither tells", "the fit tells", "it foretells worse"],
-)
+    ("won", "away", "left", "effects"),
+    [
+        (30.0, 0.0, 3.19, 2), (30.0, 0.0, 3.21, 1), (400.0, 0.0, 3.21, 2), (400.0, 0.0, 3.4, 1),
+        (30.0, 25.0, 3.4, 2), (30.0, 25.0, 4.1, 1), (30.0, 15.0, 3.4, 1),
+    ],
+    ids=[
+        "it foretells", "neither tells", "the fit tells", "it foretells worse", "it brings the tunables back",
+        "back, but worse than in health", "they had not gone far",
+    ],
+)  # fmt: skip
 def test_where_the_last_part_tells_neither_the_fit_decides(
-    monkeypatch: pytest.MonkeyPatch, won: float, left: float, effects: int
+    monkeypatch: pytest.MonkeyPatch, won: float, away: float, left: float, effects: int
 ) -> None:
-    def finding(count: int, total: float, shorter: Finding | None) -> Finding:
+    def finding(count: int, total: float, away: float, shorter: Finding | None) -> Finding:
         parts: dict[str, Any] = dict.fromkeys(("retuned", "state"))
         return Finding(
-            entries=(None,) * count, fit=SimpleNamespace(total=total, chi=0.4), ranked=(), scanned=(), start=20_000.0,
-            count=1000, ladder=(), contest=SimpleNamespace(expected=0.5), null=SimpleNamespace(quantile=lambda _: 4.5),
+            entries=(None,) * count, fit=SimpleNamespace(total=total, chi=0.4, away=away), ranked=(), scanned=(),
+            start=20_000.0, count=1000, ladder=(), contest=SimpleNamespace(expected=0.5), null=SimpleNamespace(quantile=lambda _: 4.5),
             shorter=shorter, **parts,
         )  # type: ignore[arg-type]  # fmt: skip
 
-    one = finding(1, 300.0 + won, None)
-    two = finding(2, 300.0, one)
+    one = finding(1, 300.0 + won, away, None)
+    two = finding(2, 300.0, 1.0, one)
     monkeypatch.setattr(inquiry, "_as_used", lambda found, _: found)
     held_out = SimpleNamespace(left=lambda found, _: left if len(found.entries) == 2 else 3.2)
-    told = Inquiry._foretelling(SimpleNamespace(_held_out=held_out), two, None, 0)  # type: ignore[arg-type]
+    asking = SimpleNamespace(_held_out=held_out, network=SimpleNamespace(sensors=range(8)))
+    told = Inquiry._foretelling(asking, two, None, 0)  # type: ignore[arg-type]
     assert len(told.entries) == effects and told.refuted == (effects == 1)

@@ -73,6 +73,8 @@ def _collide(one: Entry, other: Entry, clean: bool) -> bool:
     """Whether two effects are at one place and may not both be there."""
     if _place(one) != _place(other) or (clean and (_instead(one) or _instead(other))):
         return False
+    if clean and {one.candidate.kind, other.candidate.kind} == {"delay", "heat_loss"}:
+        return False  # a further length of hose loses heat
     together_s = MOMENT_S if clean else EARLY_S
     apart_s = abs(one.shape.onset_s - other.shape.onset_s)
     if _way(one) == _way(other):

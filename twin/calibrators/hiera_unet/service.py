@@ -36,6 +36,9 @@ CYCLE_S = 300.0
 RECORDS = 288
 """Proposals that are remembered: a day's."""
 NORMAL90 = 1.645
+DELIVERED = ("level", "reading")
+"""Formulas of the channels that are inputs and thermometers as a record delivers them; all others are made of these, or
+of a meter that a rig need not have."""
 TRAINED = Path(__file__).resolve().parents[3] / "profiles" / "trained"
 
 
@@ -204,9 +207,8 @@ class HieraUNetCalibrator:
         What nobody could foretell contradicts only where no fit explains it since.
         """
         frame, said = past.frame, past.said
-        # Channels of a fit are hidden before the stretch that it is of, which is no loss of readings.
-        channels = self.features.table.channels
-        needed = [k for k in self.features.table.indices("u", "y", "r") if channels[k].formula != "fitted"]
+        # What is made of a reading is hidden with it, and would count it several times.
+        needed = [k for k, c in enumerate(self.features.table.channels) if c.formula in DELIVERED]
         half = self.ensemble.half_widths(said, int(past.row.regime[0, -1]))
         full = self.features.deviations.full(past.evidence.theta, past.row.nominal[0])
         time = np.arange(TARGET, dtype=np.float64) * STEP_S
