@@ -102,8 +102,8 @@ def test_where_the_last_part_tells_neither_the_fit_decides(
         parts: dict[str, Any] = dict.fromkeys(("retuned", "state"))
         return Finding(
             entries=(None,) * count, fit=SimpleNamespace(total=total, chi=0.4, away=away), ranked=(), scanned=(),
-            start=20_000.0, count=1000, ladder=(), contest=SimpleNamespace(expected=0.5), null=SimpleNamespace(quantile=lambda _: 4.5),
-            shorter=shorter, **parts,
+            start=20_000.0, count=1000, ladder=(), contest=SimpleNamespace(expected=0.5), shorter=shorter,
+            null=SimpleNamespace(quantile=lambda _: 4.5), **parts,
         )  # type: ignore[arg-type]  # fmt: skip
 
     one = finding(1, 300.0 + won, away, None)
