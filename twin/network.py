@@ -305,13 +305,13 @@ def _mean_of_finite(a: Array) -> Array:
 def mean_of_several(each: Array) -> Array:
     """Means (N,) of thermometers (N, c) in one place, NaN where none is finite.
 
-    A mean of fewer does not jump where one drops out: each counts as what it differs from the mean of all by, on
-    average over the samples in which all are there.
+    A mean of fewer does not jump where one drops out: each counts as less what it differs from the mean of all by, the
+    median over the samples in which all are there, since one that is about to fail may read anything.
     """
     whole = np.isfinite(each).all(axis=1)
     if whole.all() or not whole.any():
         return _mean_of_finite(each)
-    return _mean_of_finite(each - (each[whole] - each[whole].mean(axis=1, keepdims=True)).mean(axis=0))
+    return _mean_of_finite(each - np.median(each[whole] - each[whole].mean(axis=1, keepdims=True), axis=0))
 
 
 def frozen_mapping(items: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -131,6 +131,12 @@ def test_selecting_columns(loop: Network) -> None:
         loop.select({c: v for c, v in columns.items() if c != "fan_speed_pct"})
     with pytest.raises(TwinFileError, match="differ in length"):
         loop.select(columns | {"T_heater_C": np.zeros(3)})
+    # A sensor that is missing is one that says nothing; a record that lacks most of them is another rig's.
+    fewer = {c: v for c, v in columns.items() if c not in ("T_tank_C", "T_heater_C")}
+    assert loop.unread(fewer) == ("T_heater_C", "T_tank_C")
+    assert np.isnan(loop.select(fewer)[1][:, [0, 3]]).all()
+    with pytest.raises(TwinFileError, match="the record lacks T_heater_C, T_radiator_C, T_tank_C"):
+        loop.select({c: v for c, v in fewer.items() if c != "T_radiator_C"})
 
 
 def test_initial_state_fills_what_is_not_measured(loop: Network) -> None:
