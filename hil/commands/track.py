@@ -73,7 +73,7 @@ def command(
     with Steps("tracking", len(data.time_s), quiet=as_json) as steps:
         for name, why in twins.left_out.items():
             steps.say(f"{name} is left out: {why}")
-        for message in data.messages:
+        for message in (*data.messages, *(f"{c} is not in the record" for c in twins.network.unread(data.columns))):
             steps.say(message)
         for done, block in twins.over(data.time_s, data.columns, BLOCK_ROWS):
             for name, values in block.outputs.items():

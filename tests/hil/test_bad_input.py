@@ -165,9 +165,19 @@ def healthy_record(tmp_path: Path, **changes: np.ndarray | None) -> Path:
 
 
 @pytest.mark.parametrize("verb", ["track", "commission"])
+def test_a_record_without_a_sensor_is_taken_and_says_so(tmp_path, verb):
+    arguments = [verb, healthy_record(tmp_path, T_tank_C=None), "--twin", TWIN]
+    if verb == "commission":
+        arguments += ["--out", tmp_path / "new.toml"]
+    code, printed = hil(*arguments)
+    assert code == 0 and "T_tank_C" in printed and "Traceback" not in printed
+
+
+@pytest.mark.parametrize("verb", ["track", "commission"])
 @pytest.mark.parametrize("column", ["heater_power_W", "T_tank_C"])
 def test_a_record_without_a_column_is_refused(tmp_path, verb, column):
-    arguments = [verb, healthy_record(tmp_path, **{column: None}), "--twin", TWIN]
+    others = ("T_heater_C", "T_radiator_C") if column == "T_tank_C" else ()  # more than half of the sensors
+    arguments = [verb, healthy_record(tmp_path, **dict.fromkeys((column, *others))), "--twin", TWIN]
     if verb == "commission":
         arguments += ["--out", tmp_path / "new.toml"]
     code, printed = hil(*arguments)

@@ -89,7 +89,7 @@ class Sensor(Element):
         ]  # fmt: skip
         # A thermometer is right where it was adjusted: at the ice point, or in the room.
         slope = self.moves("gain", *sensor, "temperature", "1", 0.01, 0.5 - now["gain"], 1.5 - now["gain"],
-            f"reads by {{share}} of what is above {ADJUSTED_C:.0f} degC too high")  # fmt: skip
+            f"reads {{share}} too high of what is above {ADJUSTED_C:.0f} degC")  # fmt: skip
         about = {f"{self.name}.gain": 1.0, f"{self.name}.bias_K": -ADJUSTED_C}
         found.insert(2, replace(slope, change="new", changes=about))
         if self.other:
