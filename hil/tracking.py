@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -173,9 +174,18 @@ class Twins:
     def over(
         self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]], rows: int
     ) -> Iterator[tuple[int, Block]]:
-        """A whole record in blocks of so many rows: how many samples are done, and what the block yielded."""
-        for start in range(0, len(time_s), rows):
-            part = slice(start, min(start + rows, len(time_s)))
+        """A whole record in blocks of so many rows: how many samples are done, and what the block yielded.
+
+        After a gap in which nothing tells what drove the rig, twins begin again.
+        """
+        from twin.stretches import stretches
+
+        begins = set(stretches(self.network, time_s, self.network.select(columns)[0]).begins[1:])
+        cuts = [*sorted({*range(0, len(time_s), rows), *begins}), len(time_s)]
+        for start, end in itertools.pairwise(cuts):
+            if start in begins:
+                self.begin_again()
+            part = slice(start, end)
             yield part.stop, self.push(time_s[part], {name: values[part] for name, values in columns.items()})
 
     def comparison(self) -> Comparison:

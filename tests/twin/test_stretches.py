@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hil.tracking import TrackingConfig, Twins
 from tests.discovery.conftest import Bench
 from twin.commission import commission
 from twin.discovery.basis import Columns
@@ -185,3 +186,16 @@ def test_a_healthy_record_with_gaps_stays_adequate(bench: Bench) -> None:
     record = without(bench.record(16.0, 4), (3.1, 3.8), (9.0, 9.1), (14.0, 14.5))
     found = diagnose(bench.network, replace(record), healthy)
     assert found.verdict == "adequate" and not found.effects
+
+
+def test_twins_that_track_a_record_begin_again_after_a_gap(bench: Bench) -> None:
+    record = without(bench.record(8.0, 3), (2.1, 2.9), (5.2, 5.6))
+    columns = dict(zip(bench.network.input_columns, record.inputs.T, strict=True))
+    for j, sensor in enumerate(bench.network.sensors):
+        columns |= dict.fromkeys(sensor.measured, record.measured[:, j])
+    twins = Twins(TrackingConfig(LOOP, tuple(columns), ("least_squares",)))
+    done = [rows for rows, _ in twins.over(record.time_s, columns, 700)]
+    assert done[-1] == len(record.time_s) and (np.diff(done) > 0).all() and max(np.diff(done)) <= 700
+    errors = twins.comparison().errors
+    static = errors.columns.index("static")
+    assert all(row[static] < 1.6 * errors.noise_K[name] for name, row in errors.rows.items())
