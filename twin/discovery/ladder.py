@@ -79,12 +79,11 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         if not chosen and start - min(f.total for f, _ in trials) < threshold**2:
             # A law at measured temperatures may promise what its element does not keep, and hide what would.
             others = [e for e in part.entries if e.z >= threshold and all(e is not f for f in worth)]
-            # What is late may promise nothing at all there: water that comes a minute later is as warm in the long run.
-            late = part.late(entries[0].shape.onset_s)
             more = finalists(others, ())
-            say(f"fitting {len(more) + len(late)} more")
+            say(f"fitting {len(more)} more, and what is late")
             trials += fitted(part, [(e,) for e in more])
-            trials += [t for t in fitted(part, [(e,) for e in late]) if not _usual(t[0].entries[0])]
+            # That may promise nothing at all: water that comes a minute later is as warm in the long run.
+            trials += _late(part, part.late(entries[0].shape.onset_s))
         if best is not None and enough(best.chi, start_chi, contest):
             # What is well explained is not explained twice: a second effect at the same place would bend the first.
             trials = [t for t in trials if stand(t[0], contest)]
@@ -94,11 +93,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         if best is None and not enough(order[0].fit.chi, start_chi, contest):
             # A hose of some litres is no multiple of what a little more of it does.
             hoses = [e for e in part.late(entries[0].shape.onset_s) if e.candidate.kind == "delay"]
-            order = rank(
-                [*trials, *(t for t in fitted(part, [(e,) for e in hoses]) if not _usual(t[0].entries[0]))],
-                contest,
-                start,
-            )
+            order = rank([*trials, *_late(part, hoses)], contest, start)
         winner = order[0].fit
         if best is None and start - winner.total - unusual(winner.entries) < threshold**2:
             order = _hidden(part, start)
@@ -160,9 +155,13 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     return found if shorter is None else replace(shorter, beside=beside)
 
 
-def _usual(entry: Entry) -> bool:
-    """Whether a lumped twin may leave as much of what is late, all along."""
-    return entry.shape.onset_s <= EARLY_S and abs(entry.size) < entry.candidate.lumped
+def _late(part: Part, entries: list[Entry]) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """Fits of what is late, but for what a lumped twin may leave as much of all along."""
+
+    def usual(entry: Entry) -> bool:
+        return entry.shape.onset_s <= EARLY_S and abs(entry.size) < entry.candidate.lumped
+
+    return [(found, group) for found, group in fitted(part, [(e,) for e in entries]) if not usual(found.entries[0])]
 
 
 def _hidden(part: Part, start: float) -> tuple[Ranked, ...]:
