@@ -113,3 +113,14 @@ def test_where_the_last_part_tells_neither_the_fit_decides(
     asking = SimpleNamespace(_held_out=held_out, network=SimpleNamespace(sensors=range(8)))
     told = Inquiry._foretelling(asking, two, None, 0)  # type: ignore[arg-type]
     assert len(told.entries) == effects and told.refuted == (effects == 1)
+
+
+@pytest.mark.parametrize("onset_h", [0.0, 5.0])
+def test_a_hose_of_some_litres_is_found_whatever_its_score_promises(
+    bench: Bench, healthy: Columns, onset_h: float
+) -> None:
+    hose = bench.with_element("hose", {"kind": "pipe", "to": "modules", "volume": 5.0})
+    found = diagnose(bench.network, bench.record(16.0, seed=6, changed=hose, onset_h=onset_h), healthy)
+    assert [(e.kind, e.where) for e in found.effects] == [("delay", "modules")]
+    assert found.effects[0].value == pytest.approx(5.0, rel=0.1)
+    assert found.effects[0].onset_s == pytest.approx(3600.0 * onset_h, abs=900.0)
