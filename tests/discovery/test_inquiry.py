@@ -116,11 +116,17 @@ def test_where_the_last_part_tells_neither_the_fit_decides(
 
 
 @pytest.mark.parametrize("onset_h", [0.0, 5.0])
-def test_a_hose_of_some_litres_is_found_whatever_its_score_promises(
+def test_a_hose_of_some_litres_is_found_though_its_score_promises_nothing(
     bench: Bench, healthy: Columns, onset_h: float
 ) -> None:
     hose = bench.with_element("hose", {"kind": "pipe", "to": "modules", "volume": 5.0})
-    found = diagnose(bench.network, bench.record(16.0, seed=6, changed=hose, onset_h=onset_h), healthy)
-    assert [(e.kind, e.where) for e in found.effects] == [("delay", "modules")]
-    assert found.effects[0].value == pytest.approx(5.0, rel=0.1)
-    assert found.effects[0].onset_s == pytest.approx(3600.0 * onset_h, abs=900.0)
+    record = bench.record(16.0, seed=6, changed=hose, onset_h=onset_h)
+    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+    part = Inquiry(bench.network, record, basis(bench.network, healthy, grid), grid, lambda _: None).part(grid)
+    part.entries = [e for e in part.entries if e.candidate.kind != "delay"]
+    found = search(part, lambda _: None).fit
+    assert found is not None
+    (entry,) = found.entries
+    assert (entry.candidate.kind, entry.candidate.where) == ("delay", "modules")
+    assert entry.size == pytest.approx(5.0, rel=0.1)
+    assert entry.shape.onset_s == pytest.approx(3600.0 * onset_h, abs=900.0)

@@ -102,7 +102,7 @@ def test_a_thermometer_that_drifts_beside_a_mass_at_its_place_is_a_fault_of_its_
     """The mass is at the modules, not at the one whose thermometer drifts."""
     table = {"kind": "hidden_mass", "node": "modules", "conductance": 45.0, "capacity": 45000.0}
     made = bench.record(16.0, 8, bench.with_element("block", table))
-    record = with_six(bench, made, 6, lambda t: -0.6 * np.clip((t / 3600.0 - 6.0) / 10.0, 0.0, 1.0))
+    record = with_six(bench, made, 6, lambda t: -0.6 * np.clip((t / 3600.0 - 2.0) / 14.0, 0.0, 1.0))
     found = diagnose(bench.network, record, with_six(bench, healthy, 5))
     assert [(e.kind, e.where) for e in found.effects] == [("thermal_mass", "modules"), ("sensor", "T_pm3_C")]
     assert found.effects[1].value == pytest.approx(-0.6, abs=0.1)
