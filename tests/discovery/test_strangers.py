@@ -3,9 +3,10 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from hil.record import read_record
+from hil.record import Record, read_record
 from tests.twin.conftest import stranger  # noqa: F401
 from twin.commission import commission
 from twin.datasheet import from_datasheet
@@ -34,3 +35,36 @@ def test_a_stranger_is_diagnosed(stranger: Path, case: str) -> None:  # noqa: F8
     for error in found.errors.values():
         # A large effect leaves a little of its form; on a small one the floor is reached.
         assert error.after < max(2.2 * error.noise, 0.03 * error.stale)
+
+
+def damaged(path: Path, seed: int) -> Record:
+    """A record that a poor logger kept: gaps of up to an hour, a fifth of the samples and single readings lost."""
+    rng = np.random.default_rng(seed)
+    record = read_record(path)
+    count = len(record.time_s)
+    keep = rng.random(count) > 0.2
+    for first in rng.integers(0, count, count // 12_000):
+        keep[first : first + int(rng.integers(60, 3600))] = False
+    columns = {name: values[keep] for name, values in record.columns.items()}
+    for name, values in columns.items():
+        if name.startswith("T_"):
+            values[rng.random(len(values)) < 0.05] = np.nan
+    return Record(record.time_s[keep], columns)
+
+
+@pytest.mark.parametrize("case", ["d0", "d1", "d2", "d6"])
+def test_a_stranger_is_diagnosed_from_what_a_poor_logger_kept(stranger: Path, case: str) -> None:  # noqa: F811
+    key = json.loads((stranger / "KEY.json").read_text())[case]
+    twin = from_datasheet(stranger / case / "datasheet.json")
+    kept = damaged(stranger / case / "commissioning.parquet", 1)
+    healthy = Columns.of(twin, kept.time_s, kept.columns)
+    twin = commission(twin, healthy.time_s, healthy.inputs, healthy.measured).network
+    kept = damaged(stranger / case / "campaign.parquet", 2)
+    found = diagnose(twin, Columns.of(twin, kept.time_s, kept.columns), healthy)
+    assert any("gaps" in note for note in found.notes)
+    truth = key["answer"]
+    said = [(e.kind, e.where) for e in found.effects]
+    assert said == ([] if truth["kind"] == "none" else [(truth["kind"], truth["where"])])
+    for effect in found.effects:
+        assert abs(effect.onset_s - key["onset_s"]) < 1800.0
+        assert all(e.after < 1.6 * max(e.noise, e.usual) for e in found.errors.values())
