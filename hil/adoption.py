@@ -138,12 +138,20 @@ def adopt(twin: Path, record: Record, proposals: list[Proposed], made_by: str) -
 
 
 def _errors(network: Network, record: Record, from_s: float) -> dict[str, float]:
-    """Sensor -> RMSE in K of a free run over the whole record, counted from `from_s` on."""
-    from twin.kernel import simulate
+    """Sensor -> RMSE in K of a free run over the whole record, counted from `from_s` on; begun anew after gaps."""
+    from twin.kernel import Kernel, held
+    from twin.stretches import parts, stretches, traced
 
     inputs, measured = network.select(record.columns)
-    start = network.initial_state(measured[: max(1, int(np.searchsorted(record.time_s, record.time_s[0] + 30.0)))])
-    miss: NDArray[np.float64] = (simulate(network, record.time_s, inputs, start) - measured)[record.time_s > from_s]
+    known, time_s = stretches(network, record.time_s, inputs), record.time_s
+    measured[known.lost] = np.nan
+    firsts = [slice(r.start, max(r.start + 1, int(np.searchsorted(time_s, time_s[r.start] + 30.0))))
+              for r in parts(known.begins, len(time_s))]  # fmt: skip
+    start = np.concatenate([network.initial_state(measured[first]) for first in firsts])
+    run = traced(
+        Kernel(network, ()), network.values[None], start[None], time_s, held(network, inputs), known.begins
+    )[0]  # fmt: skip
+    miss: NDArray[np.float64] = (run - measured)[time_s > from_s]
     good = np.isfinite(miss)
     return {
         sensor: float(np.sqrt(np.mean(miss[good[:, j], j] ** 2)))
