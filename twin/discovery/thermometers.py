@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from twin.discovery.basis import Columns
     from twin.discovery.ranking import Finding
 
+HEATS = ("heat_source", "heat_loss")
 SMEARED = 1.5
 """Thresholds that may be left where an error was taken off in block means: its edges are sharper than they."""
 
@@ -43,8 +44,9 @@ def single(
     at = _belongs_to(odd, here, effects, finding)
     if at is not None and effects[at].kind not in ("unknown", "sensor"):
         own = _in_its_own_shape(one, odd)
-        if own is not odd:
-            # What came in at another time, or grew, is another thing: the thermometer's own.
+        if own is not odd and effects[at].kind not in HEATS:
+            # What came in at another time, or grew, is another thing: the thermometer's own. Heat at one place shows in
+            # its thermometer, in whatever form it is told.
             return verdict, (*effects, _fault(one, own, start))
         old = effects[at]
         changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
