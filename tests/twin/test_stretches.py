@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -184,7 +182,7 @@ def test_an_effect_is_found_across_gaps_in_which_the_load_moved(bench: Bench) ->
 def test_a_healthy_record_with_gaps_stays_adequate(bench: Bench) -> None:
     healthy = bench.record(10.0, seed=7)
     record = without(bench.record(16.0, 4), (3.1, 3.8), (9.0, 9.1), (14.0, 14.5))
-    found = diagnose(bench.network, replace(record), healthy)
+    found = diagnose(bench.network, record, healthy)
     assert found.verdict == "adequate" and not found.effects
 
 

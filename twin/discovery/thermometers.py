@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from twin.discovery.ranking import Finding
 
 HEATS = ("heat_source", "heat_loss")
+"""Kinds that warm or cool one place of several, whose thermometer then stands out without being at fault."""
 SMEARED = 1.5
 """Thresholds that may be left where an error was taken off in block means: its edges are sharper than they."""
 
