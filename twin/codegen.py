@@ -35,7 +35,7 @@ LANES = 32
 MOST_STEPS = 1.0e6
 """Substeps in one sample interval, at most."""
 OUTLINE_LINES = 60
-_WORDS = {"for", "in", "range", "max", "min", "exp", "log", "abs", "if", "else", "or"}
+_WORDS = {"for", "in", "range", "int", "max", "min", "exp", "log", "abs", "if", "else", "or"}
 Mode = Literal["cost", "trace", "gram"]
 MODES: tuple[Mode, ...] = ("cost", "trace", "gram")
 
@@ -284,14 +284,13 @@ class _Kernel:
         level = [line for pick in ("slow", "fast") for line in self.coefficients(pick, late=False, lane=False)]
         body = [f"u{c} = inputs[i, {c}]" for c in sorted(columns)] + level
         lines = [
-            "n = inputs.shape[0]",
-            "for i in range(n):",
-            f"    if i == 0 or {again}:",
+            "for i in range(int(first), int(stop)):",
+            f"    if i == first or {again}:",
             *indent(indent(body)),
             *[f"    S[i, {column}] = {name}" for name, column in self.table.items()],
         ]
         types = ["f8[:,::1]", "f8[:,::1]"]
-        return [f"S = np.empty((n, {len(self.table)}))", *self.called("tabulate", ["inputs", "S"], types, lines)]
+        return ["stop = n", f"S = np.empty((n, {len(self.table)}))", *self.called("tabulate", ["inputs", "S"], types, lines)]
 
     # --- samples --------------------------------------------------------------------------------------------
 
@@ -377,9 +376,12 @@ class _Kernel:
         s, n = self.system, self.lanes
         measured = "" if self.mode == "trace" else "y, weight, "
         used = "used, " if self.mode == "gram" else ""
+        name, until = ("piece", "n, ") if self.mode == "trace" else ("kernel", "")
         out = {"cost": "sse", "trace": "Y", "gram": "gram, sse"}[self.mode]
         block = self.block()
-        head = ["n = time.shape[0]", f"W = np.zeros({len(self.rows) * n})"]
+        head = [f"W = np.zeros({len(self.rows) * n})"]
+        if self.mode != "trace":
+            head = ["n = time.shape[0]", *head]
         if self.mode == "gram":
             head += [f"E = np.empty({self.m * n})", f"G = np.empty({n * n})"]
         if self.delays:
@@ -412,9 +414,10 @@ class _Kernel:
                 "",
                 *self.functions,
                 f"@nb.njit({jit})",
-                f"def kernel(base, lanes, start, past, first, time, inputs, {measured}{used}{out}, end, future):",
+                f"def {name}(base, lanes, start, past, first, {until}time, inputs, {measured}{used}{out}, end, future):",
                 *indent([*head, "for b in range(start.shape[0]):", *indent(block)]),
                 "",
+                *(_PIECES if self.mode == "trace" else []),
             ]
         )
 
@@ -422,9 +425,24 @@ class _Kernel:
 _HEAD = "f8[::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], i8, f8[::1], f8[:,::1]"
 _SIGNATURE: dict[Mode, str] = {
     "cost": f"void({_HEAD}, f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1])",
-    "trace": f"void({_HEAD}, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1])",
+    "trace": "void(f8[::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], i8, i8, f8[::1], f8[:,::1], "
+    "f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1])",
     "gram": f"void({_HEAD}, f8[:,::1], f8[:,::1], i8, f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1])",
 }
+
+
+_PIECES = [
+    "",
+    "@nb.njit('void(f8[::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[:,::1], "
+    "f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1])', cache=True, nogil=True)",
+    "def kernel(base, lanes, start, past, cuts, time, inputs, Y, end, future):",
+    "    n = time.shape[0]",
+    "    for c in range(lanes.shape[0]):",
+    "        piece(base, lanes[c], start, past, cuts[c], min(cuts[c + 1] + 1, n), time, inputs, Y, end, future)",
+    "        start, past = end, future",
+    "",
+]
+"""One piece after the other, each from where the one before it ended; the sample at a cut is read by both."""
 
 
 def indent(lines: list[str]) -> list[str]:

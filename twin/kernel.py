@@ -16,7 +16,7 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -114,10 +114,22 @@ class Kernel:
         Args:
             lanes: particles that run side by side, 1 or LANES; as suits P by default. Each is compiled by itself.
         """
+        return self.trace_pieces(np.atleast_2d(parameters)[None], state, time, inputs, [0], lanes)
+
+    def trace_pieces(
+        self, parameters: Array, state: Array, time: Array, inputs: Array, cuts: Sequence[int], lanes: int | None = None
+    ) -> tuple[Array, Array]:
+        """The same where parameters change at some samples.
+
+        Args:
+            parameters: (c, P, p), those of each piece. cuts: (c,) sample at which each piece begins, 0 first. What is
+                read at that sample is read by the piece that begins.
+            lanes: as of `trace`.
+        """
         call = self._call(parameters, state, time, inputs, lanes=lanes)
         m = len(self.network.sensors)
         readings = np.empty((call.blocks, len(call.time), m, call.lanes))
-        call.run(self._variant("trace", call), readings, call.end, call.future)
+        call.run_pieces(self._variant("trace", call), cuts, readings)
         rows = np.moveaxis(readings[:, call.first :], 3, 1).reshape(-1, len(time), m)
         return rows[: call.count], call.ends(time, inputs)
 
@@ -161,7 +173,7 @@ class Kernel:
         if not len(time):
             raise ValueError("there is no sample to simulate")
         parameters, state = np.atleast_2d(parameters), np.atleast_2d(state)
-        count = count or max(len(parameters), len(state))
+        count = count or max(parameters.shape[-2], len(state))
         lanes = lanes or (1 if count == 1 else LANES)
         return Call(self._memory, parameters, state, time, inputs, count, lanes, self.lane)
 
@@ -182,8 +194,8 @@ class Call:
     ) -> None:
         self.memory, self.count, self.lanes = memory, count, lanes
         self.blocks = -(-count // lanes)
-        self._base = np.array(parameters[0])
-        self._lane = _laid_out(parameters[:, lane], count, lanes)
+        self._base = np.array(parameters.reshape(-1, parameters.shape[-1])[0])
+        self._lane = _laid_out(parameters[..., lane], count, lanes)
         temperatures, past, history = memory.taken_apart(state)
         if not (np.isfinite(self._lane).all() and np.isfinite(state[:, : memory.nodes]).all()):
             raise ValueError("parameters and initial states must be finite")
@@ -199,6 +211,11 @@ class Call:
 
     def run(self, kernel: Callable[..., None], *rest: Any) -> None:
         kernel(self._base, self._lane, self._start, self._past, self.first, self.time, self.inputs, *rest)
+
+    def run_pieces(self, kernel: Callable[..., None], cuts: Sequence[int], readings: Array) -> None:
+        rows = self.first + np.append(np.asarray(cuts, dtype=np.int64), len(self.time) - self.first)
+        past, now = (self._start, self._past), (self.time, self.inputs)
+        kernel(self._base, self._lane, *past, rows, *now, readings, self.end, self.future)
 
     def later(self, *arrays: Array) -> list[Array]:
         """Arrays over the samples with rows put before them for the samples that are history."""
@@ -267,13 +284,10 @@ def masked(measured: ArrayLike, sigma: Array | float = 1.0) -> tuple[Array, Arra
 
 
 def _laid_out(rows: Array, count: int, lanes: int) -> Array:
-    """(P or 1, q) -> (blocks, q, lanes); a last partial block repeats its final particle."""
-    blocks = -(-count // lanes)
-    if rows.shape[0] == 1:
-        laid: Array = np.repeat(rows[0][None, :], blocks * lanes, axis=0).reshape(blocks, lanes, -1)
-        return np.array(laid.transpose(0, 2, 1), order="C")
-    take = np.minimum(np.arange(blocks * lanes), count - 1).reshape(blocks, lanes)
-    return np.array(rows[take].transpose(0, 2, 1), order="C")
+    """(..., P or 1, q) -> (..., blocks, q, lanes); a last partial block repeats its final particle."""
+    last = min(count, rows.shape[-2]) - 1
+    take = np.minimum(np.arange(-(-count // lanes) * lanes), last).reshape(-1, lanes)
+    return np.array(np.moveaxis(rows[..., take, :], -1, -2), order="C")
 
 
 @functools.lru_cache(maxsize=64)

@@ -319,3 +319,23 @@ def test_a_kernel_with_whole_memory_goes_on_where_it_was(line: Network) -> None:
     second, last = whole.trace(values, state, TIME[cut:], u[cut:])
     assert np.abs(np.hstack([first[:, :cut], second]) - at_once).max() < 1e-9
     assert np.abs(last - ends)[np.isfinite(ends)].max() < 1e-9
+
+
+@pytest.mark.parametrize("lanes", [1, 35])
+def test_parameters_that_change_on_the_way_are_runs_one_after_the_other(line: Network, lanes: int) -> None:
+    whole, u, rng = Kernel(line, ALL, whole_memory=True), drive(), np.random.default_rng(3)
+    cuts = [0, 60, 61, 170, N - 1]
+    full = np.tile(line.values, (len(cuts), lanes, 1))
+    for name, high in {
+        "tube.volume": 1.4, "tube.wall_capacity": 900.0, "tube.wall_hA": 40.0, "mass.capacity": 4000.0,
+        "mass.conductance": 30.0, "relay.dead_time_s": 7.0, "relay.lag_s": 11.0, "T_b_C.lag_s": 23.0,
+        "T_b_C.bias_K": 1.0, "stream.factor": 1.3,
+    }.items():  # fmt: skip
+        full[..., line.index([name])[0]] = high * rng.uniform(0.5, 1.0, (len(cuts), lanes))
+    readings, end = whole.trace_pieces(full, np.tile(REST, (lanes, 1)), TIME, u, cuts)
+    state, rows = np.tile(REST, (lanes, 1)), []
+    for values, first, last in zip(full, cuts, [*cuts[1:], N], strict=True):
+        part, state = whole.trace(values, state, TIME[first : last + 1], u[first : last + 1])
+        rows.append(part[:, : last - first])
+    assert np.abs(np.hstack(rows) - readings).max() < 1e-9
+    assert np.abs(state - end)[np.isfinite(end)].max() < 1e-9

@@ -146,11 +146,16 @@ class Model:
         sized = np.array([[course[s] for s in row] for row in each]).reshape(
             len(values), len(self.entries), len(cuts) - 1
         )
+        there = np.ascontiguousarray(np.moveaxis(sized, 2, 0))
+        full = self.parameters(np.tile(values, (len(there), 1)), np.concatenate(sizes * there))
+        full = full.reshape(len(there), len(values), -1)
+        comes = np.diff(there >= 0.5, axis=0, prepend=there[:1] >= 0.5) & (there >= 0.5)
+        comes = comes[:, :, [effect for effect, *_ in self._masses]].any(axis=(1, 2))
+        legs = [p for p, first in enumerate(cuts[:-1].tolist()) if comes[p] or first in begins]
         readings = np.empty((len(values), len(time), len(self.network.sensors)))
-        before = np.zeros((len(values), len(self.entries)))
         begun = state.reshape(len(state), len(begins), -1)
-        for piece, (first, last) in enumerate(itertools.pairwise(cuts.tolist())):
-            until, at = min(last + 1, len(time)), sized[:, :, piece]
+        for leg, then in itertools.pairwise([*legs, len(there)]):
+            first, last = int(cuts[leg]), int(cuts[then])
             if first == 0:
                 state = np.ascontiguousarray(begun[:, 0])
             elif first in begins:
@@ -158,13 +163,13 @@ class Model:
             for effect, mass, node, column in self._masses if first else ():
                 # A mass that comes in now has had the time to be as warm as what it stands beside, or is cold. A little
                 # of it is there before, where it comes in between two samples.
-                new = (before[:, effect] < 0.5) & (at[:, effect] >= 0.5)
+                new = (there[leg - 1, :, effect] < 0.5) & (there[leg, :, effect] >= 0.5)
                 room = inputs[first, self.network.input_columns.index(column)] if column else None
                 state[new, mass] = state[new, node] if room is None else room
-            before = at
-            full = self.parameters(values, sizes * at)
-            part, state = self.kernel.trace(full, state, time[first:until], inputs[first:until], LANES)
-            readings[:, first:last] = part[:, : last - first]
+            part = slice(first, last + 1)
+            cut = (cuts[leg:then] - first).tolist()
+            found, state = self.kernel.trace_pieces(full[leg:then], state, time[part], inputs[part], cut, LANES)
+            readings[:, first:last] = found[:, : last - first]
         return readings
 
     def begun(
