@@ -290,7 +290,8 @@ class _Kernel:
             *[f"    S[i, {column}] = {name}" for name, column in self.table.items()],
         ]
         types = ["f8[:,::1]", "f8[:,::1]"]
-        return ["stop = n", f"S = np.empty((n, {len(self.table)}))", *self.called("tabulate", ["inputs", "S"], types, lines)]
+        made = ["stop = n", f"S = np.empty((n, {len(self.table)}))"]
+        return [*made, *self.called("tabulate", ["inputs", "S"], types, lines)]
 
     # --- samples --------------------------------------------------------------------------------------------
 
@@ -376,7 +377,7 @@ class _Kernel:
         s, n = self.system, self.lanes
         measured = "" if self.mode == "trace" else "y, weight, "
         used = "used, " if self.mode == "gram" else ""
-        name, until = ("piece", "n, ") if self.mode == "trace" else ("kernel", "")
+        name, rows = ("piece", "first, n") if self.mode == "trace" else ("kernel", "first")
         out = {"cost": "sse", "trace": "Y", "gram": "gram, sse"}[self.mode]
         block = self.block()
         head = [f"W = np.zeros({len(self.rows) * n})"]
@@ -414,7 +415,7 @@ class _Kernel:
                 "",
                 *self.functions,
                 f"@nb.njit({jit})",
-                f"def {name}(base, lanes, start, past, first, {until}time, inputs, {measured}{used}{out}, end, future):",
+                f"def {name}(base, lanes, start, past, {rows}, time, inputs, {measured}{used}{out}, end, future):",
                 *indent([*head, "for b in range(start.shape[0]):", *indent(block)]),
                 "",
                 *(_PIECES if self.mode == "trace" else []),

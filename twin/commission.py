@@ -185,6 +185,7 @@ def commission(
         held_out_s=(float(t[split]), float(t[end - 1])),
         error_before_K={k: v for k, v in errors[0].items() if np.isfinite(v)},
         error_after_K={k: v for k, v in errors[1].items() if np.isfinite(v)},
+        error_fitted_K={k: v for k, v in errors[2].items() if np.isfinite(v)},
         notes=tuple(notes),
     )
     return Commission(

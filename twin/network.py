@@ -71,6 +71,7 @@ class Revision:
             is; ``parent_file`` is the name that the file had, for messages.
         window_s: the part of the record that was fitted. held_out_s: the part, never fitted, that the errors are of.
         error_before_K, error_after_K: sensor -> RMSE of a free run in K.
+        error_fitted_K: the same of the part that was fitted.
         effects: what was added or altered, one phrase each. evidence: why, in one sentence.
         checksum: SHA-256 of the file's text without this line; entered by `twin.twinfile.save`.
     """
@@ -81,6 +82,7 @@ class Revision:
     window_s: tuple[float, float] | None = None
     error_before_K: Mapping[str, float] = field(default_factory=dict)
     error_after_K: Mapping[str, float] = field(default_factory=dict)
+    error_fitted_K: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     held_out_s: tuple[float, float] | None = None
     effects: tuple[str, ...] = ()

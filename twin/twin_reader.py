@@ -290,7 +290,7 @@ class Reader:
             values[key] = tuple(sentences)
         for key in ("window_s", "held_out_s"):
             values[key] = self.pair(table[key], (*keys, key)) if key in table else None
-        for key in ("error_before_K", "error_after_K"):
+        for key in ("error_before_K", "error_after_K", "error_fitted_K"):
             errors = self.table(table.get(key, {}), (*keys, key))
             values[key] = frozen_mapping({s: self.number(v, (*keys, key)) for s, v in errors.items()})
         return Revision(**values)

@@ -14,8 +14,9 @@ from twin.discovery import noise as noises
 from twin.discovery.contest import Contest
 from twin.discovery.grid import Grid, on_grid
 from twin.discovery.health import Health
-from twin.discovery.laws import Book
-from twin.discovery.probe import Probe, free_run
+from twin.discovery.laws import Book, Law
+from twin.discovery.operating import offsets
+from twin.discovery.probe import Probe, Run, free_run
 from twin.discovery.search import scan
 from twin.discovery.structure import Structure
 from twin.discovery.widening import Bootstrap, kept
@@ -110,6 +111,14 @@ class Basis:
         }
         return frozenset(node for e in now.elements if e.name in new for node in e.nodes())
 
+    def contest(self, grid: Grid, state: Array, run: Run, laws: list[Law]) -> Contest:
+        """The quadratic form of a record with these laws."""
+        structure = self.structure
+        if structure is not None:
+            here = offsets(self.probe.network, laws, grid)
+            structure, laws = structure.beyond(here), [*laws, *here]
+        return Contest(self.probe, grid, state, run, self.noise, self.prior, structure, laws)
+
     @property
     def wider(self) -> float:
         """Factor by which thresholds are raised."""
@@ -135,7 +144,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
             noise=health.less if same else health.less.at_step(record.step_s),
             plain=health.noise if same else health.noise.at_step(record.step_s),
             prior=_about(health.prior, of, probe),
-            warnings=(),
+            warnings=(health.rough,) if health.rough else (),
             tried=_tried(health.grid),
             structure=health.structure,
             bootstrap=kept(network, healthy.time_s, healthy.inputs, healthy.measured),

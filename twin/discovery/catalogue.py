@@ -6,6 +6,7 @@ new kind of element joins the search by its own file.
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ from typing import Any
 
 from twin.elements import KINDS, Element, Parameter
 from twin.elements.base import Candidate, Sites
-from twin.network import Network, TwinFileError
+from twin.network import InputSpec, Network, TwinFileError
 
 _NUMBERED = re.compile(r"^(?P<stem>\D+)\d+$")
 LATE = ("history", "rate_of_change")
@@ -64,8 +65,15 @@ def sites_of(network: Network) -> Sites:
         groups=groups,
         elements=network.elements,
         values={name: p.value for name, p in network.parameters.items()},
+        scales={c: _scale(spec) for c, spec in network.inputs.items()},
         litres_per_s=max((p.value / 60.0 for p in network.parameters.values() if p.unit == "L/min"), default=0.0),
     )
+
+
+def _scale(spec: InputSpec) -> float:
+    """How far an input goes: its declared range, or what is usual."""
+    span = spec.upper - spec.lower
+    return span if math.isfinite(span) and span > 0.0 else max(abs(spec.nominal), 1.0)
 
 
 def _places(network: Network) -> dict[str, str]:

@@ -9,9 +9,10 @@ import numpy as np
 
 from twin.discovery.basis import Basis, Columns, basis
 from twin.discovery.caution import as_commissioned, first_alone, nothing, unconfirmed
+from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Diagnosis, SensorError
 from twin.discovery.experiment import Limits
-from twin.discovery.forecast import Forecast, forecast, plan_of, too_little, unseen_kinds
+from twin.discovery.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
 from twin.discovery.grid import Grid, on_grid
 from twin.discovery.held_out import binned
 from twin.discovery.inquiry import Inquiry
@@ -88,9 +89,7 @@ def diagnose(
         finding = first_alone(finding, answer.train)
         off = on_unseen(finding)
     if finding.fit is None:
-        poor = too_little(whole.contest, whole.laws, known.book.candidates)
-        if poor:
-            raise TwinFileError(poor)
+        notes += _hidden(whole, known)
         unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
         notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
     say("judging")
@@ -118,6 +117,23 @@ def diagnose(
         return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
 
     return explained_by_one(found, network, record, single, again)
+
+
+def _hidden(whole: Part, known: Basis) -> list[str]:
+    """What is to say where a record that shows nothing could not have shown much, though its inputs moved enough.
+
+    Raises:
+        TwinFileError: they did not.
+    """
+    candidates = known.book.candidates
+    kinds = too_little(whole.contest, whole.laws, candidates)
+    if not kinds:
+        return []
+    white = known.noise.of_thermometers()
+    quiet = Contest(known.probe, whole.grid, whole.state, whole.run, white, known.prior)
+    if too_little(quiet, whole.laws, candidates):
+        raise TwinFileError(too_still(whole.contest, kinds))
+    return [f"beside what this twin leaves in health, the record could only have shown a very large {either(kinds)}"]
 
 
 def _comparable(network: Network, record: Columns, healthy: Columns | None) -> tuple[Columns, list[str]]:

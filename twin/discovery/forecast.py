@@ -70,7 +70,7 @@ def forecast(known: Basis, grid: Grid, state: Array | None = None) -> Forecast:
     own, start = planned(known.probe, grid, state)
     run = known.probe.run(own, start)
     found, candidates = known.book.laws(own, run), known.book.candidates
-    contest = Contest(known.probe, own, start, run, known.noise, known.prior, known.structure, found)
+    contest = known.contest(own, start, run, found)
     vectors = np.stack([contest.vector(law) for law in found])
     flat = vectors.reshape(len(found), -1)
     gram = flat @ contest.gram @ flat.T
@@ -99,12 +99,16 @@ def forecast(known: Basis, grid: Grid, state: Array | None = None) -> Forecast:
     return Forecast(tuple(seen), tuple(unseen), tuple(confused))
 
 
-def too_little(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> str:
-    """Why a record that shows nothing could not have shown much, as one sentence; "" where it could."""
+def too_little(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
+    """Kinds that a record that shows nothing could not have shown; none where they are few."""
     share = hidden(contest, found, candidates)
     if sum(share.values()) < MOST_HIDDEN * len(share):
-        return ""
-    kinds = [kind.replace("_", " ") for kind, missing in share.items() if missing > 0.5]
+        return ()
+    return tuple(kind.replace("_", " ") for kind, missing in share.items() if missing > 0.5)
+
+
+def too_still(contest: Contest, kinds: tuple[str, ...]) -> str:
+    """Why a record could not have shown these kinds, as one sentence."""
     network, inputs = contest.probe.network, contest.grid.inputs
     still = [
         f"{column} stays at {inputs[0, j]:.4g}"
@@ -114,8 +118,21 @@ def too_little(contest: Contest, found: list[Law], candidates: tuple[Candidate, 
     why = f" ({', '.join(still)})" if still else ""
     return (
         f"the record has too little excitation to say anything{why}: it shows no effect, and could not have shown "
-        f"{', '.join(kinds[:-1])} or {kinds[-1]}; run a load profile with steps in load, pump and fan"
+        f"{either(kinds)}; run a load profile with steps in {_driven(network)}"
     )
+
+
+def _driven(network: Network) -> str:
+    """What can be stepped on a rig, as a sentence names it."""
+    columns = [c for c in network.input_columns if not c.endswith("_C") and not c.startswith("time_of_day")]
+    short = {"heater_power_W": "load", "pump_speed_pct": "pump", "fan_speed_pct": "fan"}
+    words = [short.get(c, c) for c in columns] or ["what drives it"]
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def either(kinds: tuple[str, ...]) -> str:
+    """Kinds as a sentence names them."""
+    return " or ".join(filter(None, (", ".join(kinds[:-1]), kinds[-1])))
 
 
 def unseen_kinds(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from twin.discovery.contest import Contest
 from twin.discovery.grid import Grid, on_grid
 from twin.discovery.laws import Book, Law
 from twin.discovery.noise import Noise
+from twin.discovery.operating import offsets
 from twin.discovery.probe import Probe, Run, free_run, posterior
 from twin.discovery.structure import Structure, structure_of
 from twin.gauss_newton import Prior
@@ -27,8 +28,9 @@ HELD = 1.0e9
 """Precision of tunables that are held where they are."""
 FORETOLD = 0.5
 """Share of what the structure amounts to that is thought to come back as it was; the rest is noise."""
-UNHEALTHY = 6.0
-"""Times the noise of a thermometer that a healthy record's residual may reach."""
+UNHEALTHY, AS_LEFT = 6.0, 1.5
+"""Times the noise of a thermometer that a healthy record's residual may reach, or what the twin left when it was
+commissioned, where that is more: a rig of which a lumped twin tells no more is no less healthy for it."""
 
 
 class NotHealthyError(TwinFileError):
@@ -37,13 +39,17 @@ class NotHealthyError(TwinFileError):
 
 @dataclass(frozen=True)
 class Health:
-    """What a healthy record says: noise as it is, `less` of it where the structure is known, and the rest."""
+    """What a healthy record says: noise as it is, `less` of it where the structure is known, and the rest.
+
+    `rough` says what the twin leaves of it, where that is far more than noise, else "".
+    """
 
     grid: Grid
     noise: Noise
     less: Noise
     prior: Prior
     structure: Structure
+    rough: str = ""
 
     @classmethod
     def of(cls, network: Network, probe: Probe, book: Book, healthy: Columns) -> Health:
@@ -57,21 +63,31 @@ class Health:
         known = np.where(good, residual, np.nan)
         rms = np.sqrt((np.where(good, residual, 0.0) ** 2).sum(axis=0) / np.maximum(good.sum(axis=0), 1))
         single = np.array([network.parameters[f"{s.name}.sigma"].value for s in network.sensors])
-        worst = int(np.argmax(rms / single))
-        if rms[worst] > UNHEALTHY * single[worst]:
+        then = network.revision
+        left = (then.error_after_K, then.error_fitted_K)
+        usual = np.array([max(errors.get(s.name, 0.0) for errors in left) for s in network.sensors])
+        worst = int(np.argmax(rms / np.maximum(UNHEALTHY * single, AS_LEFT * usual)))
+        if rms[worst] > max(UNHEALTHY * single[worst], AS_LEFT * usual[worst]):
             raise NotHealthyError(
                 f"the healthy record does not fit the twin: {network.sensor_names[worst]} is off by {rms[worst]:.2f} K "
                 f"(noise {single[worst]:.2f} K); commission the twin on this record first, or give one that is "
                 "healthy"
             )
+        worst = int(np.argmax(rms / single))
+        rough = "" if rms[worst] <= UNHEALTHY * single[worst] else (
+            f"of its own healthy record the twin leaves {rms[worst]:.2f} K at {network.sensor_names[worst]} (noise "
+            f"{single[worst]:.2g} K): what is less is hardly seen, and forms are told less surely; a twin of more "
+            "volumes may leave less"
+        )  # fmt: skip
         prior = posterior(network, probe, grid, state, inflation(known, grid.sigma), WIDEN)
         noise = noises.learn(residual, grid.sigma, grid.step_s, run.readings)
         laws, held = book.laws(grid, run), _held(prior, probe.q)
-        structure = structure_of(Contest(probe, grid, state, run, noise, held), laws)
-        amount = _readings(structure, probe, grid, state, run, noise, held, laws)
+        here = offsets(network, laws, grid)
+        structure = structure_of(Contest(probe, grid, state, run, noise, held), laws, here)
+        amount = _readings(structure, probe, grid, state, run, noise, held, [*laws, *here])
         less = noises.learn(residual - FORETOLD * amount, grid.sigma, grid.step_s, run.readings)
-        structure = structure_of(Contest(probe, grid, state, run, less, held), laws)
-        return cls(grid, noise, less, prior, structure)
+        structure = structure_of(Contest(probe, grid, state, run, less, held), laws, here)
+        return cls(grid, noise, less, prior, structure, rough)
 
 
 def _held(prior: Prior, q: int) -> Prior:

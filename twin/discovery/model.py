@@ -150,8 +150,8 @@ class Model:
         full = self.parameters(np.tile(values, (len(there), 1)), np.concatenate(sizes * there))
         full = full.reshape(len(there), len(values), -1)
         comes = np.diff(there >= 0.5, axis=0, prepend=there[:1] >= 0.5) & (there >= 0.5)
-        comes = comes[:, :, [effect for effect, *_ in self._masses]].any(axis=(1, 2))
-        legs = [p for p, first in enumerate(cuts[:-1].tolist()) if comes[p] or first in begins]
+        anew = {int(p) for effect, *_ in self._masses for p in np.flatnonzero(comes[:, :, effect].any(axis=1))}
+        legs = [p for p, first in enumerate(cuts[:-1].tolist()) if p in anew or first in begins]
         readings = np.empty((len(values), len(time), len(self.network.sensors)))
         begun = state.reshape(len(state), len(begins), -1)
         for leg, then in itertools.pairwise([*legs, len(there)]):

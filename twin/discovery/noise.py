@@ -58,6 +58,12 @@ class Noise:
             roots[b], sd[b] = _root(CAUTION[b] * floor + ratio[b] * structure)
         return Noise(roots, sd, self.step_s, self.white)
 
+    def of_thermometers(self) -> Noise:
+        """What the thermometers alone make, as if the twin were the rig."""
+        count = len(self.sd)
+        roots = np.stack([np.diag(1.0 / self.white)] * count)
+        return Noise(roots, np.tile(self.white, (count, 1)), self.step_s, self.white)
+
     def whiten(self, values: Array, step_s: float | None = None) -> Array:
         """(n, m, ...) in time to (n, m, ...) whitened cosine coefficients.
 

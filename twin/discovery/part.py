@@ -55,7 +55,7 @@ class Part:
     def of(cls, known: Basis, grid: Grid) -> Part:
         state, run, _, _ = free_run(known.probe, grid)
         found = [*known.book.laws(grid, run), *known.book.laws(grid, run, known.book.put_in)]
-        contest = Contest(known.probe, grid, state, run, known.noise, known.prior, known.structure, found)
+        contest = known.contest(grid, state, run, found)
         entries = [refine(contest, e) for e in varied(scan(contest, found))]
         entries.sort(key=lambda e: -e.gain)
         return cls(known, grid, state, run, contest, found, entries)

@@ -13,10 +13,11 @@ of physical laws; the width by type II maximum likelihood (Rasmussen & Williams,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from twin.discovery.contest import Contest
 from twin.discovery.laws import Law
@@ -28,6 +29,8 @@ WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 """Typical sizes that are tried as the standard deviation of amplitudes."""
 NAMED, PLAIN = 3, 3.0
 """Laws that are named to an operator at most, and the score from which one is."""
+SPEAKS = 5.0
+"""Logarithm of the odds from which a record speaks for offsets at operating points."""
 _OF_TIME = ("elapsed_time", "time_of_day")
 
 
@@ -37,11 +40,25 @@ class Structure:
 
     Attributes:
         candidates: l of them. sizes: (l,) in their units. covariance: (l, l).
+        width: standard deviation of offsets at operating points before the record was seen, in typical sizes; 0 where
+            it speaks for none. evidence: logarithm of the record's probability.
     """
 
     candidates: tuple[Candidate, ...]
     sizes: Array
     covariance: Array
+    width: float = 0.0
+    evidence: float = -np.inf
+
+    def beyond(self, offsets: Sequence[Law]) -> Structure:
+        """The same with offsets at points of another record that the healthy one could say nothing of."""
+        if not self.width:
+            return self
+        known = {c.id for c in self.candidates}
+        new = tuple(law.candidate for law in offsets if law.candidate.id not in known)
+        alone = np.array([self.width * c.typical for c in new]) ** 2
+        covariance = block_diag(self.covariance, np.diag(alone)) if new else self.covariance
+        return Structure((*self.candidates, *new), np.append(self.sizes, np.zeros(len(new))), covariance, self.width)
 
     @property
     def sentence(self) -> str:
@@ -57,8 +74,17 @@ class Structure:
         )
 
 
-def structure_of(contest: Contest, laws: list[Law]) -> Structure:
-    """What each law amounts to in the healthy record that the contest holds, all of them together."""
+def structure_of(contest: Contest, laws: list[Law], offsets: Sequence[Law]) -> Structure:
+    """What each law amounts to in the healthy record that the contest holds, all of them together.
+
+    With offsets at operating points where the record speaks for them: a twin that is its rig has none.
+    """
+    plain = _fitted(contest, laws)
+    both = _fitted(contest, [*laws, *offsets]) if offsets else plain
+    return both if both.evidence > plain.evidence + SPEAKS else replace(plain, width=0.0)
+
+
+def _fitted(contest: Contest, laws: list[Law]) -> Structure:
     used = [law for law in laws if belongs(law.candidate, contest)]
     gram, score = contest.joint(np.stack([contest.vector(law) for law in used]))
     # The noise was learned from the same record and holds the structure: it is not taken for more than it is.
@@ -66,7 +92,7 @@ def structure_of(contest: Contest, laws: list[Law]) -> Structure:
     gram, score = closer * gram, closer * score
     typical = np.array([law.candidate.typical for law in used])
     scaled, pull = gram * np.outer(typical, typical), score * typical
-    best: tuple[float, Array, Array] | None = None
+    best: tuple[float, Array, Array, float] | None = None
     for width in WIDTHS:
         precision = np.eye(len(used)) + width**2 * scaled
         factor = cho_factor(precision, lower=True)
@@ -74,9 +100,11 @@ def structure_of(contest: Contest, laws: list[Law]) -> Structure:
         evidence = 0.5 * float(pull @ sizes) - float(np.log(np.diag(factor[0])).sum())
         if best is None or evidence > best[0]:
             covariance = width**2 * cho_solve(factor, np.eye(len(used)))
-            best = evidence, sizes, covariance
+            best = evidence, sizes, covariance, width
     assert best is not None
-    return Structure(tuple(law.candidate for law in used), best[1] * typical, best[2] * np.outer(typical, typical))
+    evidence, sizes, covariance, width = best
+    candidates = tuple(law.candidate for law in used)
+    return Structure(candidates, sizes * typical, covariance * np.outer(typical, typical), width, evidence)
 
 
 def belongs(candidate: Candidate, contest: Contest) -> bool:

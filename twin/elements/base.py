@@ -221,6 +221,7 @@ class Sites:
         before: node -> the node before it on a flow path. places: node -> what an operator calls the place.
         groups: place -> nodes that are alike and are named together.
         elements: every element. values: id -> present value. litres_per_s: of the largest nominal flow.
+        scales: input column -> how far it goes, as declared.
     """
 
     nodes: tuple[str, ...]
@@ -233,6 +234,7 @@ class Sites:
     elements: tuple[Element, ...]
     values: Mapping[str, float]
     litres_per_s: float = 0.0
+    scales: Mapping[str, float] = field(default_factory=dict)
 
     def having(self, kind: str) -> tuple[Any, ...]:
         """The network's elements of a kind."""

@@ -39,7 +39,19 @@ CLOSER = (
 SHORTEST_H, LONGEST_H = 3.0, 20.0
 """Lengths of day that are tried, h."""
 CUBED = "with its cube"
-_UNITS = {"pct": "%", "C": "K", "m3_h": "(m3/h)", "kg_s": "(kg/s)", "L_min": "(L/min)"}
+_UNITS = {
+    "pct": "%",
+    "C": "K",
+    "m3_h": "(m3/h)",
+    "kg_s": "(kg/s)",
+    "L_min": "(L/min)",
+    "W_m2": "(W/m2)",
+    "m_s": "(m/s)",
+}
+_TOLD_OTHERWISE = ("_C", "_pct", "_h")
+"""Endings of inputs that nothing uses and that have laws of their own, or no heat: temperatures, speeds, a clock."""
+TYPICAL_W, MUCH = 20.0, 1.0e4
+"""Heat of interest that an input may bring in over its range, and the most, in times of it."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +93,13 @@ class HeatSource(Element):
 
     def unit(self) -> str:
         """Unit of the driver as its name ends, K for a temperature."""
-        known = [unit for suffix, unit in _UNITS.items() if self.driver.endswith(f"_{suffix}")]
-        return known[0] if known else self.driver.rsplit("_", 1)[-1]
+        return self.named()[1]
+
+    def named(self) -> tuple[str, str]:
+        """The driver without its unit, and that."""
+        known = [(suffix, unit) for suffix, unit in _UNITS.items() if self.driver.endswith(f"_{suffix}")]
+        suffix, unit = known[0] if known else (self.driver.rsplit("_", 1)[-1],) * 2
+        return self.driver.removesuffix(f"_{suffix}"), unit
 
     def problem(self, values: Mapping[str, float]) -> str | None:
         if not self.driver:
@@ -119,6 +136,9 @@ class HeatSource(Element):
                     "heat_source", where, driver, "new", changes, unit, typical, 0.0, 2000.0 * typical / 20.0, says,
                     adds=adds,
                 )  # fmt: skip
+                if table.get("driver") in _others(sites):
+                    # Nobody says how much of it a rig may catch.
+                    source = replace(source, upper=MUCH * typical)
                 if table.get("law") == "cubed":
                     source = replace(source, near=partial(_other_powers, source))
                 if table.get("law") == "daylight":
@@ -206,9 +226,12 @@ def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], str
     # A speed moves air or water, whatever heat goes along with it.
     speeds = {column for e in sites.elements if e.kind != HeatSource.kind for column in e.inputs()}
     heaters = {e.driver for e in sources if e.law == "linear" and e.driver.endswith("_pct")} - speeds
+    others = _others(sites)
     for column in sites.inputs:
         straight = {"driver": column, "law": "linear"}
-        if column.endswith("_W"):
+        if column in others:
+            laws.append(_of_another(column, sites.scales.get(column, 1.0)))
+        elif column.endswith("_W"):
             laws.append(
                 ("heater_power", straight, {"gain": 1.0}, "W/W", 0.03, "takes up {value} of the heater's power")
             )
@@ -226,6 +249,20 @@ def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], str
             table = {"driver": sites.clock, "law": "daylight"}
             laws.append(("time_of_day", table, day(peak, 12.0), "W", 20.0, _told(peak)))
     return laws
+
+
+def _others(sites: Sites) -> set[str]:
+    """Inputs that no element of the twin uses, and that no law of its own tells."""
+    used = {column for e in sites.elements for column in e.inputs()}
+    return {c for c in sites.inputs if c not in used and "_" in c and not c.endswith(_TOLD_OTHERWISE)}
+
+
+def _of_another(column: str, scale: float) -> tuple[str, dict[str, str], dict[str, float], str, float, str]:
+    """A source in proportion to an input that no element of the twin uses: sun, wind, another machine."""
+    driver, unit = HeatSource("", "", column, "linear").named()
+    says = f"takes up {{value}} of {driver.replace('_', ' ')}"
+    size = f"W/{unit}"
+    return driver, {"driver": column, "law": "linear"}, {"gain": 1.0}, size, TYPICAL_W / max(scale, 1e-9), says
 
 
 def _other_powers(cubed: Candidate) -> tuple[Candidate, ...]:

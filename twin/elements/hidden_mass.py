@@ -21,6 +21,8 @@ TIME_CONSTANTS_S = tuple(120.0 * 3.0 ** (k / 2.0) for k in range(10))
 """Capacity over conductance of masses that are looked for, s."""
 PUT_IN_S = TIME_CONSTANTS_S[1::2]
 """The same of masses that are put in at the temperature of the room."""
+MOST, SLOWEST_S, QUICKEST_S = 500.0, 1000.0, 5.0
+"""Conductance, W/K, of such a mass at most, and the times in which the node beside it follows it at most, s."""
 LEAST_PUT_IN = 5.0
 """Conductance, W/K, of such a mass at least: that of a hand's breadth of metal in stirred water."""
 
@@ -31,8 +33,8 @@ class HiddenMass(Element):
 
     kind: ClassVar[str] = "hidden_mass"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
-        ParameterSpec("capacity", "J/K", None, 0.0, 1.0e7, "tunable", "mass times specific heat"),
-        ParameterSpec("conductance", "W/K", None, 0.0, 1.0e4, "tunable", "between the mass and the node"),
+        ParameterSpec("capacity", "J/K", None, 0.0, 1.0e9, "tunable", "mass times specific heat"),
+        ParameterSpec("conductance", "W/K", None, 0.0, 1.0e5, "tunable", "between the mass and the node"),
     )
 
     node: str = place("node", "node that the mass exchanges heat with")
@@ -41,9 +43,10 @@ class HiddenMass(Element):
     def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
         having = {e.node for e in sites.having(cls.kind)}
         bare = [(sites.places[node], node) for node in sites.nodes if node not in having]
-        found = [_mass(where, node, "", tau) for where, node in bare for tau in TIME_CONSTANTS_S]
+        most = {node: _most(sites.values.get(f"{node}.capacitance", 0.0)) for _, node in bare}
+        found = [_mass(where, node, "", most[node], tau) for where, node in bare for tau in TIME_CONSTANTS_S]
         if sites.room:
-            found += [_mass(where, node, sites.room, tau) for where, node in bare for tau in PUT_IN_S]
+            found += [_mass(where, node, sites.room, most[node], tau) for where, node in bare for tau in PUT_IN_S]
         return tuple(found)
 
     def moved(self, sites: Sites) -> tuple[Candidate, ...]:
@@ -78,13 +81,20 @@ class HiddenMass(Element):
         )
 
 
-def _mass(where: str, node: str, room: str, tau: float) -> Candidate:
+def _most(capacitance: float) -> float:
+    """The most that a mass may exchange, W/K, with a node of this capacitance: more than the node could pass on in the
+    time that it takes to warm through is stiff, and tells nothing."""
+    return min(max(MOST, capacitance / SLOWEST_S), capacitance / QUICKEST_S) if capacitance else MOST
+
+
+def _mass(where: str, node: str, room: str, most: float, tau: float) -> Candidate:
     """A mass with a time constant, as warm as its place when it comes in, or as the `room` where that is named."""
     name = f"mass_beside_{node}"
     says = "has had a mass put in at the temperature of the room, which" if room else "has a mass beside it that"
     says += f" follows through {{value}} with a time constant of {tau / 60.0:.0f} min"
     return Candidate(
         "thermal_mass", where, "history", "new", {f"{name}.conductance": 1.0, f"{name}.capacity": tau}, "W/K", 2.0,
-        LEAST_PUT_IN if room else 0.0, 500.0, says, adds={name: {"kind": HiddenMass.kind, "node": node}},
-        shapes=("put in",) if room else ("step",), begins=room, slow_s=tau, slower=partial(_mass, where, node, room),
+        LEAST_PUT_IN if room else 0.0, most, says, adds={name: {"kind": HiddenMass.kind, "node": node}},
+        shapes=("put in",) if room else ("step",), begins=room, slow_s=tau,
+        slower=partial(_mass, where, node, room, most),
     )  # fmt: skip

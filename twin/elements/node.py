@@ -19,7 +19,7 @@ class Node(Element):
 
     kind: ClassVar[str] = "node"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
-        ParameterSpec("capacitance", "J/K", None, 1.0, 1.0e7, "fixed", "mass times specific heat of water and solid"),
+        ParameterSpec("capacitance", "J/K", None, 1.0, 1.0e9, "fixed", "mass times specific heat of water and solid"),
     )
 
     def nodes(self) -> tuple[str, ...]:

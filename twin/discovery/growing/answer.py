@@ -37,6 +37,9 @@ and no healthy record tells how far it is from them. Public records leave 0.03 t
 FAR = 4.0
 """Times the noise that any thermometer may be off where no fit saw it: what comes in half way is else taken for several
 things that have always been there."""
+MOSTLY = 0.5
+"""Share of what the re-tuned twin leaves unseen, of every thermometer, up to which most is explained."""
+_CUT = ". If something came in half way, cut the record there."
 _NOT_KNOWN = (
     "nothing healthy is known of this rig: the twin was grown from its file, and the noise is told from the record "
     "itself; every effect is taken to be there from the beginning"
@@ -228,13 +231,20 @@ class _Answer:
             return "Re-tuned, the twin explains this record: nothing is missing that it could show."
         part = "On states that no fit saw" if self.whole.at_rest else "On the part that the fit never saw"
         if verdict == "unexplained":
-            won = f"with the {len(self.added)} best effects" if self.added else "re-tuned"
+            best = "best effect" if len(self.added) == 1 else f"{len(self.added)} best effects"
+            won = f"with the {best}" if self.added else "re-tuned"
             worst, e = max(errors.items(), key=lambda item: item[1].after / item[1].noise)
-            return (
-                f"The twin does not fit this record, and no effects of the catalogue explain it. {part}, {worst} is "
-                f"off by {amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}. If something came in half "
-                "way, cut the record there."
-            )
+            cut = "." if self.whole.at_rest else _CUT
+            mostly = bool(self.added) and all(x.after <= MOSTLY * x.before for x in errors.values())
+            how = f"{part}, {worst} is off by {amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}"
+            if mostly:
+                found = ". ".join(said(x.entry.candidate, x.value) for x in self.added)
+                return (
+                    f"Most of this record is explained, not all, so nothing is added: {found}. {how} by the twin file "
+                    f"({amount(e.before, 'K')} when re-tuned alone); if that noise is a guess, enter what the "
+                    "thermometer really has as its sigma."
+                )
+            return f"The twin does not fit this record, and no effects of the catalogue explain it. {how}{cut}"
         worst, e = max(errors.items(), key=lambda item: item[1].before / item[1].noise)
         told = (
             f" {part}, {worst} is off by {amount(e.before, 'K')} when re-tuned, by {amount(e.after, 'K')} with what "
