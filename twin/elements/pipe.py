@@ -14,7 +14,7 @@ systems, Energy Conversion and Management 151 (2017) 158-169 (plug flow, wall ca
 residence); Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., sec. 8.3 (exponentials in UA / m cp).
 
 A wall that follows the water faster than LEAST_S counts as slower: e is reduced by C_w / (C_w + m cp e LEAST_S), which
-ends at no exchange with no capacity and keeps the time constants of the network finite.
+ends at no exchange with no capacity and keeps the time constants of the network finite. With no capacity it stands.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ LUMPED_S, PIPED_S = 20.0, 6.0
 """Water on its way that a twin of mixed volumes may hide, and one that knows its pipes, but not what mixes there."""
 WALL_CONSTANTS_S = (3.0, 10.0, 30.0, 100.0, 300.0)
 """Capacity over film of walls that are looked for, s."""
+NONE = 1.0e-9
+"""Capacity, J/K, of a wall that is none: it stands still, instead of making every step as short as LEAST_S."""
 _STILL = "1e-9"
 
 
@@ -107,7 +109,7 @@ class Pipe(Element):
             bottom = f"({capacity} + {LEAST_S!r} * {mcp} * {full} + {_STILL})"
             sample += [
                 (full, f"1.0 - exp(-{n.par('wall_hA')} / max({mcp}, {_STILL}))"),
-                (speed, f"{mcp} * {full} / {bottom}"),
+                (speed, f"{mcp} * {full} / {bottom} * ({capacity} / ({capacity} + {NONE}))"),
                 (share, f"{full} * {capacity} / {bottom}"),
             ]
             states = (State("wall", rate=f"{speed} * ({passing} - {wall})", start=start, speed=speed),)

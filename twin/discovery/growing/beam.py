@@ -103,8 +103,10 @@ class Beam:
         for candidate in self.empty.wardrobe.candidates:
             if len(candidate.changes) > 1 and candidate.driver == "history":
                 family[_family(candidate)].append(candidate)
-        found = []
-        for members in family.values():
+        found, there = [], {_family(e.candidate) for e in old.fit.entries}
+        for one, members in family.items():
+            if one in there:
+                continue
             members.sort(key=lambda c: sorted(c.changes.values()))
             at = [i for i, c in enumerate(members) if old.ids | {name_of(c)} in self.known]
             if len(members) < 2 or not at:
@@ -122,6 +124,9 @@ class Beam:
     def _finalists(self, old: FittedSet) -> list[Scored]:
         """The best candidates of each label: what re-tuning can nearly imitate shows its worth in the fit alone."""
         found = scores(self.empty.wardrobe, old.problem, old.fit)
+        # One mass with two time constants is one mass with another.
+        there = {_family(e.candidate) for e in old.fit.entries if e.candidate.slow_s}
+        found = [s for s in found if _family(s.entry.candidate) not in there]
         kept: dict[str, Scored] = {}
         for order in (lambda s: -s.squares, lambda s: -s.likely):
             seen: Counter[tuple[Label, str]] = Counter()

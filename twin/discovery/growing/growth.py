@@ -34,8 +34,8 @@ MOST_EFFECTS = 4
 MOST_SAMPLES = 4000
 CHANCE = 3.0
 """Standard deviations of a mean square that count as chance."""
-FEWEST = 12
-"""Steady states that a twin can grow from."""
+FEWEST, FEWEST_SAMPLES = 12, 40
+"""Steady states, and samples of a record, that a twin can grow from."""
 
 
 @dataclass(frozen=True)
@@ -207,6 +207,11 @@ def samples_of(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured:
         TwinFileError: too short, or not a single reading.
     """
     time = clean_time(time_s)
+    if len(time) < FEWEST_SAMPLES:
+        raise TwinFileError(
+            f"the record has {len(time)} samples; a twin that was never commissioned grows from {FEWEST_SAMPLES} at "
+            "least, or from steady states with --at-rest"
+        )
     least = (time[-1] - time[0]) / MOST_SAMPLES if len(time) > MOST_SAMPLES else 0.0
     grid = on_grid(network, time, inputs, measured, least)
     if least:

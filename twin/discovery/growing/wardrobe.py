@@ -103,10 +103,10 @@ def _lacking(network: Network, tunables: tuple[str, ...], period_s: float) -> li
     single = [c for c in every if _absent(network, c) and all(talks[name] == 1 for name in c.replaces)]
     single = [_noticed(c) for c in single]
     single += [
-        replace(c, changes={n: w * share if n.endswith(".capacity") else w for n, w in c.changes.items()})
+        c.slower(share * c.slow_s)
         for c in single
         for share in QUICKER
-        if c.kind == "thermal_mass" and c.adds and share * _constant(c) >= LEAST_PERIODS * period_s
+        if c.slower is not None and c.adds and share * c.slow_s >= LEAST_PERIODS * period_s
     ]
     unique = {c.id: c for c in (*single, *together(network, sites_of(network), single))}
     return [c for c in unique.values() if not set(tunables) & set(c.changes)]
@@ -127,7 +127,3 @@ def _noticed(candidate: Candidate) -> Candidate:
         return candidate
     most = UNNOTICED * candidate.typical
     return replace(candidate, lower=max(candidate.lower, -most), upper=min(candidate.upper, most))
-
-
-def _constant(candidate: Candidate) -> float:
-    return next((w for name, w in candidate.changes.items() if name.endswith(".capacity")), 0.0)
