@@ -35,6 +35,8 @@ QUALITY = "_quality"
 
 SENTINELS = (-9999.0, -999.0, 32767.0, -32768.0, 327.67, 3276.7)
 """What loggers write into a temperature when there is none."""
+HOTTEST_ROOM_C = 45.0
+"""Above this the median of a room is asked about."""
 
 _COMPOUND_SUFFIXES = {"_kg_s": "kg/s", "_m3_h": "m3/h", "_L_min": "L/min", "_l_min": "L/min"}
 _STANDARD_UNITS = {"heater_power": "W", "pump_speed": "%", "fan_speed": "%"}
@@ -92,7 +94,7 @@ def read_record(path: Path, *, at_rest: bool = False) -> Record:
     messages = list(raw.messages)
     axis = numbered(raw) if at_rest else read_time(raw)
     messages += axis.messages
-    rows, moved = order(raw, axis.seconds)
+    rows, moved = order(raw, axis)
     messages += moved
     stamps = axis.seconds[rows]
     last_of_stamp = np.append(np.flatnonzero(np.diff(stamps) > 0), len(stamps) - 1)
@@ -174,6 +176,8 @@ def _unit(
     middle = np.nanmedian(values) if not np.isnan(values).all() else np.nan
     if wanted == "degC" and middle > 200:
         messages.append(f"{name} has a median of {middle:.4g}: is it in kelvin?")
+    elif wanted == "degC" and middle > HOTTEST_ROOM_C and _of_a_room(name):
+        messages.append(f"{name} has a median of {middle:.4g}: is it in degrees Fahrenheit?")
     if signal in _STANDARD_UNITS and wanted == "%" and 0 < middle <= 1:
         messages.append(f"{name} has a median of {middle:.4g}: is it a fraction of 1?")
     return name, values
@@ -203,8 +207,16 @@ def _without_sentinels(name: str, values: NDArray[np.float64], messages: list[st
         messages.append(f"{name}: {marks.sum()} values are {values[marks][0]:g}, a mark for no measurement: missing")
         values = np.where(marks, np.nan, values)
     elif len(values) > 100 and np.ptp(values) == 0:
-        messages.append(f"{name} is {values[0]:g} throughout: is the channel dead?")
+        told = (
+            f"is constant at {values[0]:g} degC: assumed, or" if _of_a_room(name) else f"is {values[0]:g} throughout:"
+        )
+        messages.append(f"{name} {told} is the channel dead?")
     return values
+
+
+def _of_a_room(name: str) -> bool:
+    """Whether a column is by its name the temperature of a room or of the air outdoors."""
+    return any(word.startswith(("amb", "room", "outdoor")) for word in name.lower().split("_"))
 
 
 def _describe_missing(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +32,9 @@ SCALES = {
 }
 """Names, lower case, under which a column is taken for the time where there is no `time_s`; s per unit."""
 
+ZONELESS = "without a time zone, taken as UTC"
+"""End of what is said of dates and times that may be local."""
+
 GAP_PERIODS = 5
 """A step longer than this many typical steps is a gap."""
 
@@ -40,17 +44,22 @@ _EPOCH_UNITS = (
     (1e11, 1e-3, "milliseconds"),
     (1e8, 1.0, "seconds"),
 )
+_DOTTED = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})(?:[ T]+(\d{1,2})(:.*))?")
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 
 
 @dataclass(frozen=True, eq=False)
 class TimeAxis:
-    """`seconds (n,)` as stored, NaN where unreadable; `start` is the UTC time of 0 s where the record tells."""
+    """`seconds (n,)` as stored, NaN where unreadable; `start` is the UTC time of 0 s where the record tells.
+
+    `zoneless`: dates and times without a time zone, which may be local.
+    """
 
     column: str
     seconds: NDArray[np.float64]
     start: datetime.datetime | None
     messages: tuple[str, ...]
+    zoneless: bool = False
 
 
 def span(seconds: float) -> str:
@@ -84,7 +93,7 @@ def read_time(raw: RawRecord) -> TimeAxis:
     if len(unreadable):
         rows = "1 row has" if len(unreadable) == 1 else f"{len(unreadable)} rows have"
         messages.append(f"{rows} no readable time (the first is {raw.place(int(unreadable[0]))}): dropped")
-    return TimeAxis(column, seconds, start, tuple(messages))
+    return TimeAxis(column, seconds, start, tuple(messages), how.endswith(ZONELESS))
 
 
 def numbered(raw: RawRecord) -> TimeAxis:
@@ -127,12 +136,15 @@ def _seconds(cells: Any, scale: float) -> tuple[NDArray[np.float64] | None, date
     if numbers is None:
         return None, None, ""
     if numbers.bad > numbers.present / 2:
-        micros = pa.chunked_array([[_iso_microseconds(cell) for cell in cells.to_pylist()]], pa.int64())
+        written = [None if cell is None else cell.strip() for cell in cells.to_pylist()]
+        dotted = any(cell and _DOTTED.fullmatch(cell) for cell in written[:9])
+        written = [cell and _DOTTED.sub(_as_iso, cell) for cell in written]
+        micros = pa.chunked_array([[_iso_microseconds(cell) for cell in written]], pa.int64())
         if micros.null_count == len(micros):
             return None, None, ""
         seconds, origin = _whole_numbers(micros, 1e-6)
-        zoned = any(cell and ("Z" in cell or "+" in cell or cell.count("-") > 2) for cell in cells[:9].to_pylist())
-        how = "ISO 8601" if zoned else "ISO 8601 without a time zone, taken as UTC,"
+        zoned = any(cell and ("Z" in cell or "+" in cell or cell.count("-") > 2) for cell in written[:9])
+        how = ("day.month.year" if dotted else "ISO 8601") + ("" if zoned else f" {ZONELESS}")
         return seconds, _EPOCH + datetime.timedelta(seconds=origin), how
     values = numbers.values
     finite = values[np.isfinite(values)]
@@ -165,11 +177,16 @@ def _whole_numbers(cells: Any, unit: float, least: float = -math.inf) -> tuple[N
     return np.where(valid, (stamps - origin) * unit, np.nan), origin * unit
 
 
+def _as_iso(date: re.Match[str]) -> str:
+    day, month, year, hour, rest = date.groups()
+    return f"{year}-{month:0>2}-{day:0>2}" + (f"T{hour:0>2}{rest}" if hour else "")
+
+
 def _iso_microseconds(cell: str | None) -> int | None:
-    if cell is None or cell.strip().lower() in MISSING:
+    if cell is None or cell.lower() in MISSING:
         return None
     try:
-        moment = datetime.datetime.fromisoformat(cell.strip())
+        moment = datetime.datetime.fromisoformat(cell)
     except ValueError:
         return None
     if moment.tzinfo is None:
@@ -177,10 +194,10 @@ def _iso_microseconds(cell: str | None) -> int | None:
     return (moment - _EPOCH) // datetime.timedelta(microseconds=1)
 
 
-def order(raw: RawRecord, seconds: NDArray[np.float64]) -> tuple[NDArray[np.int64], list[str]]:
+def order(raw: RawRecord, axis: TimeAxis) -> tuple[NDArray[np.int64], list[str]]:
     """Rows with a readable time in the order of time, equal times in the order of the file; and what was moved."""
-    rows = np.flatnonzero(np.isfinite(seconds))
-    stamps = seconds[rows]
+    rows = np.flatnonzero(np.isfinite(axis.seconds))
+    stamps = axis.seconds[rows]
     steps = np.diff(stamps)
     messages = []
     if (steps < 0).any():
@@ -189,11 +206,22 @@ def order(raw: RawRecord, seconds: NDArray[np.float64]) -> tuple[NDArray[np.int6
         again = "once" if count == 1 else f"{count} times"
         back = -steps.min()
         message = f"time goes back {again}, by up to {span(back)} (first at {raw.place(int(rows[first]))}): rows sorted"
-        if back > max(60.0, 0.1 * np.ptp(stamps)):
+        if axis.zoneless and _clocks_went_back(steps):
+            message += (
+                "; local time on the night when clocks go back looks like that, and two hours become one: write "
+                "times in UTC or with their zone"
+            )
+        elif back > max(60.0, 0.1 * np.ptp(stamps)):
             message += "; if these are two records in one file, split it"
         messages.append(message)
         rows = rows[np.argsort(stamps, kind="stable")]
     return rows, messages
+
+
+def _clocks_went_back(steps: NDArray[np.float64]) -> bool:
+    """Whether each step back is what is left of an hour after one ordinary step."""
+    typical = float(np.median(steps))
+    return bool((np.abs(3600.0 + steps[steps < 0] - typical) <= 0.5 * typical).all())
 
 
 def describe_steps(time_s: NDArray[np.float64]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from hil.bands import NORMAL90, Band, Bands
 
 if TYPE_CHECKING:
     from twin.calibrators import Calibration
-    from twin.network import Network
+    from twin.network import Network, WindowRules
     from twin.tracking import TwinTracker
 
 DEFAULT = ("pso", "least_squares", "hiera_unet")
@@ -263,11 +263,42 @@ def disturbance(document: dict[str, Any]) -> str | None:
     where, power, interval = (document.get(f"disturbed{end}") for end in ("", "_W", "_interval90_W"))
     if where is None or power is None:
         return None
-    spread = f" ({interval[0]:.0f} to {interval[1]:.0f})" if interval is not None else ""
+    spread = f" ({_watts(interval[0])} to {_watts(interval[1])})" if interval is not None else ""
     since = document.get("disturbed_since_s")
     when = f" since {since / 3600:.2f} h" if since is not None else ""
     gives = "takes up" if power < 0 else "gives off"
-    return f"{where} {gives} {abs(power):.0f} W{spread} that the twin does not know of{when}"
+    return f"{where} {gives} {_watts(abs(power))} W{spread} that the twin does not know of{when}"
+
+
+def _watts(power: float) -> str:
+    """Whole watts; of less than ten two digits, for rigs on a board."""
+    return f"{power:.0f}" if abs(power) >= 9.5 else f"{power:.2g}"
+
+
+def window_words(kinds: Collection[str], rules: WindowRules) -> str:
+    """What the kinds of windows of a table mean, in one line; see `twin.calibrators.windows`."""
+    from twin.calibrators.windows import LEAST_ROWS, LEAST_SPAN
+
+    near = f"within {rules.calibrated_K:g} K"
+    means = {
+        "calibrated": f"the twin ahead was {near} at its start or over the whole of it",
+        "stall": f"the twin ahead was {near} neither at its start nor over the whole of it",
+        "recovery": f"the twin ahead was more than {rules.large_K:g} K off at its start",
+        "skipped": f"fewer than {LEAST_ROWS} samples are there, or they span less than {LEAST_SPAN:.0%} of it",
+    }
+    return "a window is called " + "; ".join(f"{kind} where {what}" for kind, what in means.items() if kind in kinds)
+
+
+def too_coarse(period_s: float, rules: WindowRules) -> str | None:
+    """Why no window of a record with a sample every `period_s` is fitted and what to do, or None where some may be."""
+    from twin.calibrators.windows import LEAST_ROWS
+
+    if period_s * LEAST_ROWS <= rules.window_s:
+        return None
+    return (
+        f"a window of {rules.window_s:g} s cannot hold {LEAST_ROWS} samples that are {period_s:g} s apart, so nothing "
+        f"is fitted; set window_s under [windows] of the twin file to {2 * LEAST_ROWS * period_s:g}, say"
+    )
 
 
 def _finite(value: float) -> float | None:

@@ -82,12 +82,12 @@ class Revision:
     window_s: tuple[float, float] | None = None
     error_before_K: Mapping[str, float] = field(default_factory=dict)
     error_after_K: Mapping[str, float] = field(default_factory=dict)
-    error_fitted_K: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     held_out_s: tuple[float, float] | None = None
     effects: tuple[str, ...] = ()
     evidence: str = ""
     parent_file: str = ""
+    error_fitted_K: Mapping[str, float] = field(default_factory=dict)
     checksum: str = field(default="", compare=False)
 
 

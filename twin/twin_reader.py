@@ -88,7 +88,9 @@ class Reader:
             parameters.update({p.id: p for p in own})
         elements.sort(key=lambda e: e.kind != "node")
         parameters = self.share({p.id: p for e in elements for p in parameters.values() if p.element == e.name})
-        check_topology(tuple(elements), MOST_NODES, lambda name, what: self.fail(("elements", name), what))
+        check_topology(
+            tuple(elements), MOST_NODES, lambda name, what: self.fail(("elements", name)[: 1 + bool(name)], what)
+        )
         sets = {
             name: self.tunable_set(name, self.table(spec, ("sets", name)), parameters)
             for name, spec in self.table(data.get("sets", {}), ("sets",)).items()

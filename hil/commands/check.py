@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -17,9 +18,10 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("file", type=INPUT_FILE)
+@click.argument("file", type=INPUT_FILE, required=False)
 @click.option("--rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig that a profile is meant for.")
 @click.option("--catalogue", is_flag=True, help="Of a twin: which effects no record of its rig could tell apart.")
+@click.option("--kinds", is_flag=True, help="Without FILE: every kind of element a twin file may have, with its keys.")
 @click.option("--json", "as_json", is_flag=True, help="Of a rig file: read plan, or what --online saw, as JSON.")
 @click.option("--online", is_flag=True, help="Of a rig file: connect to all buses and show what comes. Writes nothing.")
 @click.option(
@@ -29,7 +31,14 @@ if TYPE_CHECKING:
 )
 @click.option("--picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw a twin's network: .svg or .png.")
 def command(
-    file: Path, rig: Path, catalogue: bool, as_json: bool, online: bool, seconds: float | None, picture: Path | None
+    file: Path | None,
+    rig: Path,
+    catalogue: bool,
+    kinds: bool,
+    as_json: bool,
+    online: bool,
+    seconds: float | None,
+    picture: Path | None,
 ) -> None:
     """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
 
@@ -44,9 +53,21 @@ def command(
       hil check my_load.csv --rig my_rig.toml
       hil check profiles/twins/loop_six.toml --picture network.svg
       hil check my_twin.toml --catalogue
+      hil check --kinds
     """
     from hil.terminal import console
 
+    if kinds:
+        if file is not None:
+            raise click.UsageError(f"--kinds is of no file; leave {file} out")
+        from hil.element_kinds import kinds_table
+
+        console().print(kinds_table())
+        return
+    if file is None:
+        raise click.UsageError(
+            "Missing argument 'FILE'; give a file to check, or --kinds for what a twin file may have"
+        )
     checker = _checker(file)
     if picture is not None and checker is not _twin:
         raise click.UsageError(f"--picture draws twins, and {file} is none")
@@ -90,7 +111,7 @@ def _checker(file: Path) -> Callable[[Path, Path, Console], None]:
     if file.suffix == ".csv":
         with file.open(encoding="utf-8", errors="replace") as lines:
             header = next((line for line in lines if not line.startswith("#")), "")
-        return _record if ",T_" in header or ";T_" in header else _profile
+        return _record if re.search(r'[,;\t]"?T_', header) else _profile
     if file.suffix in (".parquet", ".pq"):
         return _record
     raise click.UsageError(f"{file}: is no .toml, .csv or .parquet file; nothing here knows how to check it")

@@ -28,7 +28,11 @@ STEPS = 6.0
 @click.option("--twin", type=INPUT_FILE, help="Twin file; of a run, the one that it ran with.")
 @click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, the one it was commissioned on.")
 @click.option("--with", "more", type=INPUT_FILE, multiple=True, help="A later record of the rig; may be repeated.")
-@click.option("--at-rest", is_flag=True, help="Each row of RECORD is a steady state; its time counts for nothing.")
+@click.option(
+    "--at-rest",
+    is_flag=True,
+    help="Each row of RECORD is a steady state, its time counts for nothing; every fourth is held out of every fit.",
+)
 @click.option("--rig", type=INPUT_FILE, help="Rig file whose limits a next experiment keeps; of a run, its own.")
 @click.option("--clock", help="Time of day at 0 s of the record, like 08:00, where the record does not tell.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")

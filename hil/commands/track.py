@@ -56,7 +56,7 @@ def command(
     from hil.record import read_record, require_record_suffix
     from hil.run_request import check_calibrators
     from hil.terminal import Steps, console, show_comparison
-    from hil.tracking import DEFAULT, TrackingConfig, Twins, disturbance
+    from hil.tracking import DEFAULT, TrackingConfig, Twins, disturbance, too_coarse, window_words
 
     if out is not None:
         require_record_suffix(out)
@@ -112,6 +112,10 @@ def command(
     for name, counts in windows.items():
         listed = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none complete"
         to.print(f"{name}: windows: {listed}")
+    if kinds := {kind for counts in windows.values() for kind in counts}:
+        to.print(window_words(kinds, twins.network.rules), markup=False, soft_wrap=True)
+    if kinds == {"skipped"} and (sentence := too_coarse(data.period_s, twins.network.rules)):
+        to.print(sentence, markup=False, soft_wrap=True)
     if proposals:
         to.print(closed_gates(proposals), markup=False, soft_wrap=True)
     for item in (d for d in disturbed if d["calibrator"] == twins.calibrators[0]):

@@ -10,7 +10,11 @@ from twin.discovery.basis import Basis, Columns, basis
 from twin.discovery.contest import narrowed
 from twin.discovery.engine import diagnose
 from twin.discovery.grid import Grid, on_grid
+from twin.discovery.health import NotHealthyError
 from twin.discovery.part import Part
+from twin.discovery.probe import free_run
+from twin.discovery.structure import Structure
+from twin.kernel import Kernel
 
 
 @pytest.fixture(scope="module")
@@ -79,3 +83,61 @@ def test_open_directions_count_as_their_covariance_says() -> None:
     x = rng.normal(size=(30, 2))
     twice = narrowed(narrowed(x, opened), opened)
     assert twice == pytest.approx(np.linalg.solve(np.eye(30) + spread @ spread.T, x))
+
+
+OFFSETS = {(70.0, 50.0): 0.94, (85.0, 50.0): 1.05, (100.0, 70.0): 1.06, (85.0, 100.0): 0.95, (70.0, 100.0): 1.05}
+
+
+def patchy(bench: Bench, hours: float, seed: int) -> Columns:
+    """A rig whose radiator follows no two powers: at pairs of pump and fan speeds it is off by some per cent."""
+    t, u = bench.inputs(hours, seed)
+    factor = np.array([OFFSETS.get((pump, fan), 1.0) for pump, fan in u[:, 1:3]])
+    full = bench.network.parameters["fins.UA_100"].value
+    rows = np.flatnonzero(np.diff(factor, prepend=np.nan) != 0.0)
+    values = np.tile(bench.network.values, (len(rows), 1, 1))
+    values[:, 0, bench.network.index(["fins.UA_100"])[0]] = full * factor[rows]
+    kernel = Kernel(bench.network, ("fins.UA_100",))
+    readings, _ = kernel.trace_pieces(values, np.array([[37.0, 36.8, 34.5, 34.0]]), t, u, rows.tolist())
+    rng = np.random.default_rng(seed + 100)
+    return Columns(t, u, readings[0] + bench.network.sigma * rng.normal(0.0, 1.0, readings[0].shape))
+
+
+def test_offsets_at_pairs_of_speeds_are_structure_where_a_record_speaks_for_them(
+    bench: Bench, healthy: Columns
+) -> None:
+    good = patchy(bench, 10.0, seed=7)
+    # What the record speaks for is told of this very twin, which leaves more of it than noise.
+    rough = replace(bench.network, revision=replace(bench.network.revision, error_after_K=dict.fromkeys(
+        bench.network.sensor_names, 0.5
+    )))  # fmt: skip
+    own = Bench(rough)
+    known, grid = seen(own, patchy(own, 20.0, seed=3), good)
+    assert known.structure is not None and known.structure.width > 0.0
+    assert any("pump_speed_pct" in name for c in known.structure.candidates for name in c.changes)
+    bare = replace(known, structure=replace(known.structure, width=0.0, **plainly(known.structure)))
+    assert Part.of(known, grid).best_z < 0.8 * Part.of(bare, grid).best_z
+    none, _ = seen(bench, bench.record(20.0, seed=3), healthy)
+    assert none.structure is not None and none.structure.width == 0.0
+
+
+def plainly(structure: Structure) -> dict[str, object]:
+    """A structure's fields without its offsets."""
+    kept = [i for i, c in enumerate(structure.candidates) if not any(" at " in name for name in c.changes)]
+    return {
+        "candidates": tuple(structure.candidates[i] for i in kept),
+        "sizes": structure.sizes[kept],
+        "covariance": structure.covariance[np.ix_(kept, kept)],
+    }
+
+
+def test_what_a_twin_left_when_it_was_commissioned_is_no_illness(bench: Bench, rig: Bench) -> None:
+    good = Bench(bench.with_values(modules_power__power=60.0)).record(10.0, seed=7)
+    with pytest.raises(NotHealthyError):
+        seen(bench, rig.record(16.0, seed=4), good)
+    grid = on_grid(bench.network, good.time_s, good.inputs, good.measured)
+    known, _ = seen(bench, rig.record(16.0, seed=4), bench.record(10.0, seed=7))
+    _, _, residual, _ = free_run(known.probe, grid)
+    left = dict(zip(bench.network.sensor_names, np.sqrt((residual**2).mean(axis=0)).tolist(), strict=True))
+    revision = replace(bench.network.revision, error_fitted_K=left)
+    rough, _ = seen(Bench(replace(bench.network, revision=revision)), rig.record(16.0, seed=4), good)
+    assert "of its own healthy record the twin leaves" in rough.warnings[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import subprocess
 import sys
@@ -12,8 +13,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 from hil.cli import group
+from hil.element_kinds import parameters_of
 from hil.errors import explained
 from hil.record import Record, write_record
+from twin.elements import KINDS
+from twin.twinfile import load as read_twin
 
 PROJECT = Path(__file__).resolve().parents[2]
 RIG = PROJECT / "profiles" / "rigs" / "virtual.toml"
@@ -211,12 +215,48 @@ def test_a_twin_is_never_overwritten(tmp_path):
     assert out.read_text(encoding="utf-8") == "mine"
 
 
+def test_check_takes_a_file_or_kinds(tmp_path):
+    code, printed = hil("check")
+    assert code == 2 and "give a file to check, or --kinds" in printed
+    code, printed = hil("check", "--kinds", TWIN)
+    assert code == 2 and "leave" in printed
+
+
+def test_every_kind_is_listed_with_keys_parameters_units_and_bounds():
+    code, printed = hil("check", "--kinds")
+    assert code == 0
+    for kind, cls in KINDS.items():
+        assert f" {kind} " in printed
+        for key in cls.places():
+            assert f" {key} " in printed
+    for network in map(read_twin, sorted(TWIN.parent.glob("*.toml"))):
+        for parameter in network.parameters.values():
+            name = re.sub(r"^effectiveness_.*", "effectiveness_<node>", parameter.name)
+            assert f" {name} " in printed, parameter.id
+    rows = [line.split() for line in printed.splitlines()]
+    assert any(row[:5] == ["capacitance", "J/K", "1", "to", "1e+09"] for row in rows)
+    only = {spec.name: only for spec, only in parameters_of(KINDS["heat_source"])}
+    assert only["night"] == "with driver, law = daylight" and only["power"] == "without driver"
+    assert parameters_of(KINDS["sensor"])[-1][1] == "with other"
+
+
+def test_a_record_with_tabs_between_columns_is_checked_as_a_record(tmp_path):
+    path = load(tmp_path, "time_s\tT_tank_C\n0\t20\n1\t21\n")
+    code, printed = hil("check", path)
+    assert code == 0 and "2 samples" in printed
+
+
 @pytest.mark.parametrize("verb", ["check", "commission", "profile", "review", "rig", "run", "track", "twin"])
 def test_every_verb_has_help_with_an_example(verb):
     result: Result = CliRunner().invoke(group, [verb, "--help"])
     assert result.exit_code == 0
     assert "Example" in result.output
     assert f"hil {verb}" in result.output
+
+
+def test_help_says_which_steady_states_are_held_out():
+    printed = " ".join(CliRunner().invoke(group, ["diagnose", "--help"]).output.split())
+    assert "every fourth is held out of every fit" in printed
 
 
 def test_help_loads_no_heavy_library():

@@ -22,7 +22,7 @@ from hil.cli import group
 from hil.journal import Header, JournalReader, JournalWriter
 from hil.record import Record, read_record, write_record
 from hil.run_folder import RunFolder
-from hil.tracking import TrackingConfig
+from hil.tracking import TrackingConfig, disturbance
 from hil.tracking_process import Tracking
 from twin.kernel import simulate
 from twin.revisions import with_elements
@@ -148,6 +148,63 @@ def test_a_flat_or_shuffled_record_moves_nothing_and_says_why(
                "--network-mode", "controlled")  # fmt: skip
     assert f"hiera_unet held everything in 30 of 30 proposals; {code} in 30 (" in done.output
     assert "no revision is saved" in done.output and len(list(tmp_path.glob("*.toml"))) == 1
+
+
+ROOM = """
+format = 1
+name = "room"
+[inputs]
+heater_power_W = { nominal = 500.0 }
+T_ambient_C = { nominal = 10.0 }
+[elements.room]
+kind = "node"
+capacitance = 3.0e5
+[elements.heater]
+kind = "heat_source"
+node = "room"
+driver = "heater_power_W"
+[elements.loss]
+kind = "ambient_loss"
+node = "room"
+hA = 30.0
+[elements.T_room_C]
+kind = "sensor"
+node = "room"
+columns = ["T_room_C"]
+[windows]
+window_s = 7200.0
+[sets.commission]
+members = ["room.capacitance", "loss.hA"]
+"""
+
+
+def test_a_room_is_tracked_by_the_calibrators_that_take_any_twin(tmp_path: Path) -> None:
+    twin, short, data = (tmp_path / name for name in ("room.toml", "short.toml", "room.csv"))
+    twin.write_text(ROOM, encoding="utf-8")
+    short.write_text(ROOM.replace("7200.0", "600.0"), encoding="utf-8")
+    network = load(twin)
+    time_s = np.arange(0.0, 80000.0, 600.0)
+    inputs = np.column_stack([np.where(time_s % 14400.0 < 7200.0, 900.0, 200.0), np.full(len(time_s), 10.0)])
+    clean = simulate(network.with_values({"loss.hA": 24.0}), time_s, inputs, np.array([20.0]))
+    columns = dict(zip(network.input_columns, inputs.T, strict=True)) | {"T_room_C": clean[:, 0]}
+    write_record(Record(time_s, columns), data)
+    done = hil("track", data, "--twin", twin)
+    assert done.exit_code == 0, done.output
+    assert "hiera_unet is left out: hiera_unet is of the coolant loop only" in done.output
+    assert "stall where the twin ahead was within 0.1 K neither at its start nor over the whole" in done.output
+    found = json.loads(hil("track", data, "--twin", twin, "--json").stdout)["parameters"]
+    assert list(found) == ["static", "pso", "least_squares"]
+    assert found["least_squares"]["loss.hA"][0] == pytest.approx(24.0, rel=0.05)
+    coarse = hil("track", data, "--twin", short, "--calibrator", "kalman")
+    assert "skipped where fewer than 8 samples are there" in coarse.output
+    assert "set window_s under [windows] of the twin file to 9600" in coarse.output
+
+
+def test_small_powers_are_told_with_digits() -> None:
+    document = {"disturbed": "heater_1", "disturbed_W": 0.187, "disturbed_interval90_W": (0.1, 0.2751)}
+    assert disturbance(document) == "heater_1 gives off 0.19 W (0.1 to 0.28) that the twin does not know of"
+    document |= {"disturbed_W": 187.2, "disturbed_interval90_W": (99.6, 270.1)}
+    assert disturbance(document) == "heater_1 gives off 187 W (100 to 270) that the twin does not know of"
 
 
 def test_a_twin_without_a_network_is_run_by_the_others(tmp_path: Path) -> None:

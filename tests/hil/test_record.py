@@ -116,6 +116,9 @@ def test_a_missing_file_and_a_truncated_copy_are_refused(tmp_path: Path) -> None
         ("time_s,heater_power_kW\n0,0.6\n1,0.7\n", "heater_power_kW is in kW: converted to heater_power_W"),
         ("time_s,T_tank_K\n0,300\n1,301\n", "T_tank_K is in K: converted to T_tank_C"),
         ("time_s,T_tank_C\n0,300\n1,301\n", "T_tank_C has a median of 300.5: is it in kelvin?"),
+        ("time_s,T_room_C\n0,78\n1,79\n", "T_room_C has a median of 78.5: is it in degrees Fahrenheit?"),
+        ("time_s;T_ambient_C\n0;50\n1;51\n", "T_ambient_C has a median of 50.5: is it in degrees Fahrenheit?"),
+        ("time_s\tT_room_K\n0\t300\n1\t301\n", "T_room_K is in K: converted to T_room_C"),
         ("time_s,fan_speed_pct\n0,0.6\n1,0.7\n", "fan_speed_pct has a median of 0.65: is it a fraction of 1?"),
         ("time_s,fan_speed_rpm\n0,600\n1,700\n", "fan_speed_rpm is in rpm where a record has fan_speed_pct"),
         ("time_s,T_tank_degC\n0,20\n1,21\n", "column 'T_tank_degC' is read as T_tank_C"),
@@ -125,6 +128,10 @@ def test_a_missing_file_and_a_truncated_copy_are_refused(tmp_path: Path) -> None
         ("time_s,T_tank_C,T_heater_C\n0,20,1\n1,21,1\n2,2", "1 line has not the 3 fields of the header (the last one"),
         ("time_s;T_tank_C\n0;20,5\n1;21,5\n", "T_tank_C: 2 decimal commas read as points"),
         ("time_s,T_tank_C\n" + "".join(f"{i},0.0\n" for i in range(200)), "T_tank_C is 0 throughout: is the channel"),
+        (
+            "time_s,T_ambient_C\n" + "".join(f"{i},21\n" for i in range(200)),
+            "T_ambient_C is constant at 21 degC: assumed, or is the channel dead?",
+        ),
         ("time_s,T_tank_C,T_heater_C\n0,20,\n1,21,\n", "T_heater_C: no value at all"),
     ],
 )
@@ -165,6 +172,8 @@ def test_converted_values_are_right(tmp_path: Path) -> None:
         (["2026-11-02T10:00:00Z", "2026-11-02T10:00:01.5Z", "2026-11-02T10:00:03Z"], "ISO 8601"),
         (["2026-11-02 10:00:00", "2026-11-02 10:00:01.5", "2026-11-02 10:00:03"], "ISO 8601 without a time zone"),
         (["2026-11-02T11:00:00+01:00", "2026-11-02T11:00:01.5+01:00", "2026-11-02T11:00:03+01:00"], "ISO 8601"),
+        (["2.11.2026 10:00", "02.11.2026 10:00:01.5", "2.11.2026  10:00:03"], "day.month.year without a time zone"),
+        (["02.11.2026 11:00:00+01:00", "02.11.2026 11:00:01.5+01:00", "02.11.2026 11:00:03+01:00"], "day.month.year:"),
         (["1793613600", "1793613601.5", "1793613603"], "seconds since 1970"),
         (["1793613600000", "1793613601500", "1793613603000"], "milliseconds since 1970"),
         (["1793613600000000000", "1793613601500000000", "1793613603000000000"], "nanoseconds since 1970"),
@@ -176,7 +185,19 @@ def test_absolute_times_are_shifted_to_zero(tmp_path: Path, stamps: list[str], h
     assert record.start == datetime.datetime(2026, 11, 2, 10, tzinfo=datetime.UTC)
     (message,) = record.messages
     assert f"time_s is {how}" in message
-    assert "shifted so that 2026-11-02 10:00:00 UTC is 0 s" in message
+    assert "shifted so that 2026-11-02 10:00:00 UTC is 0 s" in message and ",:" not in message
+
+
+@pytest.mark.parametrize(("again_at", "told"), [(18, True), (13, False)])
+@pytest.mark.parametrize("zone", ["", "+01:00"])
+def test_the_night_when_clocks_go_back_is_named_as_that(tmp_path: Path, again_at: int, told: bool, zone: str) -> None:
+    """Every ten minutes from midnight on; the row after three o'clock is 2:00, or 2:50."""
+    tens = [*range(again_at), *range(12 if told else 5, 40)]
+    rows = "".join(f"2026-10-25 {k // 6:02}:{k % 6}0{zone},{20 + k / 10:g}\n" for k in tens)
+    said = " ".join(read_record(_csv(tmp_path, "time_s,T_tank_C\n" + rows)).messages)
+    assert "time goes back once" in said
+    assert ("local time on the night when clocks go back looks like that" in said) == (told and not zone)
+    assert ("write times in UTC or with their zone" in said) == (told and not zone)
 
 
 def test_parquet_types_are_all_read(tmp_path: Path) -> None:

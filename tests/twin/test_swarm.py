@@ -1,19 +1,23 @@
 """The swarm: the paper's numbers, its window logic, and that it finds what it can."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.twin.conftest import START, drive
-from twin.calibrators import make
+from tests.twin.two_nodes import TWO
+from twin.calibrators import ANY_TWIN, NAMES, make
 from twin.calibrators.base import Calibrator, Window
 from twin.calibrators.least_squares import LeastSquares
 from twin.calibrators.pso import PAPER, TUNED, Swarm
 from twin.calibrators.windows import assemble, decide, initial_mismatch, last_of_window
 from twin.kernel import simulate
 from twin.network import Network, TwinFileError, WindowRules
+from twin.tracking import TwinTracker
+from twin.twinfile import parse
 
 RULES = WindowRules()
 
@@ -131,6 +135,43 @@ def test_least_squares_names_what_a_window_cannot_tell(loop: Network) -> None:
 def test_unknown_names() -> None:
     with pytest.raises(TwinFileError, match="no calibrator 'psoo'"):
         make("psoo", None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("sets", "expected"),
+    [
+        ('[sets.other]\nmembers = ["link.resistance"]\n[sets.commission]\nmembers = ["a.capacitance"]\n',
+            ("a.capacitance",)),
+        ('[sets.mine]\nmembers = [{ parameter = "link.resistance", scale = 2.0, initial = [1.0, 2.0] }]\n',
+            ("link.resistance",)),
+        ("", ("link.resistance",)),
+    ],
+)  # fmt: skip
+def test_a_twin_that_is_no_loop_is_calibrated_by_what_it_has(sets: str, expected: tuple[str, ...]) -> None:
+    network = parse(TWO + sets)
+    for name in ANY_TWIN:
+        assert make(name, network).ids == expected
+    for name in sorted({*NAMES} - {*ANY_TWIN}):
+        with pytest.raises(
+            TwinFileError, match=rf"{name} is of the coolant loop only.*pso, .* and kalman take any twin"
+        ):
+            make(name, network)
+    done = TwinTracker(network, "pso").push(*_two_nodes_of_another_rig(network)).calibrations
+    assert done and done[-1].error_K < 0.5 * done[-1].error_before_K
+
+
+def _two_nodes_of_another_rig(network: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Twenty minutes after a step at node a, of a rig with half the masses."""
+    t = np.arange(1200.0)
+    u = np.tile(network.nominal_inputs, (1200, 1))
+    truth = network.with_values({"a.capacitance": 500.0, "link.resistance": 0.7})
+    return t, u, simulate(truth, t, u, np.array([60.0, 20.0]))
+
+
+def test_a_twin_without_tunables_is_refused_by_every_calibrator() -> None:
+    fixed = re.sub(r"^(capacitance|resistance) = (.*)$", r'\1 = { value = \2, status = "fixed" }', TWO, flags=re.M)
+    with pytest.raises(TwinFileError, match="has nothing to calibrate; give a parameter the status 'tunable'"):
+        make("kalman", parse(fixed))
 
 
 def test_a_set_without_bounds_cannot_be_swarmed_in_the_papers_units(loop: Network) -> None:

@@ -68,12 +68,14 @@ def test_an_unreachable_node_and_a_second_feed_are_found(loop_text: str) -> None
 def test_a_network_needs_nodes_and_sensors() -> None:
     with pytest.raises(TwinFileError, match="there is no node"):
         parse('format = 1\nname = "x"\n[inputs]\n[elements]\n')
-    with pytest.raises(TwinFileError, match="there is no sensor"):
+    with pytest.raises(TwinFileError, match="elements: there is no sensor"):
         parse('format = 1\nname = "x"\n[inputs]\n[elements.a]\nkind = "node"\ncapacitance = 100.0\n')
 
 
 def test_writing_and_reading_give_the_same_network(loop: Network) -> None:
-    revision = Revision(3, "ab" * 32, 'a "quoted" maker', (0.0, 100.0), {"T_tank_C": 1.5}, {"T_tank_C": 0.1}, ("n",))
+    revision = Revision(
+        3, "ab" * 32, 'a "quoted" maker', (0.0, 100.0), {"T_tank_C": 1.5}, {"T_tank_C": 0.1}, notes=("n",)
+    )
     changed = loop.with_values({"fins.UA_100": 71.25}, revision)
     again = parse(dump(changed))
     assert again.parameters == changed.parameters

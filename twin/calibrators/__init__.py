@@ -5,11 +5,13 @@ from __future__ import annotations
 from twin.calibrators.base import Calibration, Calibrator, Kind, Window
 from twin.network import Network, TwinFileError
 
-__all__ = ["FITTING", "NAMES", "Calibration", "Calibrator", "Kind", "Window", "make"]
+__all__ = ["ANY_TWIN", "FITTING", "NAMES", "Calibration", "Calibrator", "Kind", "Window", "make"]
 
 FITTING = ("pso", "pso_paper", "least_squares", "kalman")
 """Those that need nothing but a window; the others need what training made."""
 NAMES = (*FITTING, "hiera_unet", "hiera_ls")
+ANY_TWIN = ("pso", "least_squares", "kalman")
+"""Those that are not of the coolant loop only."""
 
 
 def make(name: str, network: Network, tunables: str | None = None, seed: int = 0) -> Calibrator:
@@ -18,24 +20,30 @@ def make(name: str, network: Network, tunables: str | None = None, seed: int = 0
     squares).
 
     Args:
-        tunables: a set of the twin; each calibrator has its own default.
+        tunables: a set of the twin; without one `usual` says which, for ``pso_paper`` it is ``paper4``.
 
     Raises:
-        TwinFileError: no such calibrator or set. HieraError: there is no trained network for this twin.
+        TwinFileError: no such calibrator or set, or the calibrator is of the coolant loop only and the twin is none.
+        HieraError: there is no trained network for this twin.
     """
-    if name in ("pso", "pso_paper"):
+    if name == "pso":
         from twin.calibrators.pso import Swarm
 
-        preset, usual = ("paper", "paper4") if name == "pso_paper" else ("tuned", "nine")
-        return Swarm(network, tunables or usual, preset, seed)
+        return Swarm(network, tunables or usual(network), "tuned", seed)
     if name == "least_squares":
         from twin.calibrators.least_squares import LeastSquares
 
-        return LeastSquares(network, tunables or "nine")
+        return LeastSquares(network, tunables or usual(network))
     if name == "kalman":
         from twin.calibrators.kalman import KalmanFilter
 
-        return KalmanFilter(network, tunables or "nine")
+        return KalmanFilter(network, tunables or usual(network))
+    if name in NAMES:
+        _require_loop(name, network, tunables)
+    if name == "pso_paper":
+        from twin.calibrators.pso import Swarm
+
+        return Swarm(network, tunables or "paper4", "paper", seed)
     if name == "hiera_unet":
         from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
 
@@ -46,3 +54,32 @@ def make(name: str, network: Network, tunables: str | None = None, seed: int = 0
 
         return RefinedCalibrator(network, HieraUNetCalibrator.shipped(network, tunables or "nine"), tunables or "nine")
     raise TwinFileError(f"no calibrator {name!r}; there are: {', '.join(NAMES)}")
+
+
+def usual(network: Network) -> str | tuple[str, ...]:
+    """What is calibrated where nothing is named: the set ``nine``, else ``commission``, else the twin's only set,
+    else every tunable.
+
+    Raises:
+        TwinFileError: there is nothing to calibrate.
+    """
+    for name in ("nine", "commission", *(network.sets if len(network.sets) == 1 else ())):
+        if name in network.sets:
+            return name
+    ids = tuple(p for p in network.tunables() if not network.parameters[p].same_as)
+    if not ids:
+        raise TwinFileError(
+            f"twin {network.name!r} has nothing to calibrate; give a parameter the status 'tunable', or add "
+            "[sets.commission] with its members"
+        )
+    return ids
+
+
+def _require_loop(name: str, network: Network, tunables: str | None) -> None:
+    """Raise TwinFileError where a calibrator that is of the coolant loop only meets another twin."""
+    wanted = "paper4" if name == "pso_paper" else "nine"
+    if tunables is None and wanted not in network.sets:
+        raise TwinFileError(
+            f"{name} is of the coolant loop only, and twin {network.name!r} has no set {wanted!r} as the "
+            f"loop has; {', '.join(ANY_TWIN[:-1])} and {ANY_TWIN[-1]} take any twin"
+        )

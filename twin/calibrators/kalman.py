@@ -110,7 +110,7 @@ class KalmanFilter:
 
     name = "kalman"
 
-    def __init__(self, network: Network, tunables: str = "nine") -> None:
+    def __init__(self, network: Network, tunables: str | tuple[str, ...] = "nine") -> None:
         self.network = network
         self.ids = network.tunables(tunables)
         self.kernel = Kernel(network, self.ids)

@@ -34,7 +34,7 @@ class LeastSquares:
 
     name = "least_squares"
 
-    def __init__(self, network: Network, tunables: str = "nine") -> None:
+    def __init__(self, network: Network, tunables: str | tuple[str, ...] = "nine") -> None:
         self.network = network
         self.ids = network.tunables(tunables)
         self.kernel = Kernel(network, self.ids)

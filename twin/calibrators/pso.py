@@ -87,7 +87,8 @@ class Swarm:
 
     Args:
         network: the commissioned twin; its values are the first global best.
-        tunables: name of a set of the twin that has scales and bounds.
+        tunables: name of a set of the twin, or ids. Where `settings` are not of each parameter's own range it must be
+            a set that has scales and bounds.
         settings: a preset's name or `Settings`.
         seed: of the generator.
     """
@@ -95,7 +96,11 @@ class Swarm:
     name = "pso"
 
     def __init__(
-        self, network: Network, tunables: str = "paper4", settings: str | Settings = "tuned", seed: int = 0
+        self,
+        network: Network,
+        tunables: str | tuple[str, ...] = "paper4",
+        settings: str | Settings = "tuned",
+        seed: int = 0,
     ) -> None:
         if isinstance(settings, str):
             if settings not in PRESETS:
@@ -300,7 +305,9 @@ class _Cost:
 class _Normalised:
     """The file's normalised units: physical = scale * position, held inside the parameter's bounds."""
 
-    def __init__(self, network: Network, tunables: str) -> None:
+    def __init__(self, network: Network, tunables: str | tuple[str, ...]) -> None:
+        if not isinstance(tunables, str):
+            raise TwinFileError("this swarm needs the scales and bounds of a set of the twin; name one")
         chosen: TunableSet = network.sets[tunables]
         if chosen.bounds is None:
             raise TwinFileError(f"set {tunables!r} of twin {network.name!r} has no bounds; give them to swarm it")

@@ -74,7 +74,7 @@ def on_grid(
     if bins * step < 2.0 * network.rules.window_s:
         raise TwinFileError(
             f"the record covers {t[-1] - t[0]:.0f} s; diagnosis needs at least two windows of "
-            f"{network.rules.window_s:.0f} s"
+            f"{network.rules.window_s:.0f} s (window_s under [windows] of the twin file)"
         )
     if not np.isfinite(y).any():
         raise TwinFileError("the record has no reading of any of the twin's sensors; check the names of its columns")

@@ -21,7 +21,7 @@ TIME_CONSTANTS_S = tuple(120.0 * 3.0 ** (k / 2.0) for k in range(10))
 """Capacity over conductance of masses that are looked for, s."""
 PUT_IN_S = TIME_CONSTANTS_S[1::2]
 """The same of masses that are put in at the temperature of the room."""
-MOST, SLOWEST_S, QUICKEST_S = 500.0, 1000.0, 5.0
+MOST, SLOWEST_S, QUICKEST_S = 500.0, 200.0, 5.0
 """Conductance, W/K, of such a mass at most, and the times in which the node beside it follows it at most, s."""
 LEAST_PUT_IN = 5.0
 """Conductance, W/K, of such a mass at least: that of a hand's breadth of metal in stirred water."""

@@ -242,8 +242,8 @@ class _Answer:
                 return (
                     f"Most of this record is explained, not all, so nothing is added: {found}. {how} by the twin file "
                     f"({amount(e.before, 'K')} when re-tuned alone); if that noise is a guess, enter what the "
-                    "thermometer really has as its sigma."
-                )
+                    "thermometer really has as its sigma"
+                ) + cut
             return f"The twin does not fit this record, and no effects of the catalogue explain it. {how}{cut}"
         worst, e = max(errors.items(), key=lambda item: item[1].before / item[1].noise)
         told = (

@@ -19,6 +19,8 @@ from twin.network import Array
 
 BEAM = 3
 """Sets that are built upon, by likelihood and as many by squares."""
+FINER = (3.0**0.25, 3.0**0.125)
+"""Factors by which the time constants of the best masses are varied: those of the catalogue lie a root of 3 apart."""
 
 Label = tuple[str, str, str]
 
@@ -82,10 +84,26 @@ class Beam:
                 found[new.ids] = new
         if not found:
             return False
+        for new in self._timed(min(found.values(), key=by_score)):
+            found[new.ids] = new
         self.levels.append(list(found.values()))
         before, now = (min(s.score for s in level) for level in self.levels[-2:])
         # Two may be needed where neither does anything alone; three that do no better than two are the end.
         return len(self.levels) <= 2 or now < before
+
+    def _timed(self, best: FittedSet) -> list[FittedSet]:
+        """A set with other time constants of its masses, nearer and nearer to the best."""
+        found = []
+        for share in FINER:
+            for entry in [e for e in best.fit.entries if e.candidate.adds]:
+                slower, slow_s = entry.candidate.slower, entry.candidate.slow_s
+                for factor in (share, 1.0 / share):
+                    if slower is None:
+                        break
+                    rest = self.reduced(best, entry)
+                    found.append(self.extended(rest, unsized(slower(factor * slow_s), entry.size / factor)))
+            best = min((best, *found), key=by_score)
+        return found
 
     def _fitted(self, starts: tuple[tuple[Problem, Array], ...]) -> FittedSet:
         """One set from several starts; problems that differ in nothing but their scales."""

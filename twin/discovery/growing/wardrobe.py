@@ -98,7 +98,8 @@ def name_of(candidate: Candidate) -> str:
 
 
 def _lacking(network: Network, tunables: tuple[str, ...], period_s: float) -> list[Candidate]:
-    every = catalogue(network)
+    # What is there from the beginning has not been put in at some time.
+    every = [c for c in catalogue(network) if not c.begins]
     talks = Counter(name for c in every for name in c.replaces)
     single = [c for c in every if _absent(network, c) and all(talks[name] == 1 for name in c.replaces)]
     single = [_noticed(c) for c in single]
