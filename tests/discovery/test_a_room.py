@@ -96,7 +96,9 @@ def test_a_few_samples_are_too_little_to_grow_on(room: Network) -> None:
 
 def test_a_wall_that_is_none_stands_still() -> None:
     """One that followed the water within a second would make ten minutes hundreds of steps."""
-    text = ROOM.replace("sun_W_m2 =", "pump_pct =").replace("[inputs]", "[inputs]\nT_in_C = { nominal = 20.0 }") + """
+    text = (
+        ROOM.replace("sun_W_m2 =", "pump_pct =").replace("[inputs]", "[inputs]\nT_in_C = { nominal = 20.0 }")
+        + """
 [elements.stream]
 kind = "flow"
 path = ["room"]
@@ -109,6 +111,7 @@ to = "room"
 volume = 0.0
 wall_hA = 1000.0
 """
+    )
     open_loop = parse(text)
     t = np.arange(50) * 600.0
     u = np.tile([{"T_in_C": 40.0, "heater_power_W": 500.0, "pump_pct": 100.0, "T_ambient_C": 10.0}[c]
