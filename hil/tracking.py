@@ -263,7 +263,8 @@ def disturbance(document: dict[str, Any]) -> str | None:
     where, power, interval = (document.get(f"disturbed{end}") for end in ("", "_W", "_interval90_W"))
     if where is None or power is None:
         return None
-    spread = f" ({_watts(interval[0])} to {_watts(interval[1])})" if interval is not None else ""
+    low, high = sorted(-x if power < 0 else x for x in interval or (0.0, 0.0))
+    spread = f" ({_watts(low)} to {_watts(high)})" if interval is not None else ""
     since = document.get("disturbed_since_s")
     when = f" since {since / 3600:.2f} h" if since is not None else ""
     gives = "takes up" if power < 0 else "gives off"

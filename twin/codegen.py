@@ -28,7 +28,7 @@ from twin.affine import names_in, shared_call
 from twin.assembly import System, python_source
 from twin.delays import NEVER, SLOTS, delay_lines
 from twin.integrators import NAME, PAIRS, Integrator, renamed
-from twin.kernel_functions import ARRIVED, EXP
+from twin.kernel_functions import ARRIVED, EXP, PIECES
 from twin.network import Network
 
 LANES = 32
@@ -418,7 +418,7 @@ class _Kernel:
                 f"def {name}(base, lanes, start, past, {rows}, time, inputs, {measured}{used}{out}, end, future):",
                 *indent([*head, "for b in range(start.shape[0]):", *indent(block)]),
                 "",
-                *(_PIECES if self.mode == "trace" else []),
+                PIECES if self.mode == "trace" else "",
             ]
         )
 
@@ -430,20 +430,6 @@ _SIGNATURE: dict[Mode, str] = {
     "f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1])",
     "gram": f"void({_HEAD}, f8[:,::1], f8[:,::1], i8, f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1])",
 }
-
-
-_PIECES = [
-    "",
-    "@nb.njit('void(f8[::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[:,::1], "
-    "f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1])', cache=True, nogil=True)",
-    "def kernel(base, lanes, start, past, cuts, time, inputs, Y, end, future):",
-    "    n = time.shape[0]",
-    "    for c in range(lanes.shape[0]):",
-    "        piece(base, lanes[c], start, past, cuts[c], min(cuts[c + 1] + 1, n), time, inputs, Y, end, future)",
-    "        start, past = end, future",
-    "",
-]
-"""One piece after the other, each from where the one before it ended; the sample at a cut is read by both."""
 
 
 def indent(lines: list[str]) -> list[str]:

@@ -212,3 +212,13 @@ def look(V, H, R, flow, line, s, place, tip, out):
         first, s = 1.0, after
     return cursor
 '''
+PIECES = '''
+@nb.njit('void(f8[::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[:,::1], f8[:,:,:,::1], '
+         'f8[:,:,::1], f8[:,:,::1])', cache=True, nogil=True)
+def kernel(base, lanes, start, past, cuts, time, inputs, Y, end, future):
+    """One piece after the other, each from where the one before it ended; the sample at a cut is read by both."""
+    n = time.shape[0]
+    for c in range(lanes.shape[0]):
+        piece(base, lanes[c], start, past, cuts[c], min(cuts[c + 1] + 1, n), time, inputs, Y, end, future)
+        start, past = end, future
+'''

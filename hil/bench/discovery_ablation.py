@@ -50,8 +50,8 @@ def answer(request: Request) -> Request:
     stiff = dataclasses.replace(known.prior, precision=STIFF * np.eye(len(known.prior.precision)))
     said: Request = {}
     for name, prior in (("linear", known.prior), ("raw", stiff)):
-        structure = known.structure if prior is known.prior else None
-        contest = Contest(known.probe, grid, state, run, known.noise, prior, structure, found)
+        bare = Contest(known.probe, grid, state, run, known.noise, prior) if prior is not known.prior else None
+        contest = bare or known.contest(grid, state, run, found)
         said[name] = [_row(e) for e in scan(contest, found)[:NEAR]]
         if name == "linear":
             said["threshold"] = null_scores(contest, found).quantile(FALSE_ALARMS)

@@ -205,6 +205,8 @@ def test_small_powers_are_told_with_digits() -> None:
     assert disturbance(document) == "heater_1 gives off 0.19 W (0.1 to 0.28) that the twin does not know of"
     document |= {"disturbed_W": 187.2, "disturbed_interval90_W": (99.6, 270.1)}
     assert disturbance(document) == "heater_1 gives off 187 W (100 to 270) that the twin does not know of"
+    document.update(disturbed_W=-187.4, disturbed_interval90_W=(-270.0, -100.0))
+    assert disturbance(document) == "heater_1 takes up 187 W (100 to 270) that the twin does not know of"
 
 
 def test_a_twin_without_a_network_is_run_by_the_others(tmp_path: Path) -> None:

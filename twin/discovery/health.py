@@ -62,23 +62,7 @@ class Health:
         state, run, residual, good = free_run(probe, grid)
         known = np.where(good, residual, np.nan)
         rms = np.sqrt((np.where(good, residual, 0.0) ** 2).sum(axis=0) / np.maximum(good.sum(axis=0), 1))
-        single = np.array([network.parameters[f"{s.name}.sigma"].value for s in network.sensors])
-        then = network.revision
-        left = (then.error_after_K, then.error_fitted_K)
-        usual = np.array([max(errors.get(s.name, 0.0) for errors in left) for s in network.sensors])
-        worst = int(np.argmax(rms / np.maximum(UNHEALTHY * single, AS_LEFT * usual)))
-        if rms[worst] > max(UNHEALTHY * single[worst], AS_LEFT * usual[worst]):
-            raise NotHealthyError(
-                f"the healthy record does not fit the twin: {network.sensor_names[worst]} is off by {rms[worst]:.2f} K "
-                f"(noise {single[worst]:.2f} K); commission the twin on this record first, or give one that is "
-                "healthy"
-            )
-        worst = int(np.argmax(rms / single))
-        rough = "" if rms[worst] <= UNHEALTHY * single[worst] else (
-            f"of its own healthy record the twin leaves {rms[worst]:.2f} K at {network.sensor_names[worst]} (noise "
-            f"{single[worst]:.2g} K): what is less is hardly seen, and forms are told less surely; a twin of more "
-            "volumes may leave less"
-        )  # fmt: skip
+        rough = _rough(network, rms)
         prior = posterior(network, probe, grid, state, inflation(known, grid.sigma), WIDEN)
         noise = noises.learn(residual, grid.sigma, grid.step_s, run.readings)
         laws, held = book.laws(grid, run), _held(prior, probe.q)
@@ -88,6 +72,32 @@ class Health:
         less = noises.learn(residual - FORETOLD * amount, grid.sigma, grid.step_s, run.readings)
         structure = structure_of(Contest(probe, grid, state, run, less, held), laws, here)
         return cls(grid, noise, less, prior, structure, rough)
+
+
+def _rough(network: Network, rms: Array) -> str:
+    """What is to say of a twin that leaves so much (m,), K, of its healthy record; "" where it is of a size with noise.
+
+    Raises:
+        NotHealthyError: it is more than the twin left when it was commissioned.
+    """
+    single = np.array([network.parameters[f"{s.name}.sigma"].value for s in network.sensors])
+    then = (network.revision.error_after_K, network.revision.error_fitted_K)
+    usual = np.array([max(errors.get(s.name, 0.0) for errors in then) for s in network.sensors])
+    most = np.maximum(UNHEALTHY * single, AS_LEFT * usual)
+    worst = int(np.argmax(rms / most))
+    if rms[worst] > most[worst]:
+        raise NotHealthyError(
+            f"the healthy record does not fit the twin: {network.sensor_names[worst]} is off by {rms[worst]:.2f} K "
+            f"(noise {single[worst]:.2f} K); commission the twin on this record first, or give one that is healthy"
+        )
+    worst = int(np.argmax(rms / single))
+    if rms[worst] <= UNHEALTHY * single[worst]:
+        return ""
+    return (
+        f"of its own healthy record the twin leaves {rms[worst]:.2f} K at {network.sensor_names[worst]} (noise "
+        f"{single[worst]:.2g} K): what is less is hardly seen, and forms are told less surely; a twin of more volumes "
+        "may leave less"
+    )
 
 
 def _held(prior: Prior, q: int) -> Prior:

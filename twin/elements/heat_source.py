@@ -119,6 +119,7 @@ class HeatSource(Element):
         found: list[Candidate] = []
         known = {e.node for e in sites.having(cls.kind) if not e.driver}
         stands = [(sites.places[node], (node,)) for node in sites.nodes] + list(sites.groups.items())
+        others = _others(sites)
         for where, nodes in stands:
             for driver, table, sizes, unit, typical, says in _laws(sites):
                 if driver == "constant" and set(nodes) <= known:
@@ -136,7 +137,7 @@ class HeatSource(Element):
                     "heat_source", where, driver, "new", changes, unit, typical, 0.0, 2000.0 * typical / 20.0, says,
                     adds=adds,
                 )  # fmt: skip
-                if table.get("driver") in _others(sites):
+                if table.get("driver") in others:
                     # Nobody says how much of it a rig may catch.
                     source = replace(source, upper=MUCH * typical)
                 if table.get("law") == "cubed":

@@ -231,20 +231,7 @@ class _Answer:
             return "Re-tuned, the twin explains this record: nothing is missing that it could show."
         part = "On states that no fit saw" if self.whole.at_rest else "On the part that the fit never saw"
         if verdict == "unexplained":
-            best = "best effect" if len(self.added) == 1 else f"{len(self.added)} best effects"
-            won = f"with the {best}" if self.added else "re-tuned"
-            worst, e = max(errors.items(), key=lambda item: item[1].after / item[1].noise)
-            cut = "." if self.whole.at_rest else _CUT
-            mostly = bool(self.added) and all(x.after <= MOSTLY * x.before for x in errors.values())
-            how = f"{part}, {worst} is off by {amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}"
-            if mostly:
-                found = ". ".join(said(x.entry.candidate, x.value) for x in self.added)
-                return (
-                    f"Most of this record is explained, not all, so nothing is added: {found}. {how} by the twin file "
-                    f"({amount(e.before, 'K')} when re-tuned alone); if that noise is a guess, enter what the "
-                    "thermometer really has as its sigma"
-                ) + cut
-            return f"The twin does not fit this record, and no effects of the catalogue explain it. {how}{cut}"
+            return self._unexplained(part, errors)
         worst, e = max(errors.items(), key=lambda item: item[1].before / item[1].noise)
         told = (
             f" {part}, {worst} is off by {amount(e.before, 'K')} when re-tuned, by {amount(e.after, 'K')} with what "
@@ -263,6 +250,21 @@ class _Answer:
             text += f"; but this record does not tell the size of {' and '.join(vague)}" if vague else ""
             text += "" if self.whole.at_rest else "; a further record, given with --with, may"
         return f"{text}.{told}"
+
+    def _unexplained(self, part: str, errors: dict[str, SensorError]) -> str:
+        best = "best effect" if len(self.added) == 1 else f"{len(self.added)} best effects"
+        won = f"with the {best}" if self.added else "re-tuned"
+        worst, e = max(errors.items(), key=lambda item: item[1].after / item[1].noise)
+        cut = "." if self.whole.at_rest else _CUT
+        how = f"{part}, {worst} is off by {amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}"
+        if not self.added or any(x.after > MOSTLY * x.before for x in errors.values()):
+            return f"The twin does not fit this record, and no effects of the catalogue explain it. {how}{cut}"
+        found = ". ".join(said(x.entry.candidate, x.value) for x in self.added)
+        return (
+            f"Most of this record is explained, not all, so nothing is added: {found}. {how} by the twin file "
+            f"({amount(e.before, 'K')} when re-tuned alone); if that noise is a guess, enter what the thermometer "
+            f"really has as its sigma{cut}"
+        )
 
 
 def _sized(effect: Effect) -> bool:

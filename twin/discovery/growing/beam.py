@@ -95,13 +95,13 @@ class Beam:
         """A set with other time constants of its masses, nearer and nearer to the best."""
         found = []
         for share in FINER:
-            for entry in [e for e in best.fit.entries if e.candidate.adds]:
+            for entry in best.fit.entries:
                 slower, slow_s = entry.candidate.slower, entry.candidate.slow_s
-                for factor in (share, 1.0 / share):
-                    if slower is None:
-                        break
-                    rest = self.reduced(best, entry)
-                    found.append(self.extended(rest, unsized(slower(factor * slow_s), entry.size / factor)))
+                if slower is None or not entry.candidate.adds:
+                    continue
+                rest = self.reduced(best, entry)
+                others = [unsized(slower(f * slow_s), entry.size / f) for f in (share, 1.0 / share)]
+                found += [self.extended(rest, other) for other in others]
             best = min((best, *found), key=by_score)
         return found
 
