@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from twin.discovery.growing.descent import descend
 from twin.discovery.growing.scoring import Scored, scores
 from twin.discovery.growing.unaided import Fit, Problem
 from twin.discovery.growing.wardrobe import name_of, unsized
@@ -23,6 +25,7 @@ FINER = (3.0**0.25, 3.0**0.125)
 """Factors by which the time constants of the best masses are varied: those of the catalogue lie a root of 3 apart."""
 
 Label = tuple[str, str, str]
+Starts = list[tuple[Problem, Array]]
 
 
 @dataclass(frozen=True)
@@ -49,16 +52,20 @@ class Beam:
         self.empty, self.width = empty, width
         self._price = math.log(max(int(np.isfinite(empty.samples.measured).sum()), 2))
         self.known: dict[frozenset[str], FittedSet] = {}
-        self.levels: list[list[FittedSet]] = [[self._fitted(((empty, empty.start()),))]]
+        self.levels: list[list[FittedSet]] = [self._fitted([[(empty, empty.start())]])]
 
     def extended(self, old: FittedSet, entry: Entry, *sizes: float) -> FittedSet:
-        """A set with one effect more, begun at the twin file's values, at the smaller set's, and at other sizes."""
+        """A set with one effect more."""
+        return self._fitted([self._starts(old, entry, *sizes)])[0]
+
+    def _starts(self, old: FittedSet, entry: Entry, *sizes: float) -> Starts:
+        """Where a set with one effect more begins: at the twin file's values, at the smaller set's, at other sizes."""
         problem = self.empty.with_entries((*old.fit.entries, entry))
         starts = [(problem, problem.start()), (problem, problem.start(old.fit))]
         for size in sizes:
             other = self.empty.with_entries((*old.fit.entries, replace(entry, size=size)))
             starts.append((other, other.start(old.fit)))
-        return self._fitted(tuple(starts))
+        return starts
 
     def reduced(self, old: FittedSet, entry: Entry) -> FittedSet:
         """A set without one of its effects, and without what stands on it."""
@@ -69,17 +76,15 @@ class Beam:
         }
         rest = tuple(e for e in old.fit.entries if name_of(e.candidate) not in gone)
         problem = self.empty.with_entries(rest)
-        return self._fitted(((problem, problem.start()), (problem, problem.start(old.fit))))
+        return self._fitted([[(problem, problem.start()), (problem, problem.start(old.fit))]])[0]
 
     def deepen(self) -> bool:
         """Fit sets of one effect more; False where it does not pay to go on."""
         last = self.levels[-1]
         chosen = {s.ids: s for order in (by_score, by_squares) for s in sorted(last, key=order)[: self.width]}
-        found: dict[frozenset[str], FittedSet] = {}
+        starts = [self._starts(old, s.entry, s.asked) for old in chosen.values() for s in self._finalists(old)]
+        found = {new.ids: new for new in self._fitted(starts)}
         for old in chosen.values():
-            for scored in self._finalists(old):
-                new = self.extended(old, scored.entry, scored.asked)
-                found[new.ids] = new
             for new in self._siblings(old):
                 found[new.ids] = new
         if not found:
@@ -105,15 +110,16 @@ class Beam:
             best = min((best, *found), key=by_score)
         return found
 
-    def _fitted(self, starts: tuple[tuple[Problem, Array], ...]) -> FittedSet:
-        """One set from several starts; problems that differ in nothing but their scales."""
-        entries = starts[0][0].entries
-        key = frozenset(name_of(e.candidate) for e in entries)
-        if key not in self.known:
-            problem, fit = min(((p, p.fit(v)) for p, v in starts), key=lambda f: f[1].cost)
-            price = sum(self._price - 2.0 * math.log(plausibility(e)) for e in entries)
+    def _fitted(self, sets: Sequence[Starts]) -> list[FittedSet]:
+        """Sets, each from several starts: problems that differ in nothing but their scales."""
+        keys = [frozenset(name_of(e.candidate) for e in starts[0][0].entries) for starts in sets]
+        new = {key: starts for key, starts in zip(keys, sets, strict=True) if key not in self.known}
+        ends = iter(descend([start for starts in new.values() for start in starts]))
+        for key, starts in new.items():
+            problem, fit = min(((p, p.fitted(next(ends))) for p, _ in starts), key=lambda f: f[1].cost)
+            price = sum(self._price - 2.0 * math.log(plausibility(e)) for e in problem.entries)
             self.known[key] = FittedSet(problem, fit, fit.cost + price)
-        return self.known[key]
+        return [self.known[key] for key in keys]
 
     def _siblings(self, old: FittedSet) -> list[FittedSet]:
         """Of each effect that has others of its kind (other time constants), the neighbours while they do better."""

@@ -9,8 +9,9 @@ import numpy as np
 from twin.discovery.equivalence import width
 from twin.discovery.growing.beam import Beam, FittedSet, Label, by_score
 from twin.discovery.growing.calibration import Chance, by_chance
+from twin.discovery.growing.descent import descend
 from twin.discovery.growing.likelihood import cosines, judged
-from twin.discovery.growing.unaided import Samples
+from twin.discovery.growing.unaided import Samples, readings_of
 from twin.discovery.growing.wardrobe import name_of
 from twin.discovery.search import Entry
 from twin.network import Array
@@ -160,14 +161,16 @@ class Merit:
     def hidden(self, without: FittedSet, found: FittedSet) -> Array:
         """Squares (pieces, 2) of what a smaller set and a set leave of each piece of the record that was hidden."""
         out = np.zeros((PIECES, 2))
-        for fold in range(FOLDS):
-            for k, one in enumerate((without, found)):
-                samples = one.problem.samples
-                part = one.problem.with_entries(one.fit.entries, samples.without(self._piece % FOLDS == fold))
-                v = part.descend(part.start(one.fit))
-                off = (samples.measured - part.readings(v[None, :])[0]) / samples.sigma
-                for piece in range(fold, PIECES, FOLDS):
-                    out[piece, k] = float(np.nansum(off[self._piece == piece] ** 2))
+        samples = found.problem.samples
+        ways = [(fold, k, one) for fold in range(FOLDS) for k, one in enumerate((without, found))]
+        hidden = [samples.without(self._piece % FOLDS == fold) for fold in range(FOLDS)]
+        parts = [one.problem.with_entries(one.fit.entries, hidden[fold]) for fold, _, one in ways]
+        ends = descend([(part, part.start(one.fit)) for part, (*_, one) in zip(parts, ways, strict=True)])
+        readings = readings_of([(part, v[None, :]) for part, v in zip(parts, ends, strict=True)])
+        for (fold, k, _), found_there in zip(ways, readings, strict=True):
+            off = (samples.measured - found_there) / samples.sigma
+            for piece in range(fold, PIECES, FOLDS):
+                out[piece, k] = float(np.nansum(off[self._piece == piece] ** 2))
         return out
 
     def pieces(self) -> list[tuple[int, int]]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
+from twin.codegen import LANES
 from twin.discovery.growing.likelihood import Spectrum
-from twin.discovery.growing.unaided import Fit, Problem
+from twin.discovery.growing.unaided import Fit, Problem, readings_of
 from twin.discovery.growing.wardrobe import Wardrobe, unsized
 from twin.discovery.search import Entry
 from twin.elements.base import Candidate
@@ -44,43 +47,47 @@ def scores(wardrobe: Wardrobe, problem: Problem, fit: Fit) -> list[Scored]:
     rms = float(np.sqrt(np.nanmean(fit.residual**2)))
     known = {name for e in fit.entries for name in e.candidate.changes}
     elements = {e.name for e in wardrobe.original.elements} | {n for e in fit.entries for n in e.candidate.adds}
-    found = []
+    candidates = []
     for candidate in wardrobe.candidates:
         stands_on = {name.rsplit(".", 1)[0] for name in candidate.changes} - set(candidate.adds)
-        if known & set(candidate.changes) or not stands_on <= elements:
-            continue
-        scored = _best(candidate, _Answer(problem, fit, candidate), metrics, rms)
-        if scored is not None:
-            found.append(scored)
-    return found
+        if not known & set(candidate.changes) and stands_on <= elements:
+            candidates.append(candidate)
+    answers = _Answers(problem, fit, candidates)
+    sizes = [_sizes(c, size) for c, size in zip(candidates, _asked(candidates, answers, rms), strict=True)]
+    changes = answers([(i, size) for i, some in enumerate(sizes) for size in some])
+    every = (
+        _best(c, some, list(islice(changes, len(some))), metrics) for c, some in zip(candidates, sizes, strict=True)
+    )
+    return [scored for scored in every if scored is not None]
 
 
 def answer_of(problem: Problem, fit: Fit, entry: Entry) -> Array:
     """Change of the readings (n, m) when an effect of the size it has joins a fit."""
-    change: Array = _Answer(problem, fit, entry.candidate)([entry.size])[0]
-    return change
+    return next(_Answers(problem, fit, [entry.candidate])([(0, entry.size)]))
 
 
-class _Answer:
-    """Change of the readings (n, m) when an effect of some size joins a fit."""
+class _Answers:
+    """Changes of the readings (n, m) when effects of some sizes join a fit, one effect at a time."""
 
-    def __init__(self, problem: Problem, fit: Fit, candidate: Candidate) -> None:
-        self._one = problem.with_entries((*fit.entries, unsized(candidate, 1.0)))
-        self._v = self._one.start(fit)
-        self._v[-1] = 0.0
-        self._base = self._one.readings(self._v[None, :])[0]
+    def __init__(self, problem: Problem, fit: Fit, candidates: Sequence[Candidate]) -> None:
+        self._ones = [problem.with_entries((*fit.entries, unsized(c, 1.0))) for c in candidates]
+        self._starts = [one.start(fit) for one in self._ones]
+        self._none = list(self._readings([(i, 0.0) for i in range(len(candidates))]))
 
-    def __call__(self, sizes: list[float]) -> Array:
-        rows = np.tile(self._v, (len(sizes), 1))
-        rows[:, -1] = sizes
-        change: Array = self._one.readings(rows) - self._base
-        return change
+    def __call__(self, asked: Sequence[tuple[int, float]]) -> Iterator[Array]:
+        """Of candidates, by their number, at sizes."""
+        for (i, _), readings in zip(asked, self._readings(asked), strict=True):
+            yield readings - self._none[i]
+
+    def _readings(self, asked: Sequence[tuple[int, float]]) -> Iterator[Array]:
+        rows = [(self._ones[i], np.append(self._starts[i][:-1], size)[None, :]) for i, size in asked]
+        for first in range(0, len(rows), LANES):
+            yield from readings_of(rows[first : first + LANES])
 
 
-def _best(candidate: Candidate, answer: _Answer, metrics: list[_Metric], rms: float) -> Scored | None:
+def _best(candidate: Candidate, sizes: list[float], answers: list[Array], metrics: list[_Metric]) -> Scored | None:
     best: Scored | None = None
-    sizes = _sizes(candidate, answer, rms)
-    for size, s in zip(sizes, answer(sizes), strict=True):
+    for size, s in zip(sizes, answers, strict=True):
         if not np.isfinite(s).all():
             continue
         (share, gain), (other, likely) = (metric.taken(s, size, candidate) for metric in metrics)
@@ -88,22 +95,31 @@ def _best(candidate: Candidate, answer: _Answer, metrics: list[_Metric], rms: fl
             best = Scored(unsized(candidate, share * size), sizes[0], gain, likely)
         elif likely > 0.0 and best is None:
             best = Scored(unsized(candidate, other * size), sizes[0], 0.0, likely)
-    if best is None and candidate.driver == "history" and np.abs(answer([sizes[0]])).max() > 0.0:
+    if best is None and candidate.driver == "history" and np.abs(answers[0]).max() > 0.0:
         # What delays shows nothing to first order where something else delays too much already.
         best = Scored(unsized(candidate, sizes[0]), sizes[0], 0.0, 0.0)
     return best
 
 
-def _sizes(candidate: Candidate, answer: _Answer, rms: float) -> list[float]:
-    """Sizes to ask at: that which does as much as is left to explain, and shares of the largest possible."""
-    size = min(candidate.typical, candidate.upper)
+def _asked(candidates: Sequence[Candidate], answers: _Answers, rms: float) -> list[float]:
+    """Sizes at which each candidate does as much as is left to explain."""
+    found = [min(c.typical, c.upper) for c in candidates]
+    open_ = list(range(len(candidates)))
     for _ in range(ASKED):
-        s = answer([size])[0]
-        off = float(np.sqrt(np.mean(s**2))) if np.isfinite(s).all() else math.inf
-        if 0.3 * rms < off < 2.0 * rms:
+        if not open_:
             break
-        factor = 1e-3 if off == math.inf else rms / max(off, 1e-12)
-        size = min(size * min(max(factor, 1e-3), 1e3), candidate.upper)
+        changes = answers([(i, found[i]) for i in open_])
+        off = [float(np.sqrt(np.mean(s**2))) if np.isfinite(s).all() else math.inf for s in changes]
+        still = [(i, x) for i, x in zip(open_, off, strict=True) if not 0.3 * rms < x < 2.0 * rms]
+        for i, x in still:
+            factor = 1e-3 if x == math.inf else rms / max(x, 1e-12)
+            found[i] = min(found[i] * min(max(factor, 1e-3), 1e3), candidates[i].upper)
+        open_ = [i for i, _ in still]
+    return found
+
+
+def _sizes(candidate: Candidate, size: float) -> list[float]:
+    """Sizes to ask at: that which does as much as is left to explain, and shares of the largest possible."""
     found = [size]
     if candidate.driver in ("history", "rate_of_change"):
         found += [0.3 * size, 3.0 * size]

@@ -7,10 +7,12 @@ sizes are. The prior is wide: nothing was commissioned.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.codegen import LANES
 from twin.discovery.grid import centred
 from twin.discovery.growing.likelihood import Spectrum, cosines, judged
 from twin.discovery.growing.wardrobe import Wardrobe
@@ -22,7 +24,6 @@ STATE_SD_K = 1.0
 """How well the first readings tell the temperatures at which a record begins."""
 REACH, REACH_SIZE = 1.0, 2.0
 """Longest step of a tunable, in standard deviations of its prior, and of an effect, in sizes that it has."""
-ROUNDS = 25
 _STEP = 1.0e-4
 _STATE_STEP = 1.0e-2
 _SIZE_STEP = 1.0e-3
@@ -134,35 +135,39 @@ class Problem:
         v[self.q : self.q + self.k] = 0.0
         return v
 
-    def readings(self, v: Array) -> Array:
-        """Of free runs at v (P, count): (P, n, m)."""
+    def point(self, v: Array) -> tuple[Array, Array]:
+        """Full parameter vectors (P, p) of the wardrobe's network and states (P, k) at v (P, count)."""
         values = np.tile(self.network.values, (len(v), 1))
         values[:, self.scaling.index] = self.scaling.to_values(self.z0 + v[:, : self.q])
         state = self.state0 + v[:, self.q : self.q + self.k]
-        sizes = v[:, self.q + self.k :] * self.scales
-        if self.samples.at_rest:
-            return self.wardrobe.resting.readings(self.samples.inputs, self.model.parameters(values, sizes))
-        found = self.model.run(self.samples.time, self.samples.inputs, state, values, sizes)
-        return np.stack([centred(one) for one in found]) if self.samples.means else found
+        return self.model.parameters(values, v[:, self.q + self.k :] * self.scales), state
+
+    def readings(self, v: Array) -> Array:
+        """Of free runs at v (P, count): (P, n, m)."""
+        return readings_of([(self, v)])
 
     def residual(self, v: Array) -> Array:
         """(n, m), NaN where nothing was measured."""
         off: Array = self.samples.measured - self.readings(v[None, :])[0]
         return off
 
-    def slopes(self, v: Array) -> tuple[Array, Array]:
-        """Residual (n, m) and what each variable adds to the readings (n, m, count)."""
-        sign = np.where(v + self.steps > self.high, -self.steps, self.steps)
-        readings = self.readings(v + np.vstack([np.zeros(v.size), np.diag(sign)]))
-        return self.samples.measured - readings[0], np.moveaxis(
-            (readings[1:] - readings[0]) / sign[:, None, None], 0, 2
-        )
+    def around(self, v: Array) -> Array:
+        """v and a step from it in each variable (1 + count, count)."""
+        return v + np.vstack([np.zeros(v.size), np.diag(self._signed(v))])
 
-    def fit(self, v: Array) -> Fit:
-        """The least squares reached from v."""
+    def sloped(self, v: Array, readings: Array) -> tuple[Array, Array]:
+        """Residual (n, m) and what each variable adds to the readings (n, m, count), from those around v."""
+        differences = (readings[1:] - readings[0]) / self._signed(v)[:, None, None]
+        return self.samples.measured - readings[0], np.moveaxis(differences, 0, 2)
+
+    def _signed(self, v: Array) -> Array:
+        signed: Array = np.where(v + self.steps > self.high, -self.steps, self.steps)
+        return signed
+
+    def fitted(self, v: Array) -> Fit:
+        """What v says, where the squares are least."""
         white = Spectrum.white(self.samples.sigma, len(self.samples.time))
-        v = self.descend(v)
-        residual, slopes = self.slopes(v)
+        residual, slopes = self.sloped(v, self.readings(self.around(v)))
         left = cosines(residual, self.present)
         unlikely, spectrum = judged(left, self.samples.sigma)
         cost = unlikely + float(v @ self.precision @ v)
@@ -191,39 +196,13 @@ class Problem:
         flat: Array = (c / roots).reshape(-1, *c.shape[2:])
         return flat
 
-    def descend(self, v: Array) -> Array:
-        """Damped Gauss-Newton steps on the squares of the free run and the prior."""
-        spectrum = Spectrum.white(self.samples.sigma, len(self.samples.time))
 
-        def total(at: Array) -> float:
-            white = self.whitened(self.residual(at), spectrum)
-            return float(white @ white + at @ self.precision @ at)
-
-        cost, damping = total(v), 1e-3
-        residual, slopes = self.slopes(v)
-        for _ in range(ROUNDS):
-            r, j = self.whitened(residual, spectrum), self.whitened(slopes, spectrum)
-            hessian, pull = j.T @ j + self.precision, j.T @ r - self.precision @ v
-            diagonal = np.diag(hessian)
-            free = ~(((v <= self.low) & (pull < 0.0)) | ((v >= self.high) & (pull > 0.0)))
-            free &= diagonal > 1e-12 * diagonal.max()
-            better = False
-            while damping < 1e8:
-                step = np.zeros_like(v)
-                inner = hessian[np.ix_(free, free)]
-                step[free] = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), pull[free])
-                reach = self.reach.copy()
-                reach[self.q + self.k :] *= np.maximum(np.abs(v[self.q + self.k :]), 1.0)
-                trial = np.clip(v + np.clip(step, -reach, reach), self.low, self.high)
-                new = total(trial)
-                if new < cost:
-                    better = True
-                    break
-                damping *= 10.0
-            if not better:
-                break
-            gained, v, cost, damping = cost - new, trial, new, max(damping / 10.0, 1e-6)
-            if gained < 1e-4 * cost:
-                break
-            residual, slopes = self.slopes(v)
-        return v
+def readings_of(asked: Sequence[tuple[Problem, Array]]) -> Array:
+    """Readings (all P, n, m) of runs of problems of one wardrobe and with the same inputs, each at v (P, count)."""
+    points = [problem.point(v) for problem, v in asked]
+    full, state = (np.concatenate(rows) for rows in zip(*points, strict=True))
+    samples, wardrobe = asked[0][0].samples, asked[0][0].wardrobe
+    if samples.at_rest:
+        return wardrobe.resting.readings(samples.inputs, full)
+    found = wardrobe.kernel.trace(full, state, samples.time, samples.inputs, LANES)[0]
+    return np.stack([centred(one) for one in found]) if samples.means else found
