@@ -25,11 +25,12 @@ KEPT = 4
 """Free runs that are kept."""
 
 
-def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
-    """Whether an answer is far off, hardly better than re-tuning alone: its form, or what it follows, is another."""
+def contradicted(found: Mapping[str, SensorError], network: Network, share: float = FAR_SHARE) -> bool:
+    """Whether an answer is far off, and leaves more than a share of the squares that re-tuning alone does: its form, or
+    what it follows, is another."""
     before, after = (sum((e.means[k] / e.noise) ** 2 for e in found.values()) for k in (1, 2))
     far = any(_far(network, name, e.means[2], e.usual) for name, e in found.items())
-    return far and after > FAR_SHARE * before
+    return far and after > share * before
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from twin.discovery.diagnosis import Rung
 from twin.discovery.equivalence import width
 from twin.discovery.fitting import Fit, look_at
 from twin.discovery.model import Model
-from twin.discovery.part import Part, finalists, fitted, timed, varied
+from twin.discovery.part import Part, ended, finalists, fitted, timed, varied
 from twin.discovery.ranking import MOMENT_S, Finding, Ranked, enough, piled_up, rank, stand, unusual
 from twin.discovery.search import Entry, possible, scan, together
 from twin.discovery.shapes import EARLY_S
@@ -35,6 +35,8 @@ MOST_EFFECTS = 3
 MORE_LEFT, MORE_SHARE = 4.0, 0.1
 """Misfit that the answer may leave in a later record, over what noise alone leaves, or of what there was: its steps
 are harsher than those that the noise was learned from."""
+FORMED = 2.0
+"""Misfit, over what noise leaves, that may be of an effect's own form: of its place, and since the moment it began."""
 EXCHANGES, EXCHANGED = 2, 3
 """Rounds in which effects may give way to others, and how many are tried in the place of each."""
 PAIRED = 8
@@ -111,9 +113,9 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
             say("exchanging effects")
             order = _exchanged(part, trials, order, start)
             winner = order[0].fit
-        finer = timed(part, winner, chosen)
+        finer = [*timed(part, winner, chosen), *ended(part, winner, chosen)]
         if finer:
-            say("trying time constants")
+            say("trying other times")
             order = rank([*((r.fit, r.entries) for r in order), *finer], contest, start)
             winner = order[0].fit
             part.know(e.candidate for e in winner.entries)
@@ -128,6 +130,10 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     while len(climbed) > 1 and (fewer := _pruned(part, climbed, start)) is not None:
         climbed[-2:] = [fewer]
         ladder[-2:] = [_left(part, fewer[0])[1]]
+    formed = len(climbed) > 1 and _of_own_form(climbed[-2][0], climbed[-1][0], contest, SECOND_SHARE * first_gain)
+    if formed:
+        del climbed[-1], ladder[-1]
+        beside = None
     if climbed:
         say("leaving out blocks of time")
     found = Finding(
@@ -152,7 +158,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
             shorter=shorter,
         )  # fmt: skip
     part.reset()
-    return found if shorter is None else replace(shorter, beside=beside)
+    return found if shorter is None else replace(shorter, beside=beside, formed=formed)
 
 
 def _late(part: Part, entries: list[Entry]) -> list[tuple[Fit, tuple[Entry, ...]]]:
@@ -203,6 +209,13 @@ def _pruned(
     order = rank([*((r.fit, r.entries) for r in before), *fitted(part, rest)], part.contest, start)
     found = order[0].fit
     return (found, order) if found.total - best.total < part.threshold**2 else None
+
+
+def _of_own_form(before: Fit, best: Fit, contest: Contest, little: float) -> bool:
+    """Whether the last effect of a fit only mends the form of one before it: it is of the same place and the same
+    moment, wins little, and not much was left to win."""
+    piled = not stand(best, contest) and stand(before, contest)
+    return piled and before.total - best.total < little and before.chi <= FORMED * contest.expected
 
 
 def all_told(found: Fit, contest: Contest) -> bool:

@@ -31,6 +31,8 @@ SIDE_BY_SIDE = 4
 """Fits that run at once, where there are so many cores: kernels do without the interpreter's lock."""
 SLOWER = (1.4, 1.2, 1.1)
 """Factors by which a time constant is tried longer and shorter, one after the other."""
+ENDS = (0.6, 0.8, 0.93)
+"""Shares of a record after which what rises to its end is tried as having ended."""
 MUCH = 4.0
 """Typical sizes at which a fit of what is late begins."""
 WORTH = 4.0
@@ -174,6 +176,26 @@ def timed(part: Part, best: Fit, known: tuple[Entry, ...]) -> list[tuple[Fit, tu
         found += fitted(part, [(*best.entries[:i], other, *best.entries[i + 1 :]) for other in others])
         best = min((best, *(f for f, _ in found)), key=lambda f: f.total)
     return found
+
+
+def ended(part: Part, best: Fit, known: tuple[Entry, ...]) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """A fit with what rises in it to the end, and is not `known`, having ended before, where it leaves more than noise.
+
+    A ramp that stops within a record's last hours is like one that does not but for those hours.
+    """
+    if best.chi <= part.contest.expected:
+        return []
+    before, groups = {e.candidate.id for e in known}, []
+    for i, entry in enumerate(best.entries):
+        shape, span = entry.shape, part.grid.span_s
+        if entry.candidate.id in before or shape.name != "ramp" or shape.free(span):
+            continue
+        for growth_s in (share * span - shape.onset_s for share in ENDS):
+            if growth_s > EARLY_S:
+                stopped = replace(entry, shape=replace(shape, growth_s=growth_s))
+                stopped = replace(stopped, size=entry.size * growth_s / shape.growth_s).refreshed(part.contest)
+                groups.append((*best.entries[:i], stopped, *best.entries[i + 1 :]))
+    return fitted(part, groups)
 
 
 def _slower(part: Part, entry: Entry, factor: float) -> Entry | None:

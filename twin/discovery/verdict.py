@@ -16,7 +16,7 @@ from twin.discovery.equivalence import instead, remaining
 from twin.discovery.experiment import Limits, plan
 from twin.discovery.fitting import Fit
 from twin.discovery.grid import Grid, centred
-from twin.discovery.held_out import contradicted
+from twin.discovery.held_out import FAR_SHARE, contradicted
 from twin.discovery.laws import Law
 from twin.discovery.lint import lint
 from twin.discovery.localise import courses, describe
@@ -47,6 +47,9 @@ CALM = 1.5
 """Times the threshold that something may score that no fit confirms, and the twin still be adequate."""
 REFUTED_SHARE = 0.5
 """Share of the first score from which what is left is of something, though no form of it that was tried foretells."""
+REFUTED_LEFT = 0.04
+"""Of the squares that re-tuning alone leaves where no fit saw the record, the share up to which an answer may be off by
+more than is usual all the same, where there was more of it that no form explains."""
 SURE = 0.8
 """Share of the weight that one kind at one place must have to be named alone."""
 
@@ -82,11 +85,12 @@ def conclude(
     left = finding.retuned.chi if finding.fit is None else finding.fit.chi
     rest = finding.ladder[-1].best_z
     refuted = finding.refuted and rest < REFUTED_SHARE * finding.ladder[0].best_z
-    quiet = finding.beside is None and (refuted or rest < finding.threshold)
+    quiet = finding.beside is None and (refuted or finding.formed or rest < finding.threshold)
     quiet = quiet and not doubted
     good = enough(left, 0.0 if doubted else finding.start / scale, finding.contest, quiet=quiet)
     good = good and (finding.fit is None or stand(finding.fit, finding.contest))
-    good = good and holds(finding.folds) and not contradicted(errors, network)
+    good = good and holds(finding.folds)
+    good = good and not contradicted(errors, network, REFUTED_LEFT if finding.refuted else FAR_SHARE)
     good = good and not (doubted and finding.beside)
     verdict: Verdict
     effects: tuple[Effect, ...] = ()
