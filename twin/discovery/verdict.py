@@ -50,7 +50,7 @@ REFUTED_SHARE = 0.5
 REFUTED_LEFT = 0.04
 """Of the squares that re-tuning alone leaves where no fit saw the record, the share up to which an answer may be off by
 more than is usual all the same, where there was more of it that no form explains."""
-SURE = 0.8
+SURE = 0.85
 """Share of the weight that one kind at one place must have to be named alone."""
 
 
