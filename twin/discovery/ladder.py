@@ -130,7 +130,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     while len(climbed) > 1 and (fewer := _pruned(part, climbed, start)) is not None:
         climbed[-2:] = [fewer]
         ladder[-2:] = [_left(part, fewer[0])[1]]
-    formed = len(climbed) > 1 and _of_own_form(climbed[-2][0], climbed[-1][0], contest, SECOND_SHARE * first_gain)
+    formed = len(climbed) > 1 and of_own_form(climbed[-2][0], climbed[-1][0], contest, SECOND_SHARE * first_gain)
     if formed:
         del climbed[-1], ladder[-1]
         beside = None
@@ -211,7 +211,7 @@ def _pruned(
     return (found, order) if found.total - best.total < part.threshold**2 else None
 
 
-def _of_own_form(before: Fit, best: Fit, contest: Contest, little: float) -> bool:
+def of_own_form(before: Fit, best: Fit, contest: Contest, little: float) -> bool:
     """Whether the last effect of a fit only mends the form of one before it: it is of the same place and the same
     moment, wins little, and not much was left to win."""
     piled = not stand(best, contest) and stand(before, contest)
