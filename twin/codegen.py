@@ -32,6 +32,8 @@ from twin.kernel_functions import ARRIVED, EXP, PIECES
 from twin.network import Network
 
 LANES = 32
+FEW_LANES = 16
+"""Of kernels that try a handful of hypotheses at a time, as a diagnosis does: a block costs as much half empty."""
 MOST_STEPS = 1.0e6
 """Substeps in one sample interval, at most."""
 OUTLINE_LINES = 60

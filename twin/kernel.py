@@ -112,7 +112,8 @@ class Kernel:
         """Readings (P, n, m) at every sample, and full end states (P, size).
 
         Args:
-            lanes: particles that run side by side, 1 or LANES; as suits P by default. Each is compiled by itself.
+            lanes: particles that run side by side, 1, FEW_LANES or LANES; by default 1 or LANES, as suits P. Each is
+                compiled by itself.
         """
         return self.trace_pieces(np.atleast_2d(parameters)[None], state, time, inputs, [0], lanes)
 

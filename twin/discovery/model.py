@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from twin.assembly import System
-from twin.codegen import LANES
+from twin.codegen import FEW_LANES
 from twin.discovery.catalogue import extended
 from twin.discovery.probe import Probe
 from twin.discovery.search import Entry
@@ -168,7 +168,7 @@ class Model:
                 state[new, mass] = state[new, node] if room is None else room
             part = slice(first, last + 1)
             cut = (cuts[leg:then] - first).tolist()
-            found, state = self.kernel.trace_pieces(full[leg:then], state, time[part], inputs[part], cut, LANES)
+            found, state = self.kernel.trace_pieces(full[leg:then], state, time[part], inputs[part], cut, FEW_LANES)
             readings[:, first:last] = found[:, : last - first]
         return readings
 

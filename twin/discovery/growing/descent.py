@@ -11,13 +11,13 @@ from itertools import accumulate
 
 import numpy as np
 
-from twin.codegen import LANES
+from twin.codegen import FEW_LANES
 from twin.discovery.growing.likelihood import Spectrum
 from twin.discovery.growing.unaided import Problem, readings_of
 from twin.network import Array
 
 ROUNDS = 25
-AT_ONCE = LANES
+AT_ONCE = 32
 """Starts that go down side by side; more would only need more memory."""
 MOST_DAMPING, LEAST_DAMPING = 1.0e8, 1.0e-6
 GAINED = 1.0e-4
@@ -38,7 +38,7 @@ def _together(starts: Sequence[tuple[Problem, Array]]) -> list[Array]:
     for way, around in zip(ways, _around([(w, [w.v]) for w in ways]), strict=True):
         way.begin(around[0])
     while going := [w for w in ways if w.rounds < ROUNDS]:
-        count = max(LANES // sum(1 + w.v.size for w in going), 1)
+        count = max(FEW_LANES // sum(1 + w.v.size for w in going), 1)
         trials = [(w, w.trials(count)) for w in going]
         for (way, tried), around in zip(trials, _around(trials), strict=True):
             way.choose(tried, around)

@@ -9,7 +9,7 @@ from itertools import islice
 
 import numpy as np
 
-from twin.codegen import LANES
+from twin.codegen import FEW_LANES
 from twin.discovery.growing.likelihood import Spectrum
 from twin.discovery.growing.unaided import Fit, Problem, readings_of
 from twin.discovery.growing.wardrobe import Wardrobe, unsized
@@ -81,8 +81,8 @@ class _Answers:
 
     def _readings(self, asked: Sequence[tuple[int, float]]) -> Iterator[Array]:
         rows = [(self._ones[i], np.append(self._starts[i][:-1], size)[None, :]) for i, size in asked]
-        for first in range(0, len(rows), LANES):
-            yield from readings_of(rows[first : first + LANES])
+        for first in range(0, len(rows), FEW_LANES):
+            yield from readings_of(rows[first : first + FEW_LANES])
 
 
 def _best(candidate: Candidate, sizes: list[float], answers: list[Array], metrics: list[_Metric]) -> Scored | None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.codegen import LANES
+from twin.codegen import FEW_LANES
 from twin.discovery.grid import centred
 from twin.discovery.growing.likelihood import Spectrum, cosines, judged
 from twin.discovery.growing.wardrobe import Wardrobe
@@ -204,5 +204,5 @@ def readings_of(asked: Sequence[tuple[Problem, Array]]) -> Array:
     samples, wardrobe = asked[0][0].samples, asked[0][0].wardrobe
     if samples.at_rest:
         return wardrobe.resting.readings(samples.inputs, full)
-    found = wardrobe.kernel.trace(full, state, samples.time, samples.inputs, LANES)[0]
+    found = wardrobe.kernel.trace(full, state, samples.time, samples.inputs, FEW_LANES)[0]
     return np.stack([centred(one) for one in found]) if samples.means else found
