@@ -20,6 +20,7 @@ from twin.discovery.part import Part
 from twin.discovery.ranking import Finding, rank
 from twin.discovery.search import Entry
 from twin.discovery.validation import validate
+from twin.gauss_newton import SE90
 from twin.network import Network
 
 AS_GOOD = 1.1
@@ -56,10 +57,13 @@ def weak(finding: Finding) -> bool:
 
 
 def unconfirmed(finding: Finding, errors: Mapping[str, SensorError]) -> bool:
-    """Whether weak effects foretell neither the blocks that were left out nor the part that no fit saw."""
+    """Whether weak effects foretell neither the blocks that were left out nor the part that no fit saw, or are not told
+    from nothing by a twin that does not know what its structure leaves."""
     if not weak(finding):
         return False
     assert finding.fit is not None
+    if any(abs(e.size) < SE90 * e.sd for e in finding.fit.entries):
+        return True
     gain = finding.start - finding.fit.total
     left_out = sum(f.gain for f in finding.folds)
     late = sum((e.before**2 - e.after**2) / e.noise**2 for e in errors.values())

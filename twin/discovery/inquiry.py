@@ -15,7 +15,7 @@ from twin.discovery.diagnosis import SensorError
 from twin.discovery.fitting import Fit, fit
 from twin.discovery.grid import Grid
 from twin.discovery.held_out import HeldOut, contradicted
-from twin.discovery.ladder import SECOND_SHARE, all_told, search
+from twin.discovery.ladder import EXACT_SHARE, SECOND_SHARE, all_told, search
 from twin.discovery.model import Model
 from twin.discovery.part import Part, fitted, plainly
 from twin.discovery.ranking import Finding, enough, stand
@@ -164,9 +164,9 @@ class Inquiry:
 
         What was too little to be told from an error of form may be why an answer does not predict: then it is let in.
         """
-        finding = search(train, self.say, 0.0 if doubted else SECOND_SHARE)
+        finding = search(train, self.say, EXACT_SHARE if doubted else SECOND_SHARE)
         if not doubted and finding.beside is not None and not _good(finding):
-            further = search(train, self.say, 0.0)
+            further = search(train, self.say, EXACT_SHARE)
             if _good(further) and further.beside is None:
                 finding, doubted = further, True
         return Answer(self._foretelling(_as_used(finding, train), train, split), train, split, doubted)
