@@ -116,7 +116,8 @@ class Inquiry:
                 notes.append(f"it showed nothing yet; so the fit was given {self._hours(most)}")
                 found = self._searched(self._train(most), most, found.doubted)
         found = self._with_lesser(found)
-        beside = _beside(self.whole, found.finding) if _near(found.finding) else None
+        near = _near(found.finding) and not found.finding.formed
+        beside = _beside(self.whole, found.finding) if near else None
         more = beside is not None and beside.z > found.finding.ladder[-1].best_z
         if beside is not None and more and (later := max(most, self._amid(beside))) > found.split:
             fuller = self._with_lesser(self._searched(self._train(later), later, found.doubted))

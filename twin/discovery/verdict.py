@@ -17,6 +17,7 @@ from twin.discovery.experiment import Limits, plan
 from twin.discovery.fitting import Fit
 from twin.discovery.grid import Grid, centred
 from twin.discovery.held_out import FAR_SHARE, contradicted
+from twin.discovery.ladder import EXACT_SHARE
 from twin.discovery.laws import Law
 from twin.discovery.lint import lint
 from twin.discovery.localise import courses, describe
@@ -91,7 +92,7 @@ def conclude(
     good = good and (finding.fit is None or stand(finding.fit, finding.contest))
     good = good and holds(finding.folds)
     good = good and not contradicted(errors, network, REFUTED_LEFT if finding.refuted else FAR_SHARE)
-    good = good and not (doubted and finding.beside)
+    good = good and not (doubted and finding.beside is not None and not _slight(finding.beside, finding))
     verdict: Verdict
     effects: tuple[Effect, ...] = ()
     others: tuple[Alternative, ...] = ()
@@ -186,6 +187,12 @@ def conclude(
         threshold=finding.threshold,
         empirical=empirical,
     )
+
+
+def _slight(beside: Entry, finding: Finding) -> bool:
+    """Whether what scores beside the effects wins too little next to them to be told from an error of form."""
+    assert finding.fit is not None
+    return beside.gain < EXACT_SHARE * (finding.start - finding.fit.total)
 
 
 def _stale(known: Basis, grid: Grid) -> Run:
