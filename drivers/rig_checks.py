@@ -68,6 +68,13 @@ def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
             named = getattr(rig.heartbeat, key)
             if named is not None and named not in names:
                 found.append((("heartbeat", key), f"heartbeat: no point {named!r}; declare it or correct {key}"))
+            elif key in ("point", "arm") and rig.get(named).access == "r":
+                found.append(
+                    (
+                        ("heartbeat", key),
+                        f"heartbeat: {named} is written to as {key}; give it access 'rw' or name another",
+                    )
+                )
     return found + _watchdog_checks(rig) + _interlock_checks(rig)
 
 

@@ -56,7 +56,9 @@ _REMEDY = {
 
 
 def sentence(path: Path, text: str, item: Any) -> str:
-    place = tuple(part for part in item["loc"] if part not in _TAGS)
+    place = tuple(item["loc"])
+    if len(place) > 2 and place[0] in ("bus", "interlock") and place[2] in _TAGS:
+        place = (*place[:2], *place[3:])
     what = _REMEDY.get(item["type"], item["msg"].removeprefix("Value error, "))
     if item["type"] == "literal_error":
         what = f"{item['input']!r} is not known; use {item['ctx']['expected']}"

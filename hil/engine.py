@@ -57,17 +57,23 @@ class Status:
 class Outcome:
     """How a run ended. `ticks` counts from the run's beginning, gaps included; `soaked_s` is how long the rig was led
     back after one, `restarts` how often its program was seen to begin anew. `safe` is whether the safe values were read
-    back from the rig."""
+    back from the rig, `away` which measured value did not get there."""
 
     status: Literal["done", "aborted", "faulted"]
     reason: str
     ticks: int = 0
     overruns: int = 0
     safe: bool = False
+    away: str = ""
     problems: list[str] = field(default_factory=list)
     trips: tuple[str, ...] = ()
     soaked_s: float = 0.0
     restarts: int = 0
+
+    @property
+    def in_order(self) -> bool:
+        """Whether the profile was run to its end and the rig left safe."""
+        return self.status == "done" and self.safe and not self.away
 
 
 class Engine:
@@ -343,6 +349,7 @@ class Engine:
         elif not result.followed:
             self._told.event("WARN", f"safe values are held by the rig ({listed}), but {result.problem}")
             outcome.problems.append(result.problem)
+            outcome.away = result.problem
         else:
             self._told.event("INFO", f"safe: {listed}; read back, and the measured values have followed")
         return result.written

@@ -238,7 +238,7 @@ class _Worker:
 
 
 def _serve(connection: Connection, config: LiveConfig) -> None:
-    for number in (signal.SIGINT, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)  # these belong to the engine, which ends this process in order
     with contextlib.suppress(OSError):
         os.nice(_LOWEST_PRIORITY)

@@ -62,6 +62,7 @@ def ended(
         "exit_status": outcome.status,
         "reason": outcome.reason,
         "safe": outcome.safe,
+        "away": outcome.away,
         "trips": outcome.trips,
         "ticks": outcome.ticks,
         "rig_restarts": outcome.restarts + manifest.get("rig_restarts", 0),

@@ -16,7 +16,7 @@ from hil.atomic import replacing
 from hil.journal import JournalReader
 from hil.journal_rows import Samples
 from hil.run_folder import RunFolder
-from hil.tracking import Proposed, parameter_cell
+from hil.tracking import Proposed, parameter_cell, window_kind
 
 COLOURS = {"measured": "#30343a", "static": "#e07b1f"}
 _TRACKED = ("#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b")
@@ -80,7 +80,8 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
 
 def _summary(manifest: dict[str, Any]) -> str:
     reason = f": {html.escape(manifest['reason'])}" if manifest["reason"] else ""
-    safe = "The heater was left at its safe value, read back." if manifest.get("safe") else "NOT confirmed safe."
+    is_safe = manifest.get("safe") and not manifest.get("away")
+    safe = "The heater was left at its safe value, read back." if is_safe else "NOT confirmed safe."
     problems = "".join(f"<p class=WARN>{html.escape(problem)}</p>" for problem in manifest.get("problems", []))
     return f"<p><b>{manifest['exit_status']}</b>{reason}. {safe}</p>{problems}"
 
@@ -237,7 +238,7 @@ def _embedded(figure: Any) -> str:
 def _calibrations(reader: JournalReader) -> str:
     kinds: dict[str, dict[str, int]] = {}
     for row in reader.calibrations():
-        kind = str(row.document.get("kind", "window"))
+        kind = window_kind(row.document)
         counts = kinds.setdefault(row.calibrator, {})
         counts[kind] = counts.get(kind, 0) + 1
         counts["flagged calibrated"] = counts.get("flagged calibrated", 0) + bool(row.document.get("calibrated"))

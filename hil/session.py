@@ -23,6 +23,7 @@ from hil.record import export_record, read_record
 from hil.recording import Publisher
 from hil.restoring import restore
 from hil.resuming import standing
+from hil.rig_lock import RigClaim, claimed
 from hil.rig_time import rig_and_clock
 from hil.run_folder import RunFolder, create_run_folder, new_manifest, require_room
 from hil.run_request import Prepared, RunRequest, prepare, tracking_config
@@ -56,12 +57,16 @@ async def run_session(
     observer: Callable[[Status], None] | None = None,
     announce: Callable[[str], None] = lambda text: None,
 ) -> RunResult:
-    """Run `request` to its end and derive everything in its folder; raises what `prepare` and `Twins` raise."""
+    """Run `request` to its end and derive everything in its folder.
+
+    Raises what `prepare` and `Twins` raise, and RigBusyError where another run drives the rig.
+    """
     ready = prepare(request)
     for note in ready.notes:
         announce(note)
     async with contextlib.AsyncExitStack() as stack:
-        # Before anything is made or moved: a calibrator that cannot be had is refused here.
+        # Before anything is made or moved: a rig or a calibrator that cannot be had is refused here.
+        claim = stack.enter_context(claimed(_shared_rig(request, ready), announce))
         tracking = await _start_tracking(request, ready)
         if tracking is not None:
             stack.push_async_callback(tracking.close)
@@ -69,11 +74,12 @@ async def run_session(
                 announce(f"{name} is left out: {why}")
         folder = create_run_folder(request.runs, request.profile.stem, _ticks(ready))
         stack.enter_context(folder.owned())
+        claim.tell(folder.path)
         manifest = new_manifest(files_of(request, ready), **settings_of(request, tracking))
         folder.write_manifest(manifest)
         if ready.twin is not None:
             folder.keep_twin([entry.path for entry in chain(ready.twin)])
-        return await _guarded(_Run(folder, manifest, request, ready, tracking, observer, announce))
+        return await _guarded(_Run(folder, manifest, request, ready, claim, tracking, observer, announce))
 
 
 async def resume_session(
@@ -92,6 +98,8 @@ async def resume_session(
         manifest = folder.read_manifest()
         request = request_of(manifest)
         ready = prepare(request)
+        claim = stack.enter_context(claimed(_shared_rig(request, ready), announce))
+        claim.tell(folder.path)
         was = standing(folder)
         require_room(folder, _ticks(ready))
         folder.control.unlink(missing_ok=True)
@@ -105,7 +113,12 @@ async def resume_session(
         resumption = Resumption(was, rule, reason, request.speed if request.mode == "scaled" else 1.0)
         manifest |= {"exit_status": "running", "reason": "", "ended": None}
         folder.write_manifest(manifest)
-        return await _guarded(_Run(folder, manifest, request, ready, tracking, observer, announce, resumption))
+        return await _guarded(_Run(folder, manifest, request, ready, claim, tracking, observer, announce, resumption))
+
+
+def _shared_rig(request: RunRequest, ready: Prepared) -> Rig | None:
+    """The rig that others could drive, too; None for one that the run starts itself."""
+    return None if request.virtual else ready.rig
 
 
 def _ticks(ready: Prepared) -> int:
@@ -130,6 +143,7 @@ class _Run:
     manifest: dict[str, Any]
     request: RunRequest
     ready: Prepared
+    claim: RigClaim
     tracking: Tracking | None
     observer: Callable[[Status], None] | None
     announce: Callable[[str], None]
@@ -194,6 +208,7 @@ async def _run_in(run: _Run) -> RunResult:
         async with serving(folder.control, engine, announce):
             with stopping(engine):
                 outcome = await engine.run()
+        run.claim.release()  # what follows needs no rig
         comparison = await tracking.finish() if tracking is not None else None
         outcome.problems.extend(tracking.failures if tracking is not None else ())
         wall_s = loop.time() - began

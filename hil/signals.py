@@ -13,13 +13,14 @@ from hil.engine import Engine
 _REASONS = {
     signal.SIGINT: "stopped by the operator (Ctrl-C)",
     signal.SIGTERM: "stopped by SIGTERM",
+    signal.SIGQUIT: "stopped by the operator (SIGQUIT)",
     signal.SIGHUP: "stopped because the terminal went away (SIGHUP)",
 }
 
 
 @contextlib.contextmanager
 def stopping(engine: Engine) -> Iterator[None]:
-    """Ctrl-C, SIGTERM and a lost terminal ask the engine to stop; a second one shortens its waits."""
+    """Ctrl-C, Ctrl-backslash, SIGTERM and a lost terminal ask the engine to stop; a second one shortens its waits."""
     with _handled({number: partial(engine.request_stop, reason) for number, reason in _REASONS.items()}):
         yield
 

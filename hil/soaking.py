@@ -2,8 +2,9 @@
 
 At safe values a rig only cools, so waiting there never ends; held at the load of the cut, it creeps towards the steady
 state of that load, which after a step is not where it was. So heater and fan lead it: a rig that is colder than it was
-gets more heat and less cooling than the profile asks for, a hotter one less and more, in proportion, and never more of
-either than the profile itself asks for somewhere. All else stands as the profile had it. See decision 0012.
+gets more heat and less cooling than the profile asks for, a hotter one less and more, by how far it is and for how long
+it has been so, and never more of either than the profile itself asks for somewhere. All else stands as the profile had
+it. See decision 0012.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ SETTLE_S = 60.0
 """So long all temperatures must stay within the band."""
 FULL_AT_BANDS = 2.0
 """Mean distance, in bands, from which on heater and fan lead with all they have."""
+PATIENCE_S = 600.0
+"""Time in which a mean distance that stays moves heater and fan by as much again as it does at once."""
 STEPS = 100
 """Parts of its range in which a set-point leads, so that noise does not move it on every tick."""
 _WARMS: dict[str | None, int] = {"heater_power": 1, "fan_speed": -1}
@@ -70,22 +73,33 @@ class Soak:
         self._inside_since: float | None = None
         self._now = math.nan
         self._off: dict[str, float] = {}
+        self._stayed = 0.0
 
     def look(self, snapshot: Snapshot, now_s: float, *, stands: bool = False) -> None:
         """Take in one tick, rig time in s. While an operator has stopped the soak its clock `stands`."""
         if not stands and math.isfinite(self._now):
             self.elapsed_s += now_s - self._now
-        self._now = now_s
+        before, self._now = self._now, now_s
         self._off = {
             name: snapshot.values[i] - self._aim[name]
             for name, i in self._index.items()
             if snapshot.quality[i] == Quality.GOOD
         }
+        if not stands and math.isfinite(passed := now_s - before):
+            # What has come to the other side has no past.
+            stayed = self._stayed if self._stayed * self._lead > 0.0 else 0.0
+            self._stayed = min(max(stayed + self._lead * passed / PATIENCE_S, -1.0), 1.0)
         inside = len(self._off) == len(self._index) and all(abs(k) <= self.rule.band_K for k in self._off.values())
         if not inside or stands:
             self._inside_since = None
         elif self._inside_since is None:
             self._inside_since = now_s
+
+    @property
+    def _lead(self) -> float:
+        """How far off the rig is on the mean, as a share of what asks for all of heater and fan; positive if cold."""
+        mean = sum(self._off.values()) / len(self._off) if self._off else 0.0
+        return min(max(-mean / (FULL_AT_BANDS * self.rule.band_K), -1.0), 1.0)
 
     @property
     def reached(self) -> bool:
@@ -118,8 +132,7 @@ class Soak:
 
     def targets(self) -> dict[str, float]:
         """Where the set-points should be now."""
-        mean = sum(self._off.values()) / len(self._off) if self._off else 0.0
-        lead = min(max(-mean / (FULL_AT_BANDS * self.rule.band_K), -1.0), 1.0)
+        lead = min(max(self._lead + self._stayed, -1.0), 1.0)
         found = dict(self._load)
         for name, low, high, warms in self._leads:
             step = (high - low) / STEPS
@@ -129,4 +142,6 @@ class Soak:
 
 
 def _role(rig: Rig, setpoint: Point) -> str | None:
-    return setpoint.role or (rig.get(setpoint.readback).role if setpoint.readback is not None else None)
+    """What a set-point is; without a role of its own or of its read-back, what is set in W is a heater."""
+    role = setpoint.role or (rig.get(setpoint.readback).role if setpoint.readback is not None else None)
+    return "heater_power" if role is None and setpoint.unit == "W" else role

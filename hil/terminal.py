@@ -94,12 +94,14 @@ def parameter_table(comparison: Comparison) -> Table:
 
 
 def show_comparison(to: Console, comparison: Comparison, title: str) -> None:
-    """The twins side by side: errors, bands, parameters."""
+    """The twins side by side: errors, bands, parameters, and which are no better than the static one."""
     to.print(error_table(comparison.errors, title))
     if comparison.bands:
         to.print(band_table(comparison))
     if comparison.parameters:
         to.print(parameter_table(comparison))
+    for sentence in comparison.outdone.values():
+        to.print(sentence, markup=False, soft_wrap=True)
 
 
 class Steps:
@@ -214,7 +216,7 @@ class LiveRun:
             + (f": {outcome.reason}" if outcome.reason else ""),
             highlight=False,
         )
-        if outcome.ticks and not outcome.safe:
+        if outcome.ticks and (outcome.away or not outcome.safe):
             out.print("The rig was NOT confirmed safe: look at it now.", style="bold red")
         for problem in outcome.problems:
             out.print(f"  {problem}", markup=False)

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 DEFAULT = ("pso", "least_squares", "hiera_unet")
 """Calibrators that run where none is named; the network is left out where there is none for the twin."""
 STATIC = "static"
+OUTDONE = "no better than static"
+"""What a window is called in place of calibrated where the static twin outdoes the calibrator's; see `Misses`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,7 @@ class TrackingConfig:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """A calibrator's finished window; `document` as of `calibration_document`."""
+    """A calibrator's finished window; `document` as of `calibration_document`, and whether it is `outdone`."""
 
     calibrator: str
     start_s: float
@@ -82,6 +84,41 @@ class ErrorTable:
     noise_K: dict[str, float] = field(default_factory=dict)
 
 
+@dataclass(slots=True)
+class Misses:
+    """What the static twin and a calibrator's missed in its windows so far, in units of the noise.
+
+    Each number is the root mean square of measured minus predicted over a window's readings, each sensor in units of
+    its own noise; both twins predict. A calibrator is outdone in a window where the square of its number exceeds that
+    of the static twin by more than 1, which is the noise, and by more than that square itself, so that a few per cent
+    do not count where both are wrong or the noise is given too small. It is outdone as a whole where that holds of all
+    windows together. A disturbance that came and went does not discredit it: it surprises both twins at first, and
+    misleads the calibrator's for about as much again when it goes.
+    """
+
+    windows: list[tuple[float, float]] = field(default_factory=list)
+
+    def add(self, static: float, tracked: float) -> bool:
+        """One more window; whether the calibrator is outdone in it and as a whole."""
+        self.windows.append((static, tracked))
+        return self.outdone and _worse(static, tracked)
+
+    @property
+    def whole(self) -> tuple[float, float]:
+        """Both numbers of all windows together."""
+        static, tracked = np.sqrt(np.mean(np.square(self.windows), axis=0)).tolist()
+        return static, tracked
+
+    @property
+    def outdone(self) -> bool:
+        """Whether the calibrator is outdone as a whole."""
+        return bool(self.windows) and _worse(*self.whole)
+
+
+def _worse(static: float, tracked: float) -> bool:
+    return tracked**2 > static**2 + max(static**2, 1.0)
+
+
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """The twins at the end, side by side.
@@ -90,17 +127,20 @@ class Comparison:
         bands: twin -> sensor -> mean half width, K, of the bands that promised 90 %, and the share that they held.
         parameters: twin -> parameter -> value, half width of its 90 % interval (None without one), and whether
             it is held because the record does not tell it.
+        outdone: calibrator -> a sentence, where the twin as commissioned foretells better; see `Misses`.
     """
 
     errors: ErrorTable
     bands: dict[str, dict[str, tuple[float, float]]] = field(default_factory=dict)
     parameters: dict[str, dict[str, tuple[float, float | None, bool]]] = field(default_factory=dict)
+    outdone: dict[str, str] = field(default_factory=dict)
 
     def beside(self, other: Comparison) -> Comparison:
         """Both in one."""
         rows = {sensor: cells + other.errors.rows[sensor] for sensor, cells in self.errors.rows.items()}
         errors = ErrorTable(self.errors.columns + other.errors.columns, rows, self.errors.noise_K)
-        return Comparison(errors, self.bands | other.bands, self.parameters | other.parameters)
+        parameters, outdone = self.parameters | other.parameters, self.outdone | other.outdone
+        return Comparison(errors, self.bands | other.bands, parameters, outdone)
 
 
 class Twins:
@@ -131,6 +171,7 @@ class Twins:
                 if name not in config.optional:
                     raise
                 self.left_out[name] = str(error)
+        self._misses = {name: Misses() for name in self._trackers}
         self._bands = Bands(self.network.sensor_names)
 
     @property
@@ -150,7 +191,10 @@ class Twins:
                 outputs.setdefault(STATIC, update.static)
             outputs[name] = update.tracked
             proposals += [Proposed(name, p["time_s"], p) for p in update.proposals]
-            calibrations += [Finished(name, c.start_s, c.end_s, calibration_document(c)) for c in update.calibrations]
+            for c, missed in zip(update.calibrations, update.misses, strict=True):
+                outdone = c.kind != "skipped" and self._misses[name].add(*missed)
+                document = calibration_document(c) | {"outdone": outdone}
+                calibrations.append(Finished(name, c.start_s, c.end_s, document))
         self._last |= {done.calibrator: done.document for done in calibrations if done.document["kind"] != "skipped"}
         bands = self._bands.push(time_s, measured, outputs)
         return Block(outputs, tuple(calibrations), tuple(proposals), bands, self._off(measured, outputs))
@@ -208,7 +252,42 @@ class Twins:
                 name: (self.network.parameters[name].value, None, False) for name in ids
             }
             parameters = {STATIC: as_commissioned, **parameters}
-        return Comparison(errors, self._bands.table(), parameters)
+        outdone = {name: self._outdone_words(name) for name, misses in self._misses.items() if misses.outdone}
+        return Comparison(errors, self._bands.table(), parameters, outdone)
+
+    def tuning(self) -> list[str]:
+        """Which parameters are tuned on windows of what length, one sentence for all calibrators that agree."""
+        alike: dict[tuple[str, ...], list[str]] = {}
+        for name, tracker in self._trackers.items():
+            alike.setdefault(tracker.calibrator.ids, []).append(name)
+        every = f"windows of {self.network.rules.window_s:g} s"
+        return [
+            f"tuned by {', '.join(names)}: {_counted('parameter', ids)} ({self._tuned(ids)[0]}) on {every}"
+            for ids, names in alike.items()
+        ]
+
+    def _outdone_words(self, name: str) -> str:
+        ids, misses = self._trackers[name].calibrator.ids, self._misses[name]
+        static, tracked = misses.whole
+        tuned, fewer = self._tuned(ids)
+        windows, parameters = _counted("window", misses.windows), _counted("parameter", ids)
+        return (
+            f"as commissioned the twin foretells better than {name}: over the same {windows} it misses {static:.1f} "
+            f"times the noise, {name} {tracked:.1f} times, probably since windows of {self.network.rules.window_s:g} s "
+            f"tell too little of the {parameters} that {name} tunes ({tuned}), so what it says of unknown heat there "
+            f"is left out; {fewer}, or set window_s under [windows] of the twin file to more"
+        )
+
+    def _tuned(self, ids: tuple[str, ...]) -> tuple[str, str]:
+        """What the tuned parameters are called, and how to tune fewer of them."""
+        from twin.calibrators import usual
+
+        chosen = usual(self.network)
+        names = [*([chosen] if isinstance(chosen, str) else []), *self.network.sets]
+        for name in names:
+            if self.network.sets[name].members == ids:
+                return f"[sets.{name}] of the twin file", f"take some out of [sets.{name}]"
+        return "all of status tunable", "give some another status than tunable"
 
 
 def parameter_cell(cell: Sequence[Any] | None) -> str:
@@ -259,7 +338,12 @@ def calibration_document(calibration: Calibration) -> dict[str, Any]:
 
 
 def disturbance(document: dict[str, Any]) -> str | None:
-    """What a calibration says of an unknown power in one of the rig's volumes, as a sentence, or None."""
+    """What a calibration says of an unknown power in one of the rig's volumes, as a sentence, or None.
+
+    Also None where it is outdone: what such a twin misses is of its own making, not of the rig's.
+    """
+    if document.get("outdone"):
+        return None
     where, power, interval = (document.get(f"disturbed{end}") for end in ("", "_W", "_interval90_W"))
     if where is None or power is None:
         return None
@@ -276,6 +360,16 @@ def _watts(power: float) -> str:
     return f"{power:.0f}" if abs(power) >= 9.5 else f"{power:.2g}"
 
 
+def window_kind(document: dict[str, Any]) -> str:
+    """What a finished window is called in a table."""
+    kind = str(document.get("kind", "window"))
+    return OUTDONE if kind == "calibrated" and document.get("outdone") else kind
+
+
+def _counted(noun: str, items: Sequence[Any]) -> str:
+    return f"{len(items)} {noun}" if len(items) == 1 else f"{len(items)} {noun}s"
+
+
 def window_words(kinds: Collection[str], rules: WindowRules) -> str:
     """What the kinds of windows of a table mean, in one line; see `twin.calibrators.windows`."""
     from twin.calibrators.windows import LEAST_ROWS, LEAST_SPAN
@@ -285,6 +379,7 @@ def window_words(kinds: Collection[str], rules: WindowRules) -> str:
         "calibrated": f"the twin ahead was {near} at its start or over the whole of it",
         "stall": f"the twin ahead was {near} neither at its start nor over the whole of it",
         "recovery": f"the twin ahead was more than {rules.large_K:g} K off at its start",
+        OUTDONE: f"the twin ahead was {near} like a calibrated one, but the static twin foretold it clearly better",
         "skipped": f"fewer than {LEAST_ROWS} samples are there, or they span less than {LEAST_SPAN:.0%} of it",
     }
     return "a window is called " + "; ".join(f"{kind} where {what}" for kind, what in means.items() if kind in kinds)

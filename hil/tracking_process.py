@@ -52,7 +52,7 @@ class _Reply:
 
 
 def _serve(connection: Connection, config: TrackingConfig) -> None:
-    for number in (signal.SIGINT, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)  # these belong to the engine, which ends this process in order
     try:
         twins = Twins(config)

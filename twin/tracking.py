@@ -14,14 +14,14 @@ depends on how the stream is cut into blocks.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.calibrators import Calibration, Calibrator, make
-from twin.calibrators.base import Follower, Proposer, Restarter, Window, from_plain, plain
+from twin.calibrators.base import Follower, Proposer, Restarter, Window, from_plain, misfit, plain
 from twin.calibrators.locate import Localiser
 from twin.calibrators.outcome import skip
 from twin.calibrators.windows import assemble, last_of_window, window_index
@@ -38,6 +38,8 @@ class Update:
     Attributes:
         static, tracked: (n, m) degC, for exactly the pushed samples, in the network's sensor order.
         calibrations: of the windows completed inside the block, in order.
+        misses: root mean square of what the static and the tracked twin missed in each of these windows, over all
+            sensors and in units of their noise; both predictions, NaN in a skipped window.
         skipped: samples whose stamp does not advance (or is not finite): predicted with the state as it
             was, left out of every fit.
         filtered, spread: (n, m) degC and K, what a calibrator that follows every sample makes of it once it has
@@ -53,6 +55,7 @@ class Update:
     filtered: Array | None = None
     spread: Array | None = None
     proposals: tuple[dict[str, Any], ...] = ()
+    misses: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass
@@ -63,6 +66,7 @@ class _Buffer:
     inputs: list[Array] = field(default_factory=list)
     measured: list[Array] = field(default_factory=list)
     live: list[Array] = field(default_factory=list)
+    static: list[Array] = field(default_factory=list)
     state: Array | None = None
 
 
@@ -101,6 +105,7 @@ class TwinTracker:
         self._number = 0
         self._cycles = 0
         self._buffer = _Buffer()
+        self._misses: list[tuple[float, float]] = []
         # rows: squared errors and counts of static, tracked, fitted
         self._sums = np.zeros((6, m))
         self._reads = [(j, network.nodes.index(s.node)) for j, s in enumerate(network.sensors)]
@@ -136,6 +141,7 @@ class TwinTracker:
         follows = isinstance(self.calibrator, Follower)
         out = np.full((4 if follows else 2, rows.size, m), np.nan)
         calibrations: list[Calibration] = []
+        self._misses.clear()
         at = 0
         before = self._readings() if rows.size < n and self._origin is not None else None
         ahead = (t, u, y) if rows.size == n else (t[rows], u[rows], y[rows])
@@ -149,7 +155,8 @@ class TwinTracker:
             out = self._repeat(out, rows, n, before, y)
         proposals = self.calibrator.take() if isinstance(self.calibrator, Proposer) else ()
         filtered, spread = (out[2], out[3]) if follows else (None, None)
-        return Update(out[0], out[1], tuple(calibrations), n - rows.size, filtered, spread, proposals)
+        misses = tuple(self._misses)
+        return Update(out[0], out[1], tuple(calibrations), n - rows.size, filtered, spread, proposals, misses)
 
     def table(self) -> dict[str, dict[str, float]]:
         """Sensor -> K: ``static`` and ``tracked`` RMSE (both predictions), ``fitted`` (same window), ``noise``.
@@ -219,6 +226,7 @@ class TwinTracker:
         buffer.inputs.append(u[:take].copy())
         buffer.measured.append(y[:take].copy())
         buffer.live.append(out[1, :take].copy())
+        buffer.static.append(out[0, :take].copy())
         if isinstance(self.calibrator, Follower):
             seen = self.calibrator.follow(t[:take], u[:take], y[:take], buffer.state)
             out[2, :take], out[3, :take] = seen.filtered, seen.spread
@@ -275,11 +283,15 @@ class TwinTracker:
         if self._buffer.state is None:
             return
         window = self._so_far()
+        unmoved = replace(window, live=np.concatenate(self._buffer.static))
         self._buffer = _Buffer()
         self._number += 1
         if window.kind == "skipped":
+            self._misses.append((np.nan, np.nan))
             done = skip(self.network, window, self.calibrator.ids, self._tracked.copy())
         else:
+            sigma = self.network.sigma
+            self._misses.append((misfit(unmoved, sigma), misfit(window, sigma)))
             place = self._localiser.locate(window)
             done = place.enter(self.calibrator.calibrate(window))
             self._count(2, done.fitted - window.measured)
@@ -361,4 +373,4 @@ class TwinTracker:
 
 
 _ARRAYS = ("parameters", "last_good", "inputs", "static", "tracked", "seen", "sums")
-_BUFFERED = ("time", "inputs", "measured", "live")
+_BUFFERED = ("time", "inputs", "measured", "live", "static")

@@ -78,5 +78,5 @@ def command(
         click.echo(json.dumps(as_json_document(result), indent=1))
     else:
         live.show_result(result)
-    if result.outcome.status != "done" or not result.outcome.safe:
+    if not result.outcome.in_order:
         sys.exit(1)

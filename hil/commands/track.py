@@ -56,7 +56,7 @@ def command(
     from hil.record import read_record, require_record_suffix
     from hil.run_request import check_calibrators
     from hil.terminal import Steps, console, show_comparison
-    from hil.tracking import DEFAULT, TrackingConfig, Twins, disturbance, too_coarse, window_words
+    from hil.tracking import DEFAULT, TrackingConfig, Twins, disturbance, too_coarse, window_kind, window_words
 
     if out is not None:
         require_record_suffix(out)
@@ -79,7 +79,7 @@ def command(
             for name, values in block.outputs.items():
                 outputs.setdefault(name, []).append(values)
             for window in block.calibrations:
-                kind = window.document["kind"]
+                kind = window_kind(window.document)
                 windows[window.calibrator][kind] = windows[window.calibrator].get(kind, 0) + 1
                 if (found := disturbance(window.document)) is not None:
                     disturbed.append(
@@ -99,6 +99,8 @@ def command(
             "bands": comparison.bands,
             "parameters": comparison.parameters,
             "left_out": twins.left_out,
+            "tuned": twins.tuning(),
+            "outdone": comparison.outdone,
             "windows": windows,
             "disturbed": disturbed,
             "proposals": [p.document for p in proposals],
@@ -109,6 +111,8 @@ def command(
         return
     to = console()
     show_comparison(to, comparison, f"RMSE in K over {data.time_s[-1] / 3600:.1f} h of {record}")
+    for line in twins.tuning():
+        to.print(line, markup=False, soft_wrap=True)
     for name, counts in windows.items():
         listed = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none complete"
         to.print(f"{name}: windows: {listed}")

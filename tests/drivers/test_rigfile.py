@@ -67,6 +67,8 @@ def test_wrong_word_order_names_line_point_and_choices(tmp_path):
         ("scale = 0.1", "scale = 0.0", ["a scale of 0 loses the value"]),
         ('readback = "heater_power"', 'readback = "heater"', ["no point 'heater' to read back"]),
         ('point = "heartbeat"', 'point = "beat"', ["heartbeat: no point 'beat'"]),
+        ('point = "heartbeat"', 'point = "flow"', ["heartbeat: flow is written to as point; give it access 'rw'"]),
+        ('arm = "arm"', 'arm = "flow"', ["heartbeat: flow is written to as arm; give it access 'rw'"]),
         ("[rig]", "[rig", ["is not valid TOML", "line"]),
     ],
 )
@@ -117,6 +119,7 @@ INTERLOCK = '\n[[interlock]]\nkind = "{kind}"\nlevel = "{level}"\n{rest}\n'
         ("heater_power", "alarm", 'setpoint = "heater_power"\ntolerance = 60.0', "is not a set-point"),
         ("no_flow", "alarm", 'heater = "heater_power"\nflow = "flow"', "low"),
         ("residual", "alarm", 'sensor = "T_tank"\nhigh = 2.0', "use level = 'warning'"),
+        ("residual", "warning", "high = 2.0", "interlock.sensor: is missing; add it"),
         ("leak", "alarm", 'point = "T_tank"', "kind 'leak' is not known"),
         ("limit", "fatal", 'point = "T_tank"\nhigh = 60.0', "'fatal' is not known; use 'warning' or 'alarm'"),
     ],

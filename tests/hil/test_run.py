@@ -144,7 +144,7 @@ def test_tracking_the_record_again_gives_the_same_table(finished):
     assert json.loads(done.stdout)["errors_K"]["rows"] == finished.printed["errors_K"]["rows"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_signal_ends_the_run_with_the_heater_safe(tmp_path, number):
     (tmp_path / "load.csv").write_text(LOAD.format(end=40000), encoding="utf-8")
     command = [*HIL, "run", str(tmp_path / "load.csv"), "--virtual", "--speed", "10", "--runs", str(tmp_path)]
@@ -159,7 +159,7 @@ def test_a_signal_ends_the_run_with_the_heater_safe(tmp_path, number):
             break
         assert process.poll() is None, process.stderr.read().decode()
         time.sleep(0.2)
-    if number == signal.SIGINT:
+    if number in (signal.SIGINT, signal.SIGQUIT):
         os.killpg(process.pid, number)  # Ctrl-C reaches the virtual rig and the calibrators too
     else:
         process.send_signal(number)
