@@ -104,6 +104,10 @@ def show_comparison(to: Console, comparison: Comparison, title: str) -> None:
         to.print(sentence, markup=False, soft_wrap=True)
 
 
+_TOLD = ("T_heater", "T_pm1", "T_radiator", "T_tank", "T_ambient")
+"""Temperatures of the loop that are told while it runs; of a rig without any of them as many of its first ones."""
+
+
 class Steps:
     """A progress bar over `total` of something, with ETA; plain lines where the output is no terminal.
 
@@ -189,18 +193,17 @@ class LiveRun:
         if self._steps is None:
             self._steps = Steps("replaying", status.duration_s, quiet=self._quiet, begun=status.profile_s)
             self._steps.__enter__()
-        temperatures = "  ".join(
-            f"{name.removeprefix('T_')} {value:.1f}"
-            for name, value in status.values.items()
-            if name in ("T_heater", "T_pm1", "T_radiator", "T_tank", "T_ambient")
-        )
+        every = [name for name in status.values if name.startswith("T_")]
+        shown = [name for name in every if name in _TOLD] or every[: len(_TOLD)]
+        temperatures = "  ".join(f"{name.removeprefix('T_')} {status.values[name]:.1f}" for name in shown)
+        temperatures += " °C" if shown else ""
         power = status.values.get("heater_power")
         heater = f"{power:.0f} W  " if power is not None else ""
         state = "" if status.state == "running" else f"{status.state.upper()}  "
         if status.state == "soaking":
             self._steps.update(status.profile_s, f"SOAKING  {status.reason}")
             return
-        self._steps.update(status.profile_s, f"{state}{hours(status.profile_s)}  {heater}{temperatures} °C")
+        self._steps.update(status.profile_s, f"{state}{hours(status.profile_s)}  {heater}{temperatures}")
 
     def show_result(self, result: RunResult) -> None:
         """Table of errors, how it ended, where it is."""

@@ -273,6 +273,8 @@ def _others(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...]
         label = instead(r, first).label
         if label not in taken and label not in same and label not in out:
             why = f"leaves {r.fit.chi:.2f} of misfit where the answer leaves {first.fit.chi:.2f}"
+            if r.fit.chi < first.fit.chi:
+                why += ", too little less for what it has to assume"
             if abs(r.fit.chi - first.fit.chi) < 0.02 * first.fit.chi:
                 why = f"fits worse by {r.cost - first.cost:.0f} in weighted squares"
             out[label] = Alternative(*label, confidence=r.weight, why_not=why)
