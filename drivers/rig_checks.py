@@ -66,7 +66,9 @@ def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
     if rig.heartbeat is not None:
         for key in ("point", "counter", "arm", "status", "watchdog"):
             named = getattr(rig.heartbeat, key)
-            if named is not None and named not in names:
+            if named is None:
+                continue
+            if named not in names:
                 found.append((("heartbeat", key), f"heartbeat: no point {named!r}; declare it or correct {key}"))
             elif key in ("point", "arm") and rig.get(named).access == "r":
                 found.append(
