@@ -71,12 +71,8 @@ def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
             if named not in names:
                 found.append((("heartbeat", key), f"heartbeat: no point {named!r}; declare it or correct {key}"))
             elif key in ("point", "arm") and rig.get(named).access == "r":
-                found.append(
-                    (
-                        ("heartbeat", key),
-                        f"heartbeat: {named} is written to as {key}; give it access 'rw' or name another",
-                    )
-                )
+                why = f"heartbeat: {named} is written to as {key}; give it access 'rw' or name another"
+                found.append((("heartbeat", key), why))
     return found + _watchdog_checks(rig) + _interlock_checks(rig)
 
 

@@ -142,6 +142,9 @@ class Soak:
 
 
 def _role(rig: Rig, setpoint: Point) -> str | None:
-    """What a set-point is; without a role of its own or of its read-back, what is set in W is a heater."""
+    """What a set-point is; without a role of its own or of its read-back, what is set in W and safe at 0 is a heater.
+
+    What cools and is set in W is safe where it still does.
+    """
     role = setpoint.role or (rig.get(setpoint.readback).role if setpoint.readback is not None else None)
-    return "heater_power" if role is None and setpoint.unit == "W" else role
+    return "heater_power" if role is None and setpoint.unit == "W" and not setpoint.safe_value else role

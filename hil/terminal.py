@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 LINE_EVERY_S = 5.0
 PLAIN_WIDTH = 140
 
+_TOLD = ("T_heater", "T_pm1", "T_radiator", "T_tank", "T_ambient")
+"""Temperatures of the loop that are told while it runs; of a rig without any of them as many of its first ones."""
+
 
 def console(*, stderr: bool = False, quiet: bool = False) -> Console:
     """A console; where the output is no terminal, lines are long enough for every table."""
@@ -102,10 +105,6 @@ def show_comparison(to: Console, comparison: Comparison, title: str) -> None:
         to.print(parameter_table(comparison))
     for sentence in comparison.outdone.values():
         to.print(sentence, markup=False, soft_wrap=True)
-
-
-_TOLD = ("T_heater", "T_pm1", "T_radiator", "T_tank", "T_ambient")
-"""Temperatures of the loop that are told while it runs; of a rig without any of them as many of its first ones."""
 
 
 class Steps:

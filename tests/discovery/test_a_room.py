@@ -7,6 +7,10 @@ import pytest
 
 from twin.discovery.basis import Columns
 from twin.discovery.growing.answer import diagnose_grown
+from twin.discovery.growing.descent import descend
+from twin.discovery.growing.growth import samples_of
+from twin.discovery.growing.unaided import Problem
+from twin.discovery.growing.wardrobe import Wardrobe, unsized
 from twin.kernel import Kernel, simulate
 from twin.network import Array, Network, TwinFileError
 from twin.revisions import with_elements
@@ -121,3 +125,18 @@ wall_hA = 1000.0
     values[:, open_loop.index(["pipe.wall_capacity"])[0]] = (0.0, 400.0)
     _, ends = kernel.trace(values, np.array([20.0]), t, u)
     assert ends[0, 1] == 20.0 and ends[1, 1] == pytest.approx(40.0, abs=0.1)
+
+
+def test_hypotheses_go_down_side_by_side_as_each_does_alone(room: Network) -> None:
+    record = lived_in(room, {"sun": SUN})
+    samples, ids = samples_of(room, record.time_s, record.inputs, record.measured), room.tunables("commission")
+    wardrobe = Wardrobe.of(room, ids, 600.0)
+    plain = Problem(wardrobe, samples, ids)
+    sun = next(c for c in wardrobe.candidates if c.kind == "heat_source" and "sun" in c.driver)
+    sunny = plain.with_entries((unsized(sun, 1.0),))
+    starts = [(plain, plain.start()), (sunny, sunny.start()), (sunny, sunny.start() + 0.3)]
+    together = descend(starts)
+    for start, end in zip(starts, together, strict=True):
+        assert end == pytest.approx(descend([start])[0], rel=1e-2, abs=1e-2)
+    assert together[1][-1] * sunny.scales[0] == pytest.approx(6.0, rel=0.1)
+    assert together[2] == pytest.approx(together[1], rel=0.05, abs=0.05)

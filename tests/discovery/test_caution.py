@@ -13,6 +13,7 @@ from twin.discovery.grid import on_grid
 from twin.discovery.ladder import search
 from twin.discovery.part import Part
 from twin.discovery.ranking import Finding, unusual
+from twin.discovery.verdict import slight
 
 SAME = {"T_tank_C": SensorError(0.06, 0.055, 0.055, 0.05)}
 LESS = {"T_tank_C": SensorError(0.09, 0.060, 0.052, 0.05)}
@@ -44,6 +45,22 @@ def test_what_foretells_nothing_is_not_confirmed(weak: Finding) -> None:
     assert unconfirmed(replace(weak, folds=()), SAME)
     assert not unconfirmed(replace(weak, folds=folds(0.3 * gain, 0.2 * gain)), SAME)
     assert not unconfirmed(replace(weak, folds=()), LESS)
+
+
+def test_a_weak_effect_is_told_from_nothing(weak: Finding) -> None:
+    assert weak.fit is not None
+    (entry,) = weak.fit.entries
+    for sd, unsized in ((0.5, False), (0.7, True)):
+        found = replace(weak.fit, entries=(replace(entry, sd=sd * abs(entry.size)),))
+        assert unconfirmed(replace(weak, fit=found, folds=()), LESS) is unsized
+
+
+def test_what_is_slight_beside_an_effect_is_of_its_form(weak: Finding) -> None:
+    assert weak.fit is not None
+    large = replace(weak, start=weak.fit.total + 10_000.0)
+    (entry,) = weak.fit.entries
+    assert slight(replace(entry, gain=29.0), large)
+    assert not slight(replace(entry, gain=31.0), large)
 
 
 def test_what_is_strong_needs_no_such_confirmation(weak: Finding) -> None:

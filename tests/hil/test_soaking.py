@@ -80,13 +80,18 @@ def test_a_rig_that_stays_too_hot_gets_less_and_less_heat():
         assert bench.rig.heater_W == pytest.approx(700.0)
 
 
-def test_what_is_set_in_watts_leads_without_a_role():
+def test_what_is_set_in_watts_and_safe_at_zero_leads_without_a_role():
     rig = rig_with()
     nameless = tuple(p.model_copy(update={"role": None}) for p in rig.point)
     with EngineBench(rig.model_copy(update={"point": nameless}), resumption=cut_at(120.0, AIM)) as bench:
         there(bench, 10.0)
         bench.ticks(20)
         assert bench.rig.heater_W == 0.0
+    cooler = tuple(p.model_copy(update={"safe_value": 50.0}) if p.name == "heater_power_set" else p for p in nameless)
+    with EngineBench(rig.model_copy(update={"point": cooler}), resumption=cut_at(120.0, AIM)) as bench:
+        there(bench, 10.0)
+        bench.ticks(20)
+        assert bench.rig.heater_W == pytest.approx(700.0)
 
 
 def test_a_rig_that_does_not_get_there_in_time_is_left_safe():

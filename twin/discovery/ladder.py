@@ -36,7 +36,7 @@ MORE_LEFT, MORE_SHARE = 4.0, 0.1
 """Misfit that the answer may leave in a later record, over what noise alone leaves, or of what there was: its steps
 are harsher than those that the noise was learned from."""
 FORMED = 2.0
-"""Misfit, over what noise leaves, that may be of an effect's own form: of its place, and since the moment it began."""
+"""Misfit, over what noise leaves, that may be of an effect's own form (`of_own_form`)."""
 EXCHANGES, EXCHANGED = 2, 3
 """Rounds in which effects may give way to others, and how many are tried in the place of each."""
 PAIRED = 8
@@ -212,8 +212,9 @@ def _pruned(
 
 
 def of_own_form(before: Fit, best: Fit, contest: Contest, little: float) -> bool:
-    """Whether the last effect of a fit only mends the form of one before it: it is of the same place and the same
-    moment, wins little, and not much was left to win."""
+    """Whether the last effect of a fit only mends the form of one before it: it wins little, there was little to win,
+    and it may not stand beside that (`piled_up`: of its place, and of its moment where they leave no more than noise).
+    """
     piled = not stand(best, contest) and stand(before, contest)
     return piled and before.total - best.total < little and before.chi <= FORMED * contest.expected
 

@@ -138,7 +138,7 @@ class Finding:
     """What the search ended with; `fit` is None where nothing passed the threshold, `beside` still scores with it.
 
     `shorter` is what it had found before its last effect, None where that was the only one; `refuted` where one more
-    scored, but did not foretell; `formed` where one more did, but of the place and the moment of one that is told.
+    scored, but did not foretell; `formed` where one more did, but only mended the form of one that is told.
     """
 
     entries: tuple[Entry, ...]

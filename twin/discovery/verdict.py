@@ -92,7 +92,7 @@ def conclude(
     good = good and (finding.fit is None or stand(finding.fit, finding.contest))
     good = good and holds(finding.folds)
     good = good and not contradicted(errors, network, REFUTED_LEFT if finding.refuted else FAR_SHARE)
-    good = good and not (doubted and finding.beside is not None and not _slight(finding.beside, finding))
+    good = good and not (doubted and finding.beside is not None and not slight(finding.beside, finding))
     verdict: Verdict
     effects: tuple[Effect, ...] = ()
     others: tuple[Alternative, ...] = ()
@@ -189,7 +189,7 @@ def conclude(
     )
 
 
-def _slight(beside: Entry, finding: Finding) -> bool:
+def slight(beside: Entry, finding: Finding) -> bool:
     """Whether what scores beside the effects wins too little next to them to be told from an error of form."""
     assert finding.fit is not None
     return beside.gain < EXACT_SHARE * (finding.start - finding.fit.total)

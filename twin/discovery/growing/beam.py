@@ -113,7 +113,10 @@ class Beam:
     def _fitted(self, sets: Sequence[Starts]) -> list[FittedSet]:
         """Sets, each from several starts: problems that differ in nothing but their scales."""
         keys = [frozenset(name_of(e.candidate) for e in starts[0][0].entries) for starts in sets]
-        new = {key: starts for key, starts in zip(keys, sets, strict=True) if key not in self.known}
+        new: dict[frozenset[str], Starts] = {}
+        for key, starts in zip(keys, sets, strict=True):
+            if key not in self.known:
+                new.setdefault(key, starts)
         ends = iter(descend([start for starts in new.values() for start in starts]))
         for key, starts in new.items():
             problem, fit = min(((p, p.fitted(next(ends))) for p, _ in starts), key=lambda f: f[1].cost)

@@ -167,8 +167,8 @@ class Merit:
         parts = [one.problem.with_entries(one.fit.entries, hidden[fold]) for fold, _, one in ways]
         ends = descend([(part, part.start(one.fit)) for part, (*_, one) in zip(parts, ways, strict=True)])
         readings = readings_of([(part, v[None, :]) for part, v in zip(parts, ends, strict=True)])
-        for (fold, k, _), found_there in zip(ways, readings, strict=True):
-            off = (samples.measured - found_there) / samples.sigma
+        for (fold, k, _), foretold in zip(ways, readings, strict=True):
+            off = (samples.measured - foretold) / samples.sigma
             for piece in range(fold, PIECES, FOLDS):
                 out[piece, k] = float(np.nansum(off[self._piece == piece] ** 2))
         return out

@@ -55,9 +55,8 @@ def scores(wardrobe: Wardrobe, problem: Problem, fit: Fit) -> list[Scored]:
     answers = _Answers(problem, fit, candidates)
     sizes = [_sizes(c, size) for c, size in zip(candidates, _asked(candidates, answers, rms), strict=True)]
     changes = answers([(i, size) for i, some in enumerate(sizes) for size in some])
-    every = (
-        _best(c, some, list(islice(changes, len(some))), metrics) for c, some in zip(candidates, sizes, strict=True)
-    )
+    each = zip(candidates, sizes, strict=True)
+    every = [_best(c, some, list(islice(changes, len(some))), metrics) for c, some in each]
     return [scored for scored in every if scored is not None]
 
 
