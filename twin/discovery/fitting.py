@@ -51,12 +51,13 @@ class Fit:
     away: float
 
 
-def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None) -> Fit:
+def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None, rounds: int = ROUNDS) -> Fit:
     """Minimise the contest's squares over tunables, initial state and sizes; the contest then looks at the result.
 
     Args:
         state: temperatures (s * k,) at the beginnings, about which the contest was linearised.
         moved: (q + s * k,) of [tunables z, initial state] where another fit of the same effects ended, to begin there.
+        rounds: steps that it may take.
     """
     probe, grid, entries = contest.probe, contest.grid, model.entries
     scaling, q, k, e = probe.scaling, probe.q, len(grid.begins) * probe.k, len(entries)
@@ -127,7 +128,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
     v = np.clip(v, low, high)
     squares = Squares(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0)
-    found, slopes = minimise(squares, v, ROUNDS if moved is None else AGAIN)
+    found, slopes = minimise(squares, v, rounds)
     v = found.v
     covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))

@@ -155,7 +155,9 @@ class Inquiry:
         if finding.fit is not None and self._held_out.far_off(finding, split):
             why = "on the part that was to be kept out of the fit the best answer was off by more than is usual"
             seen = self.on_unseen(_retuned_by_itself(finding, train), split)
-            return most, why, contradicted(seen, self.network) and not weak(finding)
+            beside = _beside(whole, finding)
+            later = most if beside is None else max(most, self._amid(beside))
+            return later, why, contradicted(seen, self.network) and not weak(finding)
         if any(e.shape.onset_s > LATE * split * self.grid.step_s for e in finding.entries):
             return most, "an effect begins so late that the fit saw little of it", doubted
         return split, "", doubted

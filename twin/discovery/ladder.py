@@ -35,6 +35,9 @@ MOST_EFFECTS = 3
 MORE_LEFT, MORE_SHARE = 4.0, 0.1
 """Misfit that the answer may leave in a later record, over what noise alone leaves, or of what there was: its steps
 are harsher than those that the noise was learned from."""
+BEGUN, FAR = 3, 1.2
+"""Rounds in which a fit of what is late comes within this many times another's squares, if it ever does: water that is
+late explains at once what nothing else can."""
 FORMED = 2.0
 """Misfit, over what noise leaves, that may be of an effect's own form (`of_own_form`)."""
 EXCHANGES, EXCHANGED = 2, 3
@@ -85,7 +88,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
             say(f"fitting {len(more)} more, and what is late")
             trials += fitted(part, [(e,) for e in more])
             # That may promise nothing at all: water that comes a minute later is as warm in the long run.
-            trials += _late(part, part.late(entries[0].shape.onset_s))
+            trials += _late(part, part.late(entries[0].shape.onset_s), min(f.total for f, _ in trials))
         if best is not None and enough(best.chi, start_chi, contest):
             # What is well explained is not explained twice: a second effect at the same place would bend the first.
             trials = [t for t in trials if stand(t[0], contest)]
@@ -95,7 +98,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         if best is None and not enough(order[0].fit.chi, start_chi, contest):
             # A hose of some litres is no multiple of what a little more of it does.
             hoses = [e for e in part.late(entries[0].shape.onset_s) if e.candidate.kind == "delay"]
-            order = rank([*trials, *_late(part, hoses)], contest, start)
+            order = rank([*trials, *_late(part, hoses, order[0].fit.total)], contest, start)
         winner = order[0].fit
         if best is None and start - winner.total - unusual(winner.entries) < threshold**2:
             order = _hidden(part, start)
@@ -161,13 +164,19 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
     return found if shorter is None else replace(shorter, beside=beside, formed=formed)
 
 
-def _late(part: Part, entries: list[Entry]) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """Fits of what is late, but for what a lumped twin may leave as much of all along."""
+def _late(part: Part, entries: list[Entry], best: float) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """Fits of what is late, but for what a lumped twin may leave as much of all along, and for what comes nowhere near the best.
+
+    Args:
+        best: weighted squares that another hypothesis leaves.
+    """
 
     def usual(entry: Entry) -> bool:
         return entry.shape.onset_s <= EARLY_S and abs(entry.size) < entry.candidate.lumped
 
-    return [(found, group) for found, group in fitted(part, [(e,) for e in entries]) if not usual(found.entries[0])]
+    begun = fitted(part, [(e,) for e in entries], BEGUN)
+    found = fitted(part, [group for f, group in begun if f.total < FAR * best])
+    return [(f, group) for f, group in found if not usual(f.entries[0])]
 
 
 def _hidden(part: Part, start: float) -> tuple[Ranked, ...]:

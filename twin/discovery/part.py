@@ -15,7 +15,7 @@ from twin.discovery.basis import Basis
 from twin.discovery.catalogue import LATE
 from twin.discovery.contest import Contest
 from twin.discovery.equivalence import width
-from twin.discovery.fitting import Fit, fit
+from twin.discovery.fitting import AGAIN, ROUNDS, Fit, fit
 from twin.discovery.grid import Grid
 from twin.discovery.laws import Law
 from twin.discovery.model import Model
@@ -137,12 +137,15 @@ class Part:
         self.contest.look_at(self.run)
 
 
-def fitted(part: Part, groups: list[tuple[Entry, ...]]) -> list[tuple[Fit, tuple[Entry, ...]]]:
+def fitted(
+    part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS
+) -> list[tuple[Fit, tuple[Entry, ...]]]:
     """Each group of effects fitted, from the commissioned values, side by side; the part's contest is left alone."""
-    keys = [("known", *_named(group)) for group in groups]
+    keys = [(rounds, *_named(group)) for group in groups]
     new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        part.fits.update(zip(new, pool.map(lambda g: _fit(part, part.contest, g), new.values()), strict=True))
+        found = pool.map(lambda g: _fit(part, part.contest, g, rounds=rounds), new.values())
+        part.fits.update(zip(new, found, strict=True))
     return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
 
 
@@ -152,7 +155,7 @@ def plainly(part: Part, found: Fit) -> Fit:
         return found
     key = ("plain", *_named(found.entries))
     if key not in part.fits:
-        part.fits[key] = _fit(part, part.plain, found.entries, found.moved)
+        part.fits[key] = _fit(part, part.plain, found.entries, found.moved, AGAIN)
     return part.fits[key]
 
 
@@ -160,10 +163,12 @@ def _named(group: tuple[Entry, ...]) -> tuple[object, ...]:
     return tuple((e.candidate.id, e.candidate.slow_s, e.shape, e.size) for e in group)
 
 
-def _fit(part: Part, contest: Contest, group: tuple[Entry, ...], moved: Array | None = None) -> Fit:
+def _fit(
+    part: Part, contest: Contest, group: tuple[Entry, ...], moved: Array | None = None, rounds: int = ROUNDS
+) -> Fit:
     own = copy.copy(contest)
     own.look_at(part.run)
-    return fit(own, Model.of(own.probe, group), part.state, moved)
+    return fit(own, Model.of(own.probe, group), part.state, moved, rounds)
 
 
 def timed(part: Part, best: Fit, known: tuple[Entry, ...]) -> list[tuple[Fit, tuple[Entry, ...]]]:
