@@ -57,6 +57,19 @@ def test_what_only_the_last_part_shows_beside_the_answer_is_told(
     assert any("beside the answer" in note for note in found.notes)
 
 
+def test_a_second_effect_that_the_fit_would_see_the_first_minutes_of_is_seen_for_half_of_its_time(
+    bench: Bench, healthy: Columns
+) -> None:
+    """Heat begins at 86 % of the record, beside a thermometer that errs by far more: nine tenths show little of it."""
+    warmed = bench.with_element("heat", {**HEAT, "power": 60.0})
+    record = bench.record(16.0, changed=warmed, onset_h=13.75)
+    record.measured[record.time_s > 9.8 * 3600.0, bench.network.sensor_names.index("T_tank_C")] += 1.1
+    found = diagnose(bench.network, record, healthy)
+    assert {(e.kind, e.where) for e in found.effects} == {("heat_source", "modules"), ("sensor", "T_tank_C")}
+    heat = next(e for e in found.effects if e.kind == "heat_source")
+    assert heat.value == pytest.approx(60.0, rel=0.05) and heat.onset_s == pytest.approx(13.75 * 3600.0, abs=120.0)
+
+
 @pytest.mark.parametrize("mass_h", [7.0, 0.0])
 def test_a_lesser_mass_has_come_in_where_the_record_before_is_without_it(
     bench: Bench, healthy: Columns, mass_h: float
