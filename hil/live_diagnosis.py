@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import os
 import re
+import shlex
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -76,13 +77,17 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The process's answer: what was found, or why there was no diagnosis; what became of an adoption."""
+    """The process's answer: what was found, or why there was no diagnosis; what became of an adoption.
+
+    `adopted` is the file of a revision that this diagnosis saved, `revision` that of the last one that any did.
+    """
 
     found: Found | None = None
     problem: str = ""
-    adopted: str = ""
+    adopted: Path | None = None
     refusal: str = ""
     page: Path | None = None
+    revision: Path | None = None
 
 
 def interval_of(text: str) -> float:
@@ -182,9 +187,9 @@ class _Worker:
         except (TwinFileError, RecordError) as error:
             return Reply(problem=str(error))
         found = found_of(diagnosis, float(record.time_s[-1]))
-        adopted, why = self._adopt(diagnosis, found) if self._config.adopt else ("", "")
+        adopted, why = self._adopt(diagnosis, found) if self._config.adopt else (None, "")
         page = None if out is None else self._write(diagnosis, out)
-        return Reply(found, adopted=adopted, refusal=why, page=page)
+        return Reply(found, adopted=adopted, refusal=why, page=page, revision=self._revision)
 
     def _read(self) -> Columns | None:
         from hil.diagnosing import columns_of
@@ -207,18 +212,18 @@ class _Worker:
         values = np.concatenate([np.where(b.quality == Quality.GOOD, b.values, np.nan) for b in self._blocks])[rows]
         return columns_of(self._network, Record(time_s, dict(zip(names, values.T, strict=True))), None)
 
-    def _adopt(self, diagnosis: Diagnosis, found: Found) -> tuple[str, str]:
-        """File name of a new revision, or why there is none."""
+    def _adopt(self, diagnosis: Diagnosis, found: Found) -> tuple[Path | None, str]:
+        """File of a new revision, or why there is none."""
         from hil.diagnosing import revise
 
         why = refusal(diagnosis)
         if why is not None:
-            return "", why if found.verdict != "adequate" else ""
+            return None, why if found.verdict != "adequate" else ""
         if not changed(self._adopted, found):
-            return "", ""
+            return None, ""
         self._revision = revise(diagnosis, self._network, self._config.twin, self._config.journal)
         self._adopted = found
-        return (self._revision.name if self._revision else ""), ""
+        return self._revision, ""
 
     def _write(self, diagnosis: Diagnosis, out: Path) -> Path:
         from hil.diagnosing import provenance, write
@@ -343,8 +348,9 @@ class LiveDiagnosis:
             level, ahead = ("INFO", "") if now.verdict == "adequate" else ("WARN", f", {now.verdict}")
             self._event(level, f"diagnosis of the first {now.until_s / 3600.0:.1f} h{ahead}: {now.sentence}")
         self._last = now
-        if reply.adopted:
-            self._event("INFO", f"diagnosis: adopted as {reply.adopted}; the static twin of this run goes on as it is")
+        if reply.adopted is not None:
+            where = shlex.quote(str(reply.adopted))
+            self._event("INFO", f"diagnosis: the static twin of this run goes on as it is; adopted as {where}")
         elif reply.refusal and reply.refusal != self._refused:
             self._event("INFO", f"diagnosis: not adopted, {reply.refusal}")
         self._refused = reply.refusal

@@ -26,6 +26,9 @@ from hil.atomic import replacing
 MAX_LINE = 2000
 """Longest line in characters; anything longer is no table of set-points."""
 
+WINDOW_S = 600.0
+"""Twins that run beside the rig are calibrated in windows of this length; a shorter run would end before the first."""
+
 EARLY_S = 1e-6
 """A breakpoint this close ahead counts as reached: `tick * period` may round to just below it."""
 
@@ -258,9 +261,11 @@ def _row(place: str, raw: str, columns: tuple[str, ...]) -> list[float]:
 
 
 def validate(
-    profile: Profile, limits: Mapping[str, SetpointLimit], *, min_duration_s: float = 600.0, period_s: float
+    profile: Profile, limits: Mapping[str, SetpointLimit], *, min_duration_s: float = WINDOW_S, period_s: float
 ) -> list[str]:
     """Check `profile` before anything moves, against the rig's set-points `limits` (by column) and its tick.
+
+    `min_duration_s` is the calibration window of the twins that are to run; 0 where none does.
 
     Returns notes for the operator. Raises one ProfileError with a sentence for every problem, a line each.
     """
@@ -270,7 +275,7 @@ def validate(
     if profile.duration_s < min_duration_s:
         problems.append(
             f"{source} lasts {profile.duration_s:g} s, less than one calibration window of {min_duration_s:g} s; "
-            "extend its last row or repeat it"
+            "extend its last row, repeat it, or run it without a twin (hil run --no-twin)"
         )
     problems += _rows_between_ticks(profile, source, period_s)
     if (profile.values[-1] != profile.values[-2]).any():

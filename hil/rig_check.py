@@ -12,6 +12,7 @@ from drivers.bus_sections import CanBus
 from drivers.canbus import CanReceiver
 from drivers.rig_model import Rig
 from drivers.rigfile import load_rig, located
+from hil.rig_notices import notices
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,8 +49,8 @@ def show(file: Path, out: Console) -> None:
         out.print(_frames(receivers[name], bus) if isinstance(bus, CanBus) else _reads(rig, name, polled[name]))
     if rig.watchdog_s is not None:
         out.print(f"the rig's own watchdog is set to {rig.watchdog_s:g} s when it is armed, and read back")
-    for note in unsaid(rig):
-        out.print(f"note: {note}", soft_wrap=True)
+    for note in (*notices(rig, file), *unsaid(rig)):
+        out.print(f"note: {note}", soft_wrap=True, markup=False)
     out.print(f"{file}: no mistakes found", style="green")
 
 
@@ -149,6 +150,6 @@ def as_json(file: Path) -> str:
     frames = {name: {m.name: str(m.match) for m in receiver.messages} for name, receiver in receivers.items()}
     found = {
         "rig": rig.name, "period_s": rig.period_s, "modbus": plan, "can_cycle_s": cycles, "can_frames": frames,
-        "notes": unsaid(rig),
+        "notes": [*notices(rig, file), *unsaid(rig)],
     }  # fmt: skip
     return json.dumps(found, indent=2)

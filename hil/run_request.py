@@ -11,7 +11,7 @@ from drivers.points import ConfigurationError
 from drivers.rig_model import Rig
 from drivers.rigfile import load_rig
 from hil.adoption import NetworkMode
-from hil.profile import Profile, SetpointLimit, read_profile, validate
+from hil.profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
 from hil.setpoints import setpoint_columns
 from hil.tracking import DEFAULT, STATIC, TrackingConfig
 
@@ -70,9 +70,10 @@ def prepare(request: RunRequest) -> Prepared:
     """Read and validate all files of a run; raises RigFileError, ProfileError, TwinFileError or ConfigurationError."""
     rig = load_rig(request.rig)
     profile = read_profile(request.profile)
-    notes = validate(profile, setpoint_limits(rig), period_s=rig.period_s)
-    network = None
     twin = (request.twin or rig.twin) if request.use_twin else None
+    least_s = 0.0 if twin is None else WINDOW_S
+    notes = validate(profile, setpoint_limits(rig), min_duration_s=least_s, period_s=rig.period_s)
+    network = None
     if twin is not None:
         from twin.twinfile import load
 

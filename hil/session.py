@@ -28,8 +28,9 @@ from hil.rig_time import rig_and_clock
 from hil.run_folder import RunFolder, create_run_folder, new_manifest, require_room
 from hil.run_request import Prepared, RunRequest, prepare, tracking_config
 from hil.segments import Resumption
+from hil.setpoints import bind
 from hil.signals import interrupted, stopping
-from hil.soaking import SoakRule
+from hil.soaking import SoakRule, unled
 from hil.states import ENDED, State
 from hil.terminal import hours
 from hil.tracking import STATIC, Comparison, Proposed, Twins
@@ -110,6 +111,8 @@ async def resume_session(
         announce(f"{reason} at {hours(was.profile_s)} of {hours(ready.profile.duration_s)} of the profile")
         if was.wall_s > time.time():
             announce("this machine's clock has been set back since the cut: how long the gap was is not known")
+        if was.aim and (why := unled(ready.rig, bind(ready.rig, ready.profile.columns))) is not None:
+            announce(why)
         resumption = Resumption(was, rule, reason, request.speed if request.mode == "scaled" else 1.0)
         manifest |= {"exit_status": "running", "reason": "", "ended": None}
         folder.write_manifest(manifest)

@@ -10,11 +10,12 @@ it. See decision 0012.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from drivers.points import Quality, Signal, Snapshot
 from drivers.rig_model import Point, Rig
+from drivers.roles import FAN, HEATER, ROOM
 from hil.profile import Profile
 from hil.setpoints import bind
 
@@ -28,7 +29,7 @@ PATIENCE_S = 600.0
 """Time in which a mean distance that stays moves heater and fan by as much again as it does at once."""
 STEPS = 100
 """Parts of its range in which a set-point leads, so that noise does not move it on every tick."""
-_WARMS: dict[str | None, int] = {"heater_power": 1, "fan_speed": -1}
+_WARMS: dict[str | None, int] = {HEATER: 1, FAN: -1}
 """Roles of set-points that lead, and whether more of them warms the rig or cools it."""
 
 
@@ -42,7 +43,7 @@ class SoakRule:
 
 def has_memory(signal: Signal) -> bool:
     """Whether a signal tells of heat stored in the rig: a temperature that is not the room's."""
-    return signal.kind == "measured" and signal.unit == "degC" and signal.role != "T_ambient"
+    return signal.kind == "measured" and signal.unit == "degC" and signal.role != ROOM
 
 
 class Soak:
@@ -65,7 +66,7 @@ class Soak:
         self._load = dict(zip((p.name for p in targets), profile.at(profile_s), strict=True))
         self._leads: list[tuple[str, float, float, int]] = []
         for column, point in enumerate(targets):
-            warms = _WARMS.get(_role(rig, point))
+            warms = _WARMS.get(_leading_role(rig, point))
             if warms is not None:
                 values = profile.values[:, column]
                 low = float(point.safe_value or 0.0) if warms > 0 else float(values.min())
@@ -141,10 +142,26 @@ class Soak:
         return found
 
 
-def _role(rig: Rig, setpoint: Point) -> str | None:
-    """What a set-point is; without a role of its own or of its read-back, what is set in W and safe at 0 is a heater.
+def role_of(rig: Rig, setpoint: Point) -> str | None:
+    """Role of a set-point, its own or that of its read-back."""
+    return setpoint.role or (rig.get(setpoint.readback).role if setpoint.readback is not None else None)
+
+
+def unled(rig: Rig, setpoints: Sequence[Point]) -> str | None:
+    """Why a rig cannot be led back by these of its set-points, as a sentence; None where one of them leads."""
+    if not setpoints or any(_leading_role(rig, point) in _WARMS for point in setpoints):
+        return None
+    return (
+        f"nothing leads the rig back when a run is resumed: none of {', '.join(p.name for p in setpoints)} has the "
+        f"role {HEATER} or {FAN} (its own or that of its readback) or, without a role, is set in W with a safe_value "
+        f"of 0, so that `hil resume` only holds the profile's load and waits; give the heater role = {HEATER!r}"
+    )
+
+
+def _leading_role(rig: Rig, setpoint: Point) -> str | None:
+    """What a set-point is; without a role, what is set in W and safe at 0 is a heater.
 
     What cools and is set in W is safe where it still does.
     """
-    role = setpoint.role or (rig.get(setpoint.readback).role if setpoint.readback is not None else None)
-    return "heater_power" if role is None and setpoint.unit == "W" and not setpoint.safe_value else role
+    role = role_of(rig, setpoint)
+    return HEATER if role is None and setpoint.unit == "W" and not setpoint.safe_value else role

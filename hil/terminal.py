@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import shlex
 import shutil
 import sys
 import time
@@ -162,7 +163,7 @@ class Steps:
 
     def say(self, text: str) -> None:
         """A line above the bar."""
-        self._console.print(text, markup=False)
+        self._console.print(text, markup=False, soft_wrap=True)  # a path that is broken cannot be pasted
 
 
 class LiveRun:
@@ -185,7 +186,7 @@ class LiveRun:
         if self._steps is not None:
             self._steps.say(text)
         else:
-            self._console.print(text, markup=False)
+            self._console.print(text, markup=False, soft_wrap=True)
 
     def update(self, status: Status) -> None:
         """Called by the engine a few times a second."""
@@ -228,6 +229,8 @@ class LiveRun:
             out.print(said, soft_wrap=True, markup=False)
             if told.page is not None:
                 out.print(f"page with pictures: {told.page}", soft_wrap=True)
+            if told.revision is not None:
+                out.print(f"revision of the twin: {shlex.quote(str(told.revision))}", soft_wrap=True, markup=False)
         if result.adoption is not None:
             out.print(result.adoption.sentence, soft_wrap=True, markup=False)
         out.print(f"run folder: {result.folder.path}", soft_wrap=True)

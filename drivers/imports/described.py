@@ -12,6 +12,7 @@ from drivers.codec import ByteOrder, RegisterType
 from drivers.dbc import DbcSignal, describe_dbc
 from drivers.imports.draft import Draft, DraftBus, DraftPoint
 from drivers.points import ConfigurationError
+from drivers.roles import ROLES
 from drivers.units import canonical_unit
 
 MODBUS, CAN = "plc", "can"
@@ -177,7 +178,8 @@ def draft_of(rig: Described, out: Path) -> Draft:
     stale = _stale_after(rig)
     for name, place in rig.thermocouples.items():
         keys = {
-            "unit": "degC", "role": name, "plausible": [-10.0, max(95.0, rig.trip_C + 20.0)],
+            "unit": "degC", **({"role": name} if name in ROLES else {}),
+            "plausible": [-10.0, max(95.0, rig.trip_C + 20.0)],
             "alarm": [-5.0, rig.trip_C], "stale_after_s": stale.get(str(place.keys.get("message")), 3.0 * rig.period_s),
         }  # fmt: skip
         said = {

@@ -184,7 +184,7 @@ _HEAD = """\
 # `hil check` explains it and names every mistake. What an import cannot know, and a rig should have:
 #   plausible = [low, high]   what a reading may be; beyond it the value is kept and not believed
 #   limits, safe_value, max_rate, readback   of what a profile may drive (access = "rw")
-#   role = "heater_power"     what a point is to a twin (profiles/rigs/virtual.toml shows all of them)
+#   role = "heater_power"     what a point is, by which `hil resume` leads the rig back (docs/reference/rig-file.md)
 #   [heartbeat]               how rig and harness watch each other
 """
 

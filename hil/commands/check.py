@@ -206,12 +206,13 @@ def _scenario(file: Path, _: Path, out: Console) -> None:
 
 def _profile(file: Path, rig: Path, out: Console) -> None:
     from drivers.rigfile import load_rig
-    from hil.profile import read_profile, validate
+    from hil.profile import WINDOW_S, read_profile, validate
     from hil.run_request import setpoint_limits
 
     target = load_rig(rig)
     profile = read_profile(file)
-    for note in validate(profile, setpoint_limits(target), period_s=target.period_s):
+    least_s = 0.0 if target.twin is None else WINDOW_S
+    for note in validate(profile, setpoint_limits(target), min_duration_s=least_s, period_s=target.period_s):
         out.print(f"  {note}")
     for index, column in enumerate(profile.columns):
         low, high = profile.values[:, index].min(), profile.values[:, index].max()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -175,7 +176,7 @@ def command(
             if proposal and not revision:
                 to.print(f"look at {proposal}; the same again with --empirical adopts it", soft_wrap=True)
         if revision:
-            to.print(f"revision of the twin: {revision}", soft_wrap=True)
+            to.print(f"revision of the twin: {shlex.quote(str(revision))}", soft_wrap=True, markup=False)
         if not dry:
             to.print(f"page with pictures: {shown}", soft_wrap=True)
         to.print(f"{time.monotonic() - began:.1f} s")

@@ -79,6 +79,7 @@ def test_thermocouples_on_modbus_and_several_of_a_kind(tmp_path):
     assert [point.name for point in rig.setpoints] == ["heater_power_set", "heater_power_2_set", "pump_speed_set"]
     assert rig.get("heater_power_2_set").limits == (0.0, 300.0)
     assert (rig.get("T_in").table, rig.get("T_in").address, rig.get("T_in").alarm) == ("input", 21, (-5.0, 60.0))
+    assert (rig.get("T_tank").role, rig.get("T_in").role) == ("T_tank", None)  # none that hil does not know
     assert "# No [heartbeat]: when this computer dies" in out.read_text(encoding="utf-8")
 
 

@@ -15,6 +15,7 @@ from hil.profile import Profile, ProfileError, SetpointLimit, read_profile, vali
 LOADS = Path(__file__).parents[2] / "profiles" / "loads"
 HEADER = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n"
 GOOD = HEADER + "0,600,100,70\n600,700,100,85\n1200,700,100,85\n"
+SHORT = HEADER + "0,600,100,70\n300,600,100,70\n"
 LIMITS = {
     "heater_power_W": SetpointLimit(0, 1000, 50, "W"),
     "pump_speed_pct": SetpointLimit(60, 100, None, "%"),
@@ -208,8 +209,10 @@ def test_a_ramp_may_pass_breakpoints_of_other_set_points(tmp_path: Path) -> None
 
 
 def test_a_profile_shorter_than_a_window_is_refused(tmp_path: Path) -> None:
-    (problem,) = _problems(tmp_path, HEADER + "0,600,100,70\n300,600,100,70\n")
-    assert "lasts 300 s, less than one calibration window of 600 s; extend its last row" in problem
+    (problem,) = _problems(tmp_path, SHORT)
+    assert "lasts 300 s, less than one calibration window of 600 s; extend its last row, repeat it" in problem
+    assert problem.endswith("or run it without a twin (hil run --no-twin)")
+    validate(read_profile(_write(tmp_path, SHORT)), LIMITS, min_duration_s=0.0, period_s=1.0)
 
 
 def test_a_row_between_two_ticks_is_refused(tmp_path: Path) -> None:

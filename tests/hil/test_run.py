@@ -214,3 +214,29 @@ def _ticks(journal: Path) -> int:
     count = len(reader.samples().tick)
     reader.close()
     return count
+
+
+@pytest.mark.parametrize("rig_names_a_twin", [True, False])
+def test_a_run_shorter_than_a_window_goes_without_a_twin(tmp_path, rig_names_a_twin):
+    load = tmp_path / "load.csv"
+    load.write_text("time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,300,100,70\n20,300,100,70\n", "utf-8")
+    rig, shipped = tmp_path / "rig.toml", PROJECT / "profiles" / "rigs"
+    named = (shipped / "virtual.toml").read_text(encoding="utf-8")
+    assert 'twin = "../twins/virtual.toml"' in named
+    twin = f'twin = "{shipped.parent}/twins/virtual.toml"' if rig_names_a_twin else ""
+    rig.write_text(named.replace('twin = "../twins/virtual.toml"', twin), encoding="utf-8")
+    (tmp_path / "thermocouples.dbc").write_bytes((shipped / "thermocouples.dbc").read_bytes())
+    asked = ("run", load, "--rig", rig, "--virtual", "--lockstep", "--no-viewer", "--runs", tmp_path / "runs", "--json")
+    if rig_names_a_twin:
+        for refused in (hil(*asked), hil("check", load, "--rig", rig)):
+            assert refused.returncode == 2
+            assert "load.csv lasts 20 s" in refused.stderr and "(hil run --no-twin)" in refused.stderr
+        assert not (tmp_path / "runs").exists()
+        asked += ("--no-twin",)
+    else:
+        assert hil("check", load, "--rig", rig).returncode == 0
+    done = hil(*asked)
+    assert done.returncode == 0, done.stderr
+    folder = RunFolder(Path(json.loads(done.stdout)["folder"]))
+    assert folder.read_manifest()["exit_status"] == "done"
+    assert folder.report.is_file() and read_record(folder.record).time_s[-1] == 20.0

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 import hil.terminal
-from hil.terminal import Steps
+from hil.live_diagnosis import Reply
+from hil.session import RunResult
+from hil.terminal import LiveRun, Steps
 
 
 @pytest.fixture
@@ -28,3 +31,18 @@ def test_what_a_soak_took_does_not_make_the_rest_look_longer(clock, capsys):
             clock.s += 10.0
             steps.update(done)
     assert ["80 %, ETA 20 s" in line for line in capsys.readouterr().err.splitlines()] == [False, True]
+
+
+def test_a_path_that_is_told_can_be_pasted(monkeypatch, capsys):
+    path = Path("runs") / "a folder with a rather long name" / "20260520T120000Z-battle_40h" / "twin.r2.toml"
+    monkeypatch.setenv("COLUMNS", "40")
+    with LiveRun() as live:
+        live.announce(f"adopted as {path}")
+    with Steps("diagnosing", 6.0) as steps:
+        steps.say(f"adopted as {path}")
+    assert capsys.readouterr().err.splitlines() == 2 * [f"adopted as {path}"]
+    outcome = SimpleNamespace(status="done", overruns=0, reason="", ticks=0, away=False, safe=True, problems=[])
+    told = Reply(problem="too short", revision=path)
+    folder = SimpleNamespace(path=path.parent, read_manifest=dict)
+    live.show_result(RunResult(folder, outcome, None, 1.0, 1.0, False, told))
+    assert f"revision of the twin: '{path}'\n" in capsys.readouterr().out

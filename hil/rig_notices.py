@@ -1,0 +1,45 @@
+"""What a rig file says that is allowed and most likely not meant: a sentence each, with the line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from drivers.rig_model import Point, Rig
+from drivers.rig_places import line_of
+from drivers.roles import HEATER, ROLES, nearest_role
+from hil.soaking import has_memory, role_of, unled
+
+
+def notices(rig: Rig, file: Path) -> list[str]:
+    """Heaters that stay on, roles that are none, and a rig that `hil resume` cannot lead back."""
+    text = file.read_text(encoding="utf-8")
+    found = []
+    for index, point in enumerate(rig.point):
+        for key, what in (("safe_value", _stays_on(rig, point)), ("role", _no_role(point))):
+            if what is not None:
+                found.append(f"{file}, line {line_of(text, ('point', index, key))}: {what}")
+    if any(has_memory(point.as_signal()) for point in rig.point) and (what := unled(rig, rig.setpoints)) is not None:
+        found.append(f"{file}: {what}")
+    return found
+
+
+def _stays_on(rig: Rig, point: Point) -> str | None:
+    role = role_of(rig, point)
+    # With another role that is known, what is set in W is a fan or a pump.
+    is_heater = role == HEATER or (point.unit in ("W", "kW") and role not in ROLES)
+    if not point.is_setpoint or not is_heater or not point.safe_value:
+        return None
+    if_so, remedy = ("it stays", "") if role == HEATER else ("a heater would stay", " if it heats")
+    return (
+        f"safe_value of {point.name} is {point.safe_value:g} {point.unit}, so that {if_so} on when a run is paused, "
+        f"trips or ends; set safe_value = 0{remedy}"
+    )
+
+
+def _no_role(point: Point) -> str | None:
+    if point.role is None or point.role in ROLES:
+        return None
+    return (
+        f"role {point.role!r} of {point.name} is none that hil knows; did you mean "
+        f"{nearest_role(point.role, point.unit)!r}? The known ones are {', '.join(ROLES)}"
+    )

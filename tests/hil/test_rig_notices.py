@@ -1,0 +1,119 @@
+"""What `hil check` says of a rig file that is allowed and most likely not meant."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from drivers.rigfile import load_rig
+from drivers.roles import ROLES
+from hil.commands.check import command
+from hil.rig_notices import notices
+from hil.soaking import unled
+from tests.hil.test_resume import hil, killed
+
+VIRTUAL = Path(__file__).resolve().parents[2] / "profiles" / "rigs" / "virtual.toml"
+HOT = ("safe_value = 0.0", "safe_value = 50.0")
+NO_ROLES = (r'role = "\w+"\n', "")
+LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,100,70\n9000,700,100,70\n"
+
+
+def rig_file(folder: Path, *changes: tuple[str, str]) -> Path:
+    """The virtual rig's file with each first text, a regular expression, made the second."""
+    text = VIRTUAL.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert re.search(old, text), old
+        text = re.sub(old, new, text)
+    path = folder / "rig.toml"
+    path.write_text(text, encoding="utf-8")
+    shutil.copy(VIRTUAL.with_name("thermocouples.dbc"), folder)
+    return path
+
+
+def told(path: Path) -> list[str]:
+    """The notices, which are among the notes that `hil check` prints, and which do not refuse the file."""
+    found = notices(load_rig(path), path)
+    result = CliRunner().invoke(command, [str(path)])
+    assert result.exit_code == 0, result.output
+    assert all(f"note: {sentence}\n" in result.output for sentence in found)
+    assert set(found) <= set(json.loads(CliRunner().invoke(command, [str(path), "--json"]).output)["notes"])
+    return found
+
+
+def test_the_shipped_rig_gives_no_cause(tmp_path):
+    assert told(rig_file(tmp_path)) == []
+
+
+def test_a_heater_that_stays_on_is_told_with_its_line(tmp_path):
+    path = rig_file(tmp_path, HOT)
+    line = path.read_text(encoding="utf-8").splitlines().index("safe_value = 50.0") + 1
+    assert told(path) == [
+        f"{path}, line {line}: safe_value of heater_power_set is 50 W, so that it stays on when a run is paused, trips "
+        "or ends; set safe_value = 0"
+    ]
+
+
+def test_what_is_set_in_watts_without_a_role_may_be_a_heater(tmp_path):
+    (sentence,) = told(rig_file(tmp_path, HOT, ('role = "heater_power"\n', "")))
+    assert "a heater would stay on" in sentence and sentence.endswith("set safe_value = 0 if it heats")
+
+
+def test_a_fan_that_is_set_in_watts_is_no_heater(tmp_path):
+    path = rig_file(tmp_path, HOT, ('role = "heater_power"', 'role = "fan_speed"'))
+    assert told(path) == []
+
+
+@pytest.mark.parametrize(
+    ("known", "role", "meant"),
+    [
+        ("heater_power", "heater", "heater_power"), ("fan_speed", "Fan", "fan_speed"),
+        ("T_ambient", "t_ambient", "T_ambient"), ("T_radiator", "radiator", "T_radiator"),
+    ],
+)  # fmt: skip
+def test_a_role_that_nothing_knows_is_told_with_the_nearest_and_all(tmp_path, known, role, meant):
+    path = rig_file(tmp_path, (f'role = "{known}"', f'role = "{role}"'))
+    line = path.read_text(encoding="utf-8").splitlines().index(f'role = "{role}"') + 1
+    assert told(path) == [
+        f"{path}, line {line}: role '{role}' of {known} is none that hil knows; did you mean '{meant}'? The known ones "
+        f"are {', '.join(ROLES)}"
+    ]
+
+
+def test_a_rig_that_resume_cannot_lead_back_is_told(tmp_path):
+    path = rig_file(tmp_path, NO_ROLES, HOT)
+    rig = load_rig(path)
+    stays_on, cannot = told(path)
+    assert "stay on" in stays_on
+    assert cannot == f"{path}: {unled(rig, rig.setpoints)}"
+    assert "none of heater_power_set, pump_speed_set, fan_speed_set has the role heater_power or fan_speed" in cannot
+    assert "`hil resume` only holds the profile's load and waits" in cannot
+
+
+def test_one_set_point_that_leads_is_enough(tmp_path):
+    assert told(rig_file(tmp_path, NO_ROLES)) == []  # in W, and safe at 0
+    rig = load_rig(rig_file(tmp_path))
+    pump = [point for point in rig.setpoints if point.name == "pump_speed_set"]
+    assert unled(rig, pump) is not None  # a profile that moves the pump alone
+    assert unled(rig, rig.setpoints[2:]) is None  # the fan
+
+
+def test_a_rig_without_a_temperature_has_nowhere_to_be_led_back_to(tmp_path):
+    path = rig_file(tmp_path, NO_ROLES, HOT, ('unit = "degC"', r'unit = "degC"\nkind = "status"'))
+    (sentence,) = told(path)
+    assert "stay on" in sentence
+
+
+def test_resume_says_so_before_it_moves_anything(tmp_path):
+    rig = rig_file(tmp_path, NO_ROLES, HOT)
+    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    folder = killed(tmp_path, 60, "--rig", rig, "--virtual", "--lockstep", "--no-twin")
+    done = hil("resume", folder, "--no-viewer", "--timeout", 0, "--band", 0.001)
+    loaded = load_rig(rig)
+    sentence = unled(loaded, loaded.setpoints)
+    assert sentence is not None
+    assert done.stderr.index(sentence) < done.stderr.index("soaking")
