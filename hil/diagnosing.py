@@ -24,7 +24,7 @@ from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
 from hil.record import Record, read_record
 from hil.record_time import span
 from hil.run_folder import RunFolder
-from hil.segments import longest
+from hil.segments import Parts
 from twin.discovery.basis import Columns, Commissioned
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.engine import diagnose
@@ -116,28 +116,26 @@ def columns_of(network: Network, record: Record, hour_at_0: float | None) -> Col
     return Columns.of(network, record.time_s, columns)
 
 
-def longest_segment(record: Record) -> Record:
-    """The longest part of a run that was cut and resumed, with a message that says so; any other record as it is.
-
-    Across a gap no twin can be followed: nobody knows what heated meanwhile, and the rig came back colder.
-    """
+def in_parts(record: Record) -> Record:
+    """A run that was cut and resumed, so that a twin begins anew after each gap; any other record as it is."""
     segment = record.columns.get("segment")
     if segment is None or "profile_s" not in record.columns:  # another logger's column may be called so too
         return record
-    rows = longest(segment)
-    if rows == slice(0, len(segment)):
-        return record
-    low, high = record.time_s[rows][[0, -1]]
-    said = (
-        f"the run was cut and resumed: diagnosed is its longest part, {span(float(low))} to {span(float(high))} of the "
-        "record, since nobody knows what the rig did in the gaps"
-    )
+    parts = Parts.of(record.time_s, segment)
+    rows = parts.rows
+    said: tuple[str, ...] = ()
+    if rows != slice(0, len(segment)):
+        low, high = record.time_s[rows][[0, -1]]
+        said = (
+            f"the run was cut and resumed, and the gaps are longer than it: diagnosed is its longest part, "
+            f"{span(float(low))} to {span(float(high))} of the record",
+        )
     return dataclasses.replace(
         record,
         time_s=record.time_s[rows],
-        columns={name: values[rows] for name, values in record.columns.items()},
+        columns={name: np.where(parts.aside, np.nan, values[rows]) for name, values in record.columns.items()},
         quality={name: values[rows] for name, values in record.quality.items()},
-        messages=(*record.messages, said),
+        messages=(*record.messages, *said),
     )
 
 
@@ -151,7 +149,7 @@ def read_columns(
     """
     record = read_record(path, at_rest=at_rest)
     if not at_rest:
-        record = longest_segment(record)
+        record = in_parts(record)
     hour = hour_at_0 if hour_at_0 is not None else start_hour(record)
     try:
         columns = columns_of(network, record, hour)

@@ -25,7 +25,7 @@ from drivers.points import ConfigurationError, Quality
 from hil.child import Child
 from hil.journal import JournalReader, JournalWriter
 from hil.journal_rows import Samples
-from hil.segments import longest
+from hil.segments import Parts
 
 if TYPE_CHECKING:
     from twin.discovery.basis import Columns
@@ -206,11 +206,12 @@ class _Worker:
             self._blocks.append(new)
         if not self._blocks:
             return None
-        # No twin can be followed across the gap of a run that was cut.
-        rows = longest(np.searchsorted(begins, np.concatenate([b.tick for b in self._blocks]), side="right"))
-        time_s = np.concatenate([b.time_s for b in self._blocks])[rows]
-        values = np.concatenate([np.where(b.quality == Quality.GOOD, b.values, np.nan) for b in self._blocks])[rows]
-        return columns_of(self._network, Record(time_s, dict(zip(names, values.T, strict=True))), None)
+        time_s = np.concatenate([b.time_s for b in self._blocks])
+        ticks = np.concatenate([b.tick for b in self._blocks])
+        parts = Parts.of(time_s, np.searchsorted(begins, ticks, side="right"))
+        good = np.concatenate([np.where(b.quality == Quality.GOOD, b.values, np.nan) for b in self._blocks])
+        values = np.where(parts.aside[:, None], np.nan, good[parts.rows])
+        return columns_of(self._network, Record(time_s[parts.rows], dict(zip(names, values.T, strict=True))), None)
 
     def _adopt(self, diagnosis: Diagnosis, found: Found) -> tuple[Path | None, str]:
         """File of a new revision, or why there is none."""

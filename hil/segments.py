@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hil.journal_rows import StateRow
 from hil.soaking import SoakRule
 from hil.states import State
+from twin.stretches import LONG_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +62,27 @@ def profile_times(states: Sequence[StateRow], tick: NDArray[np.int64], period_s:
     return np.asarray(row_s + np.where(goes, (tick - row_tick) * period_s, 0.0), dtype=np.float64)
 
 
-def longest(segment: NDArray[np.generic]) -> slice:
-    """The rows of the segment that has most; `segment (n,)` never falls."""
-    _, first, counts = np.unique(segment, return_index=True, return_counts=True)
-    k = int(np.argmax(counts)) if len(counts) else 0
-    return slice(int(first[k]), int(first[k] + counts[k])) if len(counts) else slice(0, 0)
+@dataclass(frozen=True)
+class Parts:
+    """What a twin can be asked about of a run that was cut: `rows` of it, and those (n,) among them to be left `aside`,
+    so that it begins anew after each gap; nobody knows what heated meanwhile, and the rig came back colder."""
+
+    rows: slice
+    aside: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, time_s: NDArray[np.float64], segment: NDArray[np.generic]) -> Parts:
+        """Of rows at `time_s (n,)`, with `segment (n,)` never falling: all segments, or the one that has most where the
+        gaps are longer than what there is beside them."""
+        _, first, counts = np.unique(segment, return_index=True, return_counts=True)
+        ends = first + counts - 1
+        gaps = time_s[first[1:]] - time_s[ends[:-1]]
+        if gaps.sum() > (time_s[ends] - time_s[first]).sum():
+            k = int(np.argmax(counts))
+            rows = slice(int(first[k]), int(ends[k]) + 1)
+            return cls(rows, np.zeros(int(counts[k]), dtype=np.bool_))
+        aside = np.zeros(len(time_s), dtype=np.bool_)
+        for begin, before in zip(first[1:], ends[:-1], strict=True):
+            # However short a gap was: one of this length is one to every twin.
+            aside[begin:] |= time_s[begin:] <= time_s[before] + LONG_S
+        return cls(slice(0, len(time_s)), aside)

@@ -121,18 +121,26 @@ def worse(scores: list[Score], rival: list[Score]) -> float:
     return float(np.mean(lost)) if lost else float("nan")
 
 
-def over_bound(scores: Iterable[Score]) -> float:
-    """Root mean square of parameter errors over their Cramer-Rao bounds: 1 is as good as can be."""
-    values = np.concatenate([s.off[s.after | s.before].ravel() for s in scores] or [np.zeros(0)])
-    values = values[np.isfinite(values)]
+def over_bound(scores: Iterable[Score], *, accepted: bool = False) -> float:
+    """Root mean square of parameter errors over their Cramer-Rao bounds: 1 is as good as can be.
+
+    Args:
+        accepted: only of windows before which the contestant said that it was calibrated.
+    """
+    values = _over_bound(scores, accepted)
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
-def median_over_bound(scores: Iterable[Score]) -> float:
-    """Median of |error| over bound; 0.67 for an efficient estimate."""
-    values = np.concatenate([np.abs(s.off[s.after | s.before]).ravel() for s in scores] or [np.zeros(0)])
-    values = values[np.isfinite(values)]
+def median_over_bound(scores: Iterable[Score], *, accepted: bool = False) -> float:
+    """Median of |error| over bound; 0.67 for an efficient estimate. The arguments are those of `over_bound`."""
+    values = np.abs(_over_bound(scores, accepted))
     return float(np.median(values)) if values.size else float("nan")
+
+
+def _over_bound(scores: Iterable[Score], accepted: bool) -> Array:
+    chosen = [s.off[(s.after | s.before) & (s.calibrated | (not accepted))].ravel() for s in scores]
+    values = np.concatenate(chosen or [np.zeros(0)])
+    return values[np.isfinite(values)]
 
 
 def sure(scores: Iterable[Score], which: Callable[[Score], np.ndarray]) -> float:

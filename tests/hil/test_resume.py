@@ -25,6 +25,7 @@ from hil.review.rerun_io import read_words
 from hil.run_folder import RunFolder, RunFolderError
 from hil.soaking import has_memory
 from hil.terminal import cut_time
+from twin.stretches import LONG_S, stretches
 from twin.twinfile import load
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -294,14 +295,18 @@ def test_a_run_that_was_cut_is_told_from_one_that_goes_on(story):
     assert f"the run was cut: what there is of it; `hil resume {cut.path}`" in hil("review", cut.path).stderr
 
 
-def test_a_resumed_run_is_diagnosed_on_its_longest_part_and_says_what_the_gap_cost(story):
+def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_cost(story):
     network = load(story.folder.twin)
     columns, messages = read_columns(network, story.folder.record, None)
     record = read_record(story.folder.record)
-    segment = record.columns["segment"]
-    longer = 1 if np.sum(segment == 1) >= np.sum(segment == 2) else 2
-    assert np.array_equal(columns.time_s, record.time_s[segment == longer])
-    assert any(message.startswith("the run was cut and resumed: diagnosed is its longest part") for message in messages)
+    first = record.columns["segment"] == 1
+    assert np.array_equal(columns.time_s, record.time_s)
+    found = stretches(network, columns.time_s, columns.inputs)
+    ((left, anew),) = found.gaps
+    assert left == record.time_s[first][-1]
+    assert anew > left + LONG_S
+    assert not np.isfinite(columns.measured[~first & (record.time_s < anew)]).any()
+    assert not any("longest part" in message for message in messages)
     whole, messages = read_columns(network, story.whole.record, None)
     assert len(whole.time_s) == 8401
     assert not any("cut" in message for message in messages)

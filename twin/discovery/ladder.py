@@ -165,7 +165,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
 
 
 def _late(part: Part, entries: list[Entry], best: float) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """Fits of what is late, but for what a lumped twin may leave as much of all along, and for what comes nowhere near the best.
+    """Fits of what is late, but for what comes nowhere near the best, or a lumped twin may leave as much of all along.
 
     Args:
         best: weighted squares that another hypothesis leaves.

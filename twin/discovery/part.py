@@ -137,9 +137,7 @@ class Part:
         self.contest.look_at(self.run)
 
 
-def fitted(
-    part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS
-) -> list[tuple[Fit, tuple[Entry, ...]]]:
+def fitted(part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS) -> list[tuple[Fit, tuple[Entry, ...]]]:
     """Each group of effects fitted, from the commissioned values, side by side; the part's contest is left alone."""
     keys = [(rounds, *_named(group)) for group in groups]
     new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
