@@ -151,6 +151,17 @@ def test_gaps_irregular_stamps_and_a_dead_thermometer_do_not_matter(bench: Bench
     assert "T_radiator_C" not in found.errors
 
 
+def test_a_record_with_a_gap_needs_no_healthy_one(bench: Bench) -> None:
+    """Nobody knows the state at the beginning, nor at the gap's end."""
+    record = bench.record(changed=bench.with_values(modules_power__power=150.0), onset_h=5.0)
+    keep = np.ones(len(record.time_s), dtype=bool)
+    keep[4000:4400] = False
+    torn = Columns(record.time_s[keep], record.inputs[keep], record.measured[keep])
+    found = diagnose(bench.network, torn)
+    assert [(e.kind, e.where) for e in found.effects] == [("heat_source", "modules")]
+    assert found.effects[0].value == pytest.approx(150.0, rel=0.1)
+
+
 def test_a_change_inside_the_held_out_part_is_noticed_and_said(bench: Bench, healthy: Columns) -> None:
     record = bench.record(changed=bench.with_values(modules_power__power=150.0), onset_h=13.0)
     found = diagnose(bench.network, record, healthy)

@@ -151,7 +151,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
             earlier=None if of is probe else of.network,
         )
     state, _, residual, _ = free_run(probe, record)
-    prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 0.3)
+    prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state[: probe.k], 0.3)
     learned = noises.learn(residual, record.sigma, record.step_s)
     warning = (
         "no healthy record was given: the noise floor is taken from this record itself, so small effects are not seen "
