@@ -24,7 +24,7 @@ def signature(contest: Contest, shown: Array, without: Array) -> Array:
     change = np.zeros((rows, shown.shape[1]))
     both = min(rows, len(shown), len(without))
     change[:both] = np.nan_to_num(shown[:both] - without[:both])
-    return contest.features(change)
+    return contest.features(contest.seen(change))
 
 
 def visible(contest: Contest, signatures: Sequence[Array]) -> tuple[list[float], list[float]]:

@@ -164,7 +164,7 @@ def test_a_law_says_what_the_element_itself_does(bench: Bench, healthy: Columns)
         values, sizes = network.values[None, :], np.array([[size]])
         with_it = model.run(grid.time, grid.inputs, state[None, :], values, sizes)[0]
         with_it = centred(with_it)
-        real = contest.features(with_it - run.readings).reshape(contest.b, contest.m)
+        real = contest.features(contest.seen(with_it - run.readings)).reshape(contest.b, contest.m)
         scale = np.abs(real).max()
         off = np.abs(told - real).max() / scale
         print(c.id, round(off, 3), scale)

@@ -86,7 +86,7 @@ class Contest:
 
     Attributes:
         edges, hours: block borders, bins, and their beginnings, h from the record's. b, sites: numbers of blocks and of
-            places, which are the k nodes and then the m sensors.
+            places, which are the k nodes and then the m sensors. begins: first whole block of each stretch.
         total: weighted squares of the run last looked at, and of how far its tunables have moved.
         expected: misfit per block and sensor where there is nothing but noise.
         slopes: (b * m, q + s * k) whitened, of tunables and the state at the beginning of each stretch.
@@ -112,6 +112,9 @@ class Contest:
         # A block that is begun anew in its midst has a mean of two stretches.
         amid = [b for b in grid.begins[1:] if b not in self.edges]
         self.known[np.searchsorted(self.edges, amid) - 1] = False
+        self.begins = tuple(int(b) for b in np.searchsorted(self.edges[:-1], grid.begins))
+        self._seen = np.maximum(np.add.reduceat(self.present, self.edges[:-1], axis=0, dtype=np.intp), 1)
+        self._measured = self.seen(grid.measured)
         heat = probe.blocks(grid, state, self.edges)
         # From the beginning of the longest stretch, since nothing is remembered beyond a stretch's end.
         longest = max(grid.stretches, key=lambda rows: rows.stop - rows.start)
@@ -124,7 +127,8 @@ class Contest:
         self._columns = self._white(filled(columns, self.known, ANCHOR)).reshape(self.b * self.m, -1)
         self._open, self._less = self._left_by(structure, laws)
         self._columns = self._narrowed(self._columns)
-        self.slopes = self.features(probe.sensitivities(grid, state))
+        sensitivities = self.seen(np.moveaxis(probe.sensitivities(grid, state), 2, 0))
+        self.slopes = self.features(np.moveaxis(sensitivities, 0, 2))
         self._normal = self.slopes.T @ self.slopes + self.prior.precision
         cross = self.slopes.T @ self._columns
         self._taken = np.linalg.solve(self._normal, cross)
@@ -140,12 +144,11 @@ class Contest:
         means: Array = np.add.reduceat(values, self.edges[:-1], axis=0) / lengths
         return means
 
-    def _seen_means(self, values: Array) -> Array:
-        """(n, m, ...) to means (b, m, ...) over bins with a reading; blocks without are bridged by straight lines."""
-        mask = self.present.reshape(*self.present.shape, *([1] * (values.ndim - 2)))
-        count = np.add.reduceat(mask, self.edges[:-1], axis=0)
-        total = np.add.reduceat(np.where(mask, values, 0.0), self.edges[:-1], axis=0)
-        return filled(total / np.maximum(count, 1), self.known, ANCHOR)
+    def seen(self, values: Array) -> Array:
+        """(..., n, m) to means (..., b, m) over bins with a reading; 0 for a block without."""
+        there = values if self.present.all() else np.where(self.present, values, 0.0)
+        means: Array = np.add.reduceat(there, self.edges[:-1], axis=-2) / self._seen
+        return means
 
     def _white(self, values: Array) -> Array:
         return self.noise.whiten(values, self.step_s)
@@ -165,14 +168,16 @@ class Contest:
             left = left - self._columns @ vector.ravel() * size
         return self.noise.colour(left.reshape(self.b, self.m), self.step_s)
 
-    def features(self, values: Array) -> Array:
-        """Whitened block means (b * m, ...) of a residual or of signatures (n, m, ...)."""
-        means = self._white(self._seen_means(values))
-        return self._narrowed(means.reshape(self.b * self.m, *values.shape[2:]))
+    def features(self, means: Array) -> Array:
+        """Whitened (b * m, ...) of what was `seen` (b, m, ...) of a residual or of signatures; blocks without a reading
+        are bridged by straight lines."""
+        white = self._white(filled(means, self.known, ANCHOR))
+        return self._narrowed(white.reshape(self.b * self.m, *means.shape[2:]))
 
-    def residual_of(self, readings: Array) -> Array:
-        """Whitened (b * m,): measured less `readings` (n, m), and less what the twin's structure leaves."""
-        return self.features(np.where(self.present, self.grid.measured - readings, 0.0)) - self._less
+    def residuals_of(self, readings: Array) -> Array:
+        """Whitened (P, b * m): measured less `readings` (P, n, m), and less what the twin's structure leaves."""
+        left = self.features(np.moveaxis(self._measured - self.seen(readings), 0, 2))
+        return np.ascontiguousarray(left.T) - self._less
 
     def _left_by(self, structure: Structure | None, laws: Sequence[Law]) -> tuple[tuple[Array, Array] | None, Array]:
         """Orthonormal whitened directions (b * m, r) that a structure leaves open, with the shares (r,) by which they
@@ -195,7 +200,7 @@ class Contest:
 
     def look_at(self, run: Run, moved: Array | None = None) -> None:
         """Take the residual of a run, whose tunables and state stand `moved` (q + s * k,) off the prior's mean."""
-        residual = self.residual_of(run.readings)
+        residual = self.residuals_of(run.readings[None])[0]
         self.residual = residual
         pull = self.slopes.T @ residual
         if moved is not None:

@@ -103,7 +103,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     def look(rows: Array) -> tuple[Array, Array]:
         """Whitened residuals (P, rows) and readings (P, n, m) of runs at `rows` (P, count)."""
         readings = run(rows)
-        return np.stack([contest.residual_of(each) for each in readings]), readings
+        return contest.residuals_of(readings), readings
 
     def slopes_at(v: Array) -> tuple[Array, Array]:
         """Whitened slopes (rows, count), and those (rows, onsets) that onsets have towards earlier times."""
@@ -113,9 +113,9 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         at_once = alone[q : q + k].reshape(-1, probe.k, count).sum(axis=0)
         moves = np.vstack([np.zeros(count), alone[:q], at_once, alone[q + k :], -np.diag(steps)[onsets]])
         # A run is cut where any of those beside it is: only with these is the difference that of the move.
-        readings = run(v + moves)
-        change = np.moveaxis(readings[1:] - readings[0], 0, 2)
-        states = each_alone(change[..., q : q + probe.k], grid.begins)
+        seen = contest.seen(run(v + moves))
+        change = np.moveaxis(seen[1:] - seen[0], 0, 2)
+        states = each_alone(change[..., q : q + probe.k], contest.begins)
         each = np.concatenate([change[..., :q], states, change[..., q + probe.k :]], axis=2)
         both = contest.features(each / np.append(sign, -steps[onsets]))
         return both[:, :count], both[:, count:]
