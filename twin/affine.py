@@ -7,11 +7,23 @@ an input changes and is left with sums of products in its innermost loop.
 from __future__ import annotations
 
 import ast
+import threading
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
 ONE, ZERO = "1.0", "0.0"
+_PARSING = threading.Lock()
+
+
+def parsed(text: str) -> ast.expr:
+    """An expression's syntax tree.
+
+    One thread at a time: CPython counts the depth of the tree that it builds in a place that all threads share, and
+    where one is interrupted by a finalizer another's count is off ("AST constructor recursion depth mismatch").
+    """
+    with _PARSING:
+        return ast.parse(text, mode="eval").body
 
 
 class NotAffine(Exception):
@@ -50,18 +62,18 @@ def affine(text: str, variables: Iterable[str], known: Mapping[str, Form]) -> Fo
     Raises:
         NotAffine: a variable occurs other than linearly.
     """
-    return _form(ast.parse(text, mode="eval").body, frozenset(variables), known)
+    return _form(parsed(text), frozenset(variables), known)
 
 
 @lru_cache(maxsize=20_000)  # networks that differ in one element share nearly all of their text
 def names_in(text: str) -> frozenset[str]:
     """Names that occur in an expression."""
-    return frozenset(node.id for node in ast.walk(ast.parse(text, mode="eval")) if isinstance(node, ast.Name))
+    return frozenset(node.id for node in ast.walk(parsed(text)) if isinstance(node, ast.Name))
 
 
 def shared_call(text: str, apart: Collection[str]) -> str | None:
     """The first function call in an expression that uses none of the names `apart`, outermost first."""
-    queue: list[ast.AST] = [ast.parse(text, mode="eval").body]
+    queue: list[ast.AST] = [parsed(text)]
     while queue:
         node = queue.pop(0)
         if isinstance(node, ast.Call) and not {n.id for n in ast.walk(node) if isinstance(n, ast.Name)} & set(apart):

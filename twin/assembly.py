@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from twin.affine import ZERO, Form, NotAffine, affine, names_in, plus, times
+from twin.affine import ZERO, Form, NotAffine, affine, names_in, parsed, plus, times
 from twin.elements import Fragment, Names
 from twin.elements.base import Drive, Stream
 from twin.network import Network
@@ -167,7 +167,7 @@ class System:
         texts += [self.text(s.rate) for _, f in self.parts for s in f.states] + [d.water for d in self.delays]
         found: Counter[str] = Counter()
         for text in texts:
-            for node in ast.walk(ast.parse(text, mode="eval")):
+            for node in ast.walk(parsed(text)):
                 if isinstance(node, ast.Name):
                     found[node.id] += 1
         return found

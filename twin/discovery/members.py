@@ -7,7 +7,7 @@ they read, or to all alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,6 +40,8 @@ class Members:
         columns: in the order of the flow. residual: (b, c) K, of block means, less what is healthy. sd: (c,) K.
         edges_s: (b + 1,) s from the record's beginning. most: K, that any of them stood out by in a healthy block: a
             row that is crossed by something warmer differs for a while.
+        fine: (n, c) K, the same as `residual` of bins of `step_s`. mean: (n,) degC, of the thermometers there are.
+        follows: driver -> (b,), what their differences may be in proportion to, in blocks.
     """
 
     sensor: str
@@ -48,6 +50,19 @@ class Members:
     sd: Array
     edges_s: Array
     most: float = 0.0
+    fine: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
+    mean: Array = field(default_factory=lambda: np.empty(0), repr=False)
+    step_s: float = 0.0
+    follows: dict[str, Array] = field(default_factory=dict, repr=False)
+
+    @property
+    def good(self) -> np.ndarray:
+        """Blocks in which every thermometer has a reading."""
+        return np.flatnonzero(np.isfinite(self.residual).all(axis=1))
+
+    def column_of(self, where: str) -> str | None:
+        """The column of a thermometer, or of the place that it reads; None for any other."""
+        return next((c for c in self.columns if where in (c, place_of(c))), None)
 
     def by_itself(self, i: int, residual: Array) -> Array:
         """What member i alone is off by, K, in each row of such differences (r, c)."""
@@ -71,8 +86,13 @@ class Odd:
 
     @property
     def place(self) -> str:
-        """The place that the thermometer reads, by the name of its column."""
-        return self.column.removeprefix("T_").removesuffix("_C")
+        """The place that the thermometer reads."""
+        return place_of(self.column)
+
+
+def place_of(column: str) -> str:
+    """The place that a thermometer reads, by the name of its column."""
+    return column.removeprefix("T_").removesuffix("_C")
 
 
 def members(
@@ -110,7 +130,12 @@ def members(
         residual = difference - _basis(network, grid, mean, edges) @ law
         sd = np.maximum(scatter, MARGIN_K / STANDS_OUT)
         columns = tuple(c for c, t in zip(sensor.measured, there, strict=True) if t)
-        here = Members(sensor.name, columns, residual, sd, edges * grid.step_s)
+        bin_mean, each = _blocks(record[sensor.name][:, there], bins_of_one := np.arange(len(grid.time) + 1))
+        here = Members(
+            sensor.name, columns, residual, sd, edges * grid.step_s,
+            fine=each - _basis(network, grid, bin_mean, bins_of_one) @ law, mean=bin_mean, step_s=grid.step_s,
+            follows=_follows(network, grid, mean, edges),
+        )  # fmt: skip
         most = max(float(np.abs(here.by_itself(i, left)).max()) for i in range(left.shape[1]))
         found.append(replace(here, most=most))
     return tuple(found)
@@ -145,6 +170,20 @@ def _basis(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> Arra
     return np.column_stack([np.ones(len(rows)), excess, excess * 100.0 / np.maximum(pump, 5.0)])
 
 
+def _follows(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> dict[str, Array]:
+    """What a place of its own may follow in blocks: how warm it is beside the room, and what is heated with."""
+    rows = np.add.reduceat(grid.inputs, edges[:-1], axis=0)[: len(edges) - 1] / np.diff(edges)[:, None]
+    columns = dict(zip(network.input_columns, rows.T, strict=True))
+    room = next((values for name, values in columns.items() if name.startswith("T_amb")), None)
+    power = next((values for name, values in columns.items() if name.startswith("heater_power")), None)
+    found = {"temperature": mean}
+    if room is not None:
+        found["temperature_difference"] = mean - room
+    if power is not None:
+        found["heater_power"] = power
+    return found
+
+
 def odd_one(found: Members, shapes: tuple[Shape, ...] = ()) -> Odd | None:
     """The member that stands out, if one does.
 
@@ -152,7 +191,7 @@ def odd_one(found: Members, shapes: tuple[Shape, ...] = ()) -> Odd | None:
         shapes: how it may have come in; steps at every other block and drifts by default, a drift only where it is
             better than any step by more than can be told.
     """
-    good = np.flatnonzero(np.isfinite(found.residual).all(axis=1))
+    good = found.good
     if len(good) < 6:
         return None
     best = _oddest(found, good, shapes or _steps(found))
@@ -203,7 +242,7 @@ def _oddest(found: Members, good: np.ndarray, shapes: tuple[Shape, ...]) -> Odd 
 
 def began_between(found: Members, odd: Odd) -> tuple[float, float]:
     """90 % interval, s from the record's beginning, of when a member came to be off as `odd` says."""
-    good = np.flatnonzero(np.isfinite(found.residual).all(axis=1))
+    good = found.good
     i, edges, end_s = found.columns.index(odd.column), found.edges_s, float(found.edges_s[-1])
     off = found.by_itself(i, found.residual[good])
 

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.discovery.diagnosis import Diagnosis, Effect, Verdict
+from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Verdict
 from twin.discovery.equivalence import width
 from twin.discovery.members import Members, Odd, began_between, odd_one, restless_one
+from twin.discovery.nature import Nature, natures
 from twin.discovery.readings import Stuck
 from twin.discovery.words import amount, clock, when
 from twin.gauss_newton import SE90
@@ -22,14 +23,17 @@ if TYPE_CHECKING:
 
 HEATS = ("heat_source", "heat_loss")
 """Kinds that warm or cool one place of several, whose thermometer then stands out without being at fault."""
+SURE, OPEN = 0.85, 0.05
+"""Share of the weight that one thing must have to be named alone, and of the likeliest one's that it must have to stay
+in question."""
 SMEARED = 1.5
 """Thresholds that may be left where an error was taken off in block means: its edges are sharper than they."""
 
 
 def single(
     one: Members, network: Network, verdict: Verdict, effects: tuple[Effect, ...], finding: Finding, start: float
-) -> tuple[Verdict, tuple[Effect, ...]]:
-    """Say which thermometer or place of several it is, where one differs from the others.
+) -> tuple[Verdict, tuple[Effect, ...], tuple[Alternative, ...]]:
+    """Say which thermometer or place of several it is, where one differs from the others, and what else it may be.
 
     A mismatch that nothing explains stays unexplained, with the thermometer named beside it: whether the thermometer
     is all there is to it, `explained_by_one` tells. One that is off now and then is not of the catalogue; beside a
@@ -40,26 +44,62 @@ def single(
     shapes = tuple(e.shape for e in finding.entries) if here and finding.entries else ()
     odd = odd_one(one, shapes) or (odd_one(one) if not here or verdict == "unexplained" else None)
     if odd is None:
-        restless = restless_one(one) if verdict in ("adequate", "unexplained") else None
-        return (verdict, effects) if restless is None else ("unexplained", (*effects, _restless(one, restless, start)))
+        return (*_now_and_then(one, verdict, effects, start), ())
     at = _belongs_to(odd, here, effects, finding)
     if at is not None and effects[at].kind not in ("unknown", "sensor"):
         own = _in_its_own_shape(one, odd)
         if own is not odd and effects[at].kind not in HEATS:
             # What came in at another time, or grew, is another thing: the thermometer's own. Heat at one place shows in
             # its thermometer, in whatever form it is told.
-            return verdict, (*effects, _fault(one, own, start))
+            return verdict, (*effects, _fault(one, own, _told(one, own), start)), ()
         old = effects[at]
         changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
-        return verdict, tuple(changed if i == at else e for i, e in enumerate(effects))
+        return verdict, tuple(changed if i == at else e for i, e in enumerate(effects)), ()
     if at is not None and effects[at].kind == "sensor":
         odd = _in_its_own_shape(one, odd)
-    fault = _fault(one, odd, start)
+    told = natures(one, odd)
+    if not told and verdict == "adequate":
+        # No error of one thermometer, nor heat of one place, that is there from one moment on.
+        return (*_now_and_then(one, verdict, effects, start), ())
+    fault = _fault(one, odd, _told(one, odd), start)
+    same = _instead(odd, told)
     if verdict == "unexplained":
-        return verdict, (*effects, fault)
+        return verdict, (*effects, fault), same
     if at is not None:
-        return "effect found", tuple(fault if i == at else e for i, e in enumerate(effects))
-    return ("effect found" if verdict == "adequate" else verdict), (*effects, fault)
+        effects = tuple(fault if i == at else e for i, e in enumerate(effects))
+        return "ambiguous" if same else "effect found", effects, same
+    if verdict == "adequate":
+        return "ambiguous" if same else "effect found", (*effects, fault), same
+    if same:
+        fault = replace(fault, says=f"{fault.says} (or so it is with {_either(same, fault)}: this record cannot tell)")
+    return verdict, (*effects, fault), same
+
+
+def _now_and_then(
+    one: Members, verdict: Verdict, effects: tuple[Effect, ...], start: float
+) -> tuple[Verdict, tuple[Effect, ...]]:
+    """The same with a thermometer that is off now and then; beside a cause that is named none is looked for."""
+    restless = restless_one(one) if verdict in ("adequate", "unexplained") else None
+    return (verdict, effects) if restless is None else ("unexplained", (*effects, _restless(one, restless, start)))
+
+
+def _told(one: Members, odd: Odd) -> Nature:
+    """What is the matter where one differs: the likeliest thing, an error of reading where nothing explains it."""
+    found = natures(one, odd)
+    return (
+        found[0] if found else Nature("sensor", "constant" if odd.shape.name == "step" else "elapsed_time", False, 1.0)
+    )
+
+
+def _instead(odd: Odd, told: tuple[Nature, ...]) -> tuple[Alternative, ...]:
+    """What cannot be told from the likeliest, that first, where that has not nearly all of the weight."""
+    places: dict[tuple[str, bool], float] = {}
+    for n in told:
+        places[n.kind, n.local] = places.get((n.kind, n.local), 0.0) + n.share
+    if not told or places[told[0].kind, told[0].local] >= SURE:
+        return ()
+    left = [n for n in told if n.share > OPEN * told[0].share]
+    return tuple(Alternative(n.kind, odd.place if n.local else odd.column, n.driver, n.share) for n in left)
 
 
 def _belongs_to(odd: Odd, here: list[int], effects: tuple[Effect, ...], finding: Finding) -> int | None:
@@ -76,18 +116,31 @@ def _in_its_own_shape(one: Members, odd: Odd) -> Odd:
     return own if own is not None and plainer else odd
 
 
-def _fault(one: Members, odd: Odd, start: float) -> Effect:
+def _either(same: tuple[Alternative, ...], fault: Effect) -> str:
+    """What else it may be, in words."""
+    named = dict.fromkeys((a.kind, a.where) for a in same if (a.kind, a.where) != (fault.kind, fault.where))
+    return " or ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in named)
+
+
+def _fault(one: Members, odd: Odd, told: Nature, start: float) -> Effect:
     spread, drifts = SE90 * odd.sd, odd.shape.name != "step"
     low, high = began_between(one, odd)
-    off = f"reads {amount(abs(odd.final), 'K', spread)} too {'high' if odd.final > 0.0 else 'low'}"
-    said = f"drifts and {off} at the record's end," if drifts else off
+    off = amount(abs(odd.final), "K", spread)
+    if told.local:
+        says = f"{odd.place} is {off} {'warmer' if odd.final > 0.0 else 'colder'} than its neighbours tell"
+        says += {"heat_loss": ", the more the warmer it is beside the room", "heat_source": ""}[told.kind]
+        says += " and more with the heater's power" if told.driver == "heater_power" else ""
+        says = f"{says}, too little heat for the loop to show" + (", at the record's end," if drifts else "")
+    else:
+        reads = f"reads {off} too {'high' if odd.final > 0.0 else 'low'}"
+        says = f"{odd.column} " + (f"drifts and {reads} at the record's end," if drifts else reads)
     return Effect(
-        kind="sensor", where=odd.column, driver="elapsed_time" if drifts else "constant",
+        kind=told.kind, where=odd.place if told.local else odd.column, driver=told.driver,
         change="new", value=odd.final, unit="K", interval90=(odd.final - spread, odd.final + spread),
         onset_s=start + odd.shape.onset_s, onset_interval90_s=(start + low, start + high), shape=odd.shape.name,
-        confidence=odd.share, z=odd.z,
+        confidence=min(odd.share, told.share), z=odd.z,
         evidence=f"it carries {100.0 * odd.share:.0f} % of what differs among the thermometers of {one.sensor}",
-        says=f"{odd.column} {said} {when(odd.shape, start)}",
+        says=f"{says} {when(odd.shape, start)}",
     )  # fmt: skip
 
 
@@ -118,21 +171,24 @@ def explained_by_one(
     if found.verdict != "unexplained":
         return found
     for group in groups:
-        fault = next((e for e in found.effects if e.kind == "sensor" and e.where in group.columns), None)
-        if fault is None:
+        faults = ((e, group.column_of(e.where)) for e in found.effects if e.kind != "unknown")
+        fault, column = next(((e, c) for e, c in faults if c is not None), (None, None))
+        if fault is None or column is None:
             continue
         j = network.sensor_names.index(group.sensor)
         measured = record.measured.copy()
-        measured[:, j] -= _share_of(group, fault.where, record.time_s)
+        measured[:, j] -= _share_of(group, column, record.time_s)
         rest = {name: each for name, each in record.members.items() if name != group.sensor}
         left = again(replace(record, measured=measured, members=rest))
         if left.verdict != "adequate" and left.ladder[0].best_z > SMEARED * left.threshold:
             return found
         stuck_ones = tuple(e for e in found.effects if e.kind == "sensor" and e is not fault)
-        said = f"{fault.says}. Without that the twin is adequate: {_leaves(left)}."
+        same = tuple(a for a in found.indistinguishable if group.column_of(a.where) == column)
+        but = f"; but this record cannot tell that from {_either(same, fault)}" if same else ""
+        said = f"{fault.says}{but}. Without that the twin is adequate: {_leaves(left)}."
         return replace(
-            left, verdict="effect found", effects=(*stuck_ones, fault), summary=said, network=None,
-            next_experiment=None, indistinguishable=(), empirical=None,
+            left, verdict="ambiguous" if same else "effect found", effects=(*stuck_ones, fault), summary=said,
+            network=None, next_experiment=None, indistinguishable=same, empirical=None,
         )  # fmt: skip
     return found
 

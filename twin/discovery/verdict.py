@@ -153,7 +153,8 @@ def conclude(
                 "not quite of the form assumed",
             )
     for one in single:
-        verdict, effects = single_one(one, network, verdict, effects, finding, start)
+        verdict, effects, same = single_one(one, network, verdict, effects, finding, start)
+        others = (*others, *same)
     for span in still:
         effects = (standing(span), *effects)
         verdict = "effect found" if verdict == "adequate" else verdict
