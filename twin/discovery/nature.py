@@ -21,8 +21,8 @@ SLOW_S = (20.0, 40.0, 80.0, 160.0, 320.0)
 AROUND_S, SOONER_S, EVERY_S = 2700.0, 1500.0, 5.0
 """How much of a record around an onset is looked at, how far from it the onset may be, and in what steps."""
 RARER = 2.0 * np.log(10.0)
-"""Places that differ in a way that no loop shows are rarer than thermometers that err, so are thermometers that err by a
-share, and what takes the same heat away whatever the rig does than what gives some; in weighted squares."""
+"""Places that differ in a way that no loop shows are rarer than thermometers that err, so are thermometers that err by
+a share, and so is what takes heat away, but by being warm, than what gives some; in weighted squares."""
 LEFT = 0.3
 """Share of its squares that an error may leave of what one thermometer differs by."""
 
@@ -55,18 +55,19 @@ def natures(found: Members, odd: Odd) -> tuple[Nature, ...]:
     # What even the best leaves over what is healthy says how much the others' squares are worth.
     worth = CORRELATED * max(float(found.sd[i]) ** 2, least / len(y))
     sudden = _sudden(found, i, odd) if not grows and odd.shape.onset_s > EARLY_S else 0.0
+    source = RARER if odd.final > 0.0 else 2.0 * RARER
     first = "elapsed_time" if grows else "constant"
     costs = {
         ("sensor", first, False): left[""] / worth,
         ("sensor", "temperature", False): left["temperature"] / worth + RARER + np.log(len(y) / CORRELATED),
-        ("heat_source", first, True): left[""] / worth + (RARER if odd.final > 0.0 else 2.0 * RARER) + sudden,
+        ("heat_source", first, True): left[""] / worth + source + sudden,
     }
     if "temperature_difference" in left:
         costs["heat_loss", "elapsed_time" if grows else "temperature_difference", True] = (
             left["temperature_difference"] / worth + RARER + sudden
         )
     if "heater_power" in left:
-        costs["heat_source", "heater_power", True] = left["heater_power"] / worth + RARER + sudden
+        costs["heat_source", "heater_power", True] = left["heater_power"] / worth + source + sudden
     most = min(costs.values())
     weights = {key: float(np.exp(-0.5 * (cost - most))) for key, cost in costs.items()}
     total = sum(weights.values())
