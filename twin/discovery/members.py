@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from twin.discovery.equivalence import width
 from twin.discovery.grid import Grid
@@ -18,12 +20,18 @@ from twin.gauss_newton import SE90
 from twin.network import Array, Network
 
 LEAST_MEMBERS = 3
+LATE_WINDOW_S, LEAST_RATE = 7200.0, 3.0e-4
+"""Windows in which lags are estimated, and the scatter of the rate, K/s, without which one tells nothing."""
 PRESENT = 0.7
 """Share of a sensor's bins in which a thermometer has to have a reading, to be compared with the others."""
 MARGIN_K = 0.06
 """Differences below this are not looked at: contact and placement shift by as much."""
 STANDS_OUT = 6.0
 """Times the healthy scatter of a block that one thermometer must differ by."""
+LATE_WINDOWS, LEAST_LAG_S, ALONE = 3, 25.0, 0.4
+"""Windows since which one has to follow late, by how much, and the share of it by which any other may, or it before."""
+LAGS_S = tuple(20.0 * 1.08**k for k in range(45))
+"""Time constants that are tried."""
 SHARE = 0.7
 """Share of the differences that one member must carry to be named alone."""
 CORRELATED = 6.0
@@ -41,6 +49,7 @@ class Members:
         edges_s: (b + 1,) s from the record's beginning. most: K, that any of them stood out by in a healthy block: a
             row that is crossed by something warmer differs for a while.
         fine: (n, c) K, the same as `residual` of bins of `step_s`. mean: (n,) degC, of the thermometers there are.
+        late_s: (w, c) s, by how much each follows the others late in windows of the healthy record.
         follows: driver -> (b,), what their differences may be in proportion to, in blocks.
     """
 
@@ -53,6 +62,7 @@ class Members:
     fine: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     mean: Array = field(default_factory=lambda: np.empty(0), repr=False)
     step_s: float = 0.0
+    late_s: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     follows: dict[str, Array] = field(default_factory=dict, repr=False)
 
     @property
@@ -130,11 +140,11 @@ def members(
         residual = difference - _basis(network, grid, mean, edges) @ law
         sd = np.maximum(scatter, MARGIN_K / STANDS_OUT)
         columns = tuple(c for c, t in zip(sensor.measured, there, strict=True) if t)
-        bin_mean, each = _blocks(record[sensor.name][:, there], bins_of_one := np.arange(len(grid.time) + 1))
+        bin_mean, fine = _finely(network, grid, record[sensor.name][:, there], law)
+        in_health = lateness(*_finely(network, healthy_grid, healthy[sensor.name][:, there], law), healthy_grid.step_s)
         here = Members(
-            sensor.name, columns, residual, sd, edges * grid.step_s,
-            fine=each - _basis(network, grid, bin_mean, bins_of_one) @ law, mean=bin_mean, step_s=grid.step_s,
-            follows=_follows(network, grid, mean, edges),
+            sensor.name, columns, residual, sd, edges * grid.step_s, fine=fine, mean=bin_mean, step_s=grid.step_s,
+            late_s=in_health, follows=_follows(network, grid, mean, edges),
         )  # fmt: skip
         most = max(float(np.abs(here.by_itself(i, left)).max()) for i in range(left.shape[1]))
         found.append(replace(here, most=most))
@@ -168,6 +178,38 @@ def _basis(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> Arra
     pump = next((rows[:, j] for j, c in enumerate(columns) if c.startswith("pump")), np.full(len(rows), 100.0))
     excess = mean - room
     return np.column_stack([np.ones(len(rows)), excess, excess * 100.0 / np.maximum(pump, 5.0)])
+
+
+def _finely(network: Network, grid: Grid, values: Array, law: NDArray[np.floating]) -> tuple[Array, Array]:
+    """Of every bin, the mean of thermometers (n, c) and what each differs from it by, less what is healthy."""
+    every = np.arange(len(grid.time) + 1)
+    mean, difference = _blocks(values, every)
+    return mean, difference - _basis(network, grid, mean, every) @ law
+
+
+def lateness(mean: Array, difference: Array, step_s: float) -> Array:
+    """By how much, s, each of several thermometers follows their mean (n,) late in windows: (w, c); NaN where a window
+    does not move enough to tell.
+
+    A late thermometer differs (n, c) by minus its lag times the rate at which all of them move, as far as that is slow
+    beside the lag.
+    """
+    per = max(round(LATE_WINDOW_S / step_s), 1)
+    count, number = len(mean) // per, difference.shape[1]
+    found = np.full((count, number), np.nan)
+    for w in range(count):
+        part = slice(w * per, (w + 1) * per)
+        rate = -np.gradient(mean[part], step_s)
+        known = np.isfinite(rate) & np.isfinite(difference[part]).all(axis=1)
+        if known.sum() < 0.5 * per:
+            continue
+        x, y = rate[known] - rate[known].mean(), difference[part][known]
+        spread = float(x @ x)
+        if spread < known.sum() * LEAST_RATE**2:
+            continue
+        pattern = _pattern(0, number)
+        found[w] = (x @ y) / spread / pattern[0]
+    return found
 
 
 def _follows(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> dict[str, Array]:
@@ -289,3 +331,48 @@ def restless_one(found: Members) -> Odd | None:
 def _pattern(i: int, number: int) -> Array:
     """How one of so many thermometers that is off by 1 K moves the differences from their mean: its own and others'."""
     return np.where(np.arange(number) == i, 1.0 - 1.0 / number, -1.0 / number)
+
+
+def lagging_one(found: Members) -> Odd | None:
+    """The member that follows the others late since some moment, as one that has come loose does; None if none does.
+
+    Its `size` and `final` are the time constant, s, its `sd` is of it.
+    """
+    late = lateness(found.mean, found.fine, found.step_s)
+    known = np.flatnonzero(np.isfinite(late).all(axis=1))
+    if len(known) < LATE_WINDOWS or not np.isfinite(found.late_s).any():
+        return None
+    late = late[known] - np.nanmedian(found.late_s, axis=0)
+    i = int(np.argmax(np.median(late[-(len(late) // 2) :], axis=0)))
+    at = max(range(len(late) - LATE_WINDOWS + 1), key=lambda k: late[k:, i].sum() ** 2 / len(late[k:]))
+    after = np.median(late[at:], axis=0)
+    before = abs(float(np.median(late[:at, i]))) if at else 0.0
+    alone = max(float(np.abs(np.delete(after, i)).max()), before) < ALONE * after[i]
+    if not alone or (late[at:, i] > LEAST_LAG_S).mean() < SHARE:
+        return None
+    scatter = max(float(np.nanstd(found.late_s[:, i])), 1.0)
+    return _lag(found, i, float(known[at]) * LATE_WINDOW_S if at else 0.0, float(after[i]) / scatter)
+
+
+def _lag(found: Members, i: int, since_s: float, z: float) -> Odd:
+    """Member i as one that follows the others late since about then: its time constant, and since when."""
+    seen = np.isfinite(found.fine).all(axis=1) & np.isfinite(found.mean)
+    time_s = np.arange(len(seen)) * found.step_s
+    own = found.by_itself(i, found.fine)
+    others = np.interp(time_s, time_s[seen], (found.mean - own / len(found.columns))[seen])
+
+    def off(lag_s: float) -> Array:
+        keep = float(np.exp(-found.step_s / lag_s))
+        late = lfilter([1.0 - keep], [1.0, -keep], others - others[0]) + others[0]
+        return own - (late - others)
+
+    after = seen & (time_s >= since_s)
+    left = [float(np.var(off(lag_s)[after])) for lag_s in LAGS_S]
+    k = int(np.argmin(left))
+    if since_s > 0.0:
+        # Up to its beginning it was as the others.
+        gained = np.where(seen, own**2 - off(LAGS_S[k]) ** 2, 0.0)
+        since_s = float(time_s[int(np.argmax(gained[::-1].cumsum()[::-1]))])
+    spread = LAGS_S[min(k + 1, len(LAGS_S) - 1)] - LAGS_S[max(k - 1, 0)]
+    share = 1.0 - left[k] / max(float(np.var(own[after])), 1e-12)
+    return Odd(found.columns[i], LAGS_S[k], 0.5 * spread / SE90, Shape("step", since_s), share, z, LAGS_S[k])

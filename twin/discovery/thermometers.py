@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Verdict
 from twin.discovery.equivalence import width
-from twin.discovery.members import Members, Odd, began_between, odd_one, restless_one
+from twin.discovery.members import LATE_WINDOW_S, Members, Odd, began_between, lagging_one, odd_one, restless_one
 from twin.discovery.nature import Nature, natures
 from twin.discovery.readings import Stuck
 from twin.discovery.words import amount, clock, when
@@ -43,6 +43,12 @@ def single(
     here = [i for i, e in enumerate(effects) if e.where in (node, one.sensor)]
     shapes = tuple(e.shape for e in finding.entries) if here and finding.entries else ()
     odd = odd_one(one, shapes) or (odd_one(one) if not here or verdict == "unexplained" else None)
+    loose = lagging_one(one) if odd is None or not natures(one, odd) else None
+    if loose is not None:
+        late = _late(one, loose, start)
+        # The mean of several is late by a part of what one of them is.
+        rest = tuple(e for e in effects if (e.where, e.driver) != (one.sensor, late.driver))
+        return "effect found" if verdict == "adequate" else verdict, (*rest, late), ()
     if odd is None:
         return (*_now_and_then(one, verdict, effects, start), ())
     at = _belongs_to(odd, here, effects, finding)
@@ -141,6 +147,20 @@ def _fault(one: Members, odd: Odd, told: Nature, start: float) -> Effect:
         confidence=min(odd.share, told.share), z=odd.z,
         evidence=f"it carries {100.0 * odd.share:.0f} % of what differs among the thermometers of {one.sensor}",
         says=f"{says} {when(odd.shape, start)}",
+    )  # fmt: skip
+
+
+def _late(one: Members, odd: Odd, start: float) -> Effect:
+    onset, spread = start + odd.shape.onset_s, SE90 * odd.sd
+    window_s = LATE_WINDOW_S if odd.shape.onset_s > 0.0 else 0.0
+    return Effect(
+        kind="sensor", where=odd.column, driver="rate_of_change", change="new", value=odd.size, unit="s",
+        interval90=(odd.size - spread, odd.size + spread), onset_s=onset,
+        onset_interval90_s=(max(onset - window_s, start), onset + window_s), shape="step",
+        confidence=odd.share, z=odd.z,
+        evidence=f"it explains {100.0 * odd.share:.0f} % of what {odd.column} differs from the others by",
+        says=f"{odd.column} follows the other thermometers of {one.sensor} late, by {amount(odd.size, 's', spread)} "
+             f"{when(odd.shape, start)}",
     )  # fmt: skip
 
 

@@ -1,0 +1,95 @@
+"""What is the matter where one thermometer of six differs: its own error, its place, or a lag."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from tests.discovery.conftest import STEP_S, Bench
+from tests.discovery.test_thermometers import SENSOR, with_six
+from twin.discovery.basis import Columns
+from twin.discovery.diagnosis import Diagnosis
+from twin.discovery.engine import diagnose
+from twin.discovery.members import lateness
+from twin.network import Array
+
+
+def slowly(values: Array, lag_s: float) -> Array:
+    """What follows values (n,), 5 s apart, with a time constant, from where they begin."""
+    keep = np.exp(-STEP_S / lag_s)
+    found: Array = lfilter([1.0 - keep], [1.0, -keep], values - values[0]) + values[0]
+    return found
+
+
+def excess(bench: Bench, record: Columns) -> Array:
+    """How much warmer the modules are than the room, K."""
+    smooth = slowly(record.measured[:, bench.network.sensor_names.index(SENSOR)], 60.0)
+    found: Array = smooth - record.inputs[:, 3]
+    return found
+
+
+def diagnosed(bench: Bench, healthy: Columns, record: Columns, off: Array) -> Diagnosis:
+    return diagnose(bench.network, with_six(bench, record, 6, lambda _: off), with_six(bench, healthy, 5))
+
+
+def test_a_place_in_poor_contact_is_not_a_thermometer_that_errs(bench: Bench, healthy: Columns) -> None:
+    """It comes to its new temperature within a minute, and is the colder the warmer the modules are."""
+    record = bench.record(14.0)
+    since = slowly(np.where(record.time_s > 5.0 * 3600.0, 1.0, 0.0), 40.0)
+    found = diagnosed(bench, healthy, record, -0.04 * since * excess(bench, record))
+    assert [(e.kind, e.where, e.driver) for e in found.effects] == [("heat_loss", "pm3", "temperature_difference")]
+    assert found.effects[0].unit == "K" and found.effects[0].value < -0.3
+    assert not any(a.kind == "sensor" for a in found.indistinguishable)
+
+
+def test_an_error_that_is_there_at_once_is_the_thermometers(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(14.0)
+    found = diagnosed(bench, healthy, record, np.where(record.time_s > 5.0 * 3600.0, -0.5, 0.0))
+    assert found.verdict == "effect found" and found.indistinguishable == ()
+    assert [(e.kind, e.where, e.driver) for e in found.effects] == [("sensor", "T_pm3_C", "constant")]
+
+
+def test_what_the_load_never_changed_is_not_told_apart(bench: Bench, healthy: Columns) -> None:
+    """There before the record begins, and the modules no warmer at one time than at another by more than a little."""
+    record = bench.record(14.0)
+    even = replace(record, measured=record.measured.copy())
+    found = diagnosed(bench, healthy, even, -0.04 * (0.15 * excess(bench, even) + 0.85 * excess(bench, even).mean()))
+    named = {(e.kind, e.where) for e in found.effects} | {(a.kind, a.where) for a in found.indistinguishable}
+    assert {"T_pm3_C", "pm3"} & {where for _, where in named}
+
+
+def test_heat_that_a_clock_switches_at_one_place_is_no_error_of_reading(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(14.0)
+    on = slowly(np.where((record.time_s - 3700.0) % 9977.0 < 4296.0, 0.25, 0.0), 20.0)
+    found = diagnosed(bench, healthy, record, on)
+    assert found.verdict == "unexplained"
+    assert found.effects[0].where == "T_pm3_C"
+
+
+@pytest.mark.parametrize("onset_h", [0.0, 5.0])
+def test_one_that_follows_late_is_told_with_its_lag(bench: Bench, healthy: Columns, onset_h: float) -> None:
+    record = bench.record(16.0)
+    true = slowly(record.measured[:, bench.network.sensor_names.index(SENSOR)], 60.0)
+    late = np.where(record.time_s > onset_h * 3600.0, slowly(true, 120.0) - true, 0.0)
+    found = diagnosed(bench, healthy, record, late)
+    assert found.verdict == "effect found"
+    (lag,) = found.effects
+    assert (lag.kind, lag.where, lag.driver, lag.unit) == ("sensor", "T_pm3_C", "rate_of_change", "s")
+    assert lag.value == pytest.approx(120.0, rel=0.15)
+    assert lag.onset_s == pytest.approx(onset_h * 3600.0, abs=1200.0)
+
+
+def test_lateness_is_that_of_each_thermometer() -> None:
+    rng = np.random.default_rng(2)
+    time_s = np.arange(0.0, 14_400.0, 10.0)
+    mean = 40.0 + 3.0 * np.sin(time_s / 900.0)
+    rate = np.gradient(mean, 10.0)
+    off = np.array([60.0, -10.0, 0.0, 0.0])
+    each = -rate[:, None] * (off - off.mean()) + rng.normal(0.0, 0.005, (len(time_s), 4))
+    found = lateness(mean, each, 10.0)
+    assert found.shape == (2, 4)
+    assert np.diff(found[0]) == pytest.approx(np.diff(off) / 0.75, abs=2.0)
+    assert np.isnan(lateness(np.full(len(time_s), 40.0), each, 10.0)).all()
