@@ -24,6 +24,7 @@ def files_of(request: RunRequest, ready: Prepared) -> dict[str, Path | None]:
         "twin": ready.twin,
         "effects": request.effects,
         "healthy": request.healthy,
+        "network": request.card,
         **dbc,
     }
 

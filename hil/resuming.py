@@ -23,7 +23,10 @@ AIM_TICKS = 10
 """The temperatures of a cut are means over so many of the last good values."""
 AIM_WITHIN_S = 60.0
 """No older than this: what ended the run may have taken a sensor's last values along."""
-FILES = {"rig": "--rig", "profile": "--profile", "twin": "--twin", "effects": "--with", "healthy": "--healthy"}
+FILES = {
+    "rig": "--rig", "profile": "--profile", "twin": "--twin", "effects": "--with", "healthy": "--healthy",
+    "network": "--network",
+}  # fmt: skip
 """Files that a run depends on, by their name in `run.json`, and the option that says where one has been moved to."""
 
 
@@ -110,6 +113,7 @@ def request_of(
         seed=settings["seed"],
         effects=files.get("effects"),
         calibrators=tuple(settings["calibrators"]),
+        card=files.get("network"),
         network_mode=settings["network_mode"],
         viewer=viewer,
         control=control or (None if known is None else (known[0], known[1])),

@@ -28,11 +28,11 @@ class RunRequest:
     """What to run. `virtual` starts the virtual rig in place of the one at the rig file's addresses.
 
     `twin` None takes the twin that the rig file names, if any; `use_twin` False runs without one. `calibrators` None
-    takes the usual ones, without those that there are not for this twin. `network_mode`: see `hil.adoption`. `control`
-    is the control port of a virtual rig in lockstep that runs already, at the rig file's addresses. `rearm`: whether a
-    trip that the rig brings along is acknowledged. `diagnose_s`:
-    seconds of profile time between diagnoses of the record so far, against the record `healthy`; `adopt` saves what
-    they find.
+    takes the usual ones, without those that there are not for this twin. `card`: of the trained ensemble that the
+    network calibrators ask, None for the shipped one. `network_mode`: see `hil.adoption`. `control` is the control
+    port of a virtual rig in lockstep that runs already, at the rig file's addresses. `rearm`: whether a trip that the
+    rig brings along is acknowledged. `diagnose_s`: seconds of profile time between diagnoses of the record so far,
+    against the record `healthy`; `adopt` saves what they find.
     """
 
     profile: Path
@@ -45,6 +45,7 @@ class RunRequest:
     seed: int = 0
     effects: Path | None = None
     calibrators: tuple[str, ...] | None = None
+    card: Path | None = None
     network_mode: NetworkMode = "shadow"
     viewer: bool | None = None
     use_twin: bool = True
@@ -80,6 +81,9 @@ def prepare(request: RunRequest) -> Prepared:
         network = load(twin)
         _check_twin_columns(twin, network, rig)
         check_calibrators(request.calibrators)
+        chosen(request.calibrators, request.card)
+    elif request.card is not None:
+        raise ConfigurationError("--network is of a calibrator, and this run has no twin; name one, or take it out")
     _check_residuals(request, rig, network)
     if request.mode == "scaled" and not 0 < request.speed <= MOST_SPEED:
         raise ConfigurationError(
@@ -137,6 +141,23 @@ def check_calibrators(names: tuple[str, ...] | None) -> None:
         raise ConfigurationError(f"--calibrator {twice[0]} is given twice; give each once")
 
 
+def chosen(calibrators: tuple[str, ...] | None, card: Path | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Calibrators that run, the usual ones for None, and those among them that may be left out.
+
+    Raises:
+        ConfigurationError: a card is given, and none of them asks a network.
+    """
+    from twin.calibrators import FITTING, NAMES
+
+    names = DEFAULT if calibrators is None else calibrators
+    if card is not None and set(names) <= set(FITTING):
+        asking = " or ".join(name for name in NAMES if name not in FITTING)
+        raise ConfigurationError(f"--network is given, and no calibrator asks it; add --calibrator {asking}")
+    if calibrators is not None:
+        return names, ()
+    return names, tuple(name for name in DEFAULT[1:] if card is None or name in FITTING)
+
+
 def _check_diagnosis(request: RunRequest, network: Network | None) -> list[str]:
     """Remarks on a diagnosis that is asked for; raises ConfigurationError or RecordError."""
     if network is None:
@@ -174,6 +195,5 @@ def tracking_config(request: RunRequest, ready: Prepared, columns: tuple[str, ..
     """Which twins run beside the rig, or None for none."""
     if ready.twin is None or request.calibrators == ():
         return None
-    usual = request.calibrators is None
-    names = DEFAULT if request.calibrators is None else request.calibrators
-    return TrackingConfig(ready.twin, columns, names, request.seed, optional=DEFAULT[1:] if usual else ())
+    names, optional = chosen(request.calibrators, request.card)
+    return TrackingConfig(ready.twin, columns, names, request.seed, optional, card=request.card)

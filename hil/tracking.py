@@ -31,7 +31,7 @@ class TrackingConfig:
     """Which twins: the twin file, the record columns of a row, which calibrators, the seed.
 
     `optional`: calibrators that are left out, with the reason, where they cannot be made. `static`: whether the twin
-    as commissioned is among those that are handed on.
+    as commissioned is among those that are handed on. `card`: of a trained ensemble in place of the shipped one.
     """
 
     twin: Path
@@ -40,6 +40,7 @@ class TrackingConfig:
     seed: int = 0
     optional: tuple[str, ...] = ()
     static: bool = True
+    card: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +155,7 @@ class Twins:
     """
 
     def __init__(self, config: TrackingConfig) -> None:
+        from twin.calibrators import make
         from twin.calibrators.hiera_unet.config import HieraError
         from twin.network import TwinFileError
         from twin.tracking import TwinTracker
@@ -166,7 +168,8 @@ class Twins:
         self._static = config.static
         for name in config.calibrators:
             try:
-                self._trackers[name] = TwinTracker(self.network, calibrator=name, seed=config.seed)
+                made = make(name, self.network, seed=config.seed, card=config.card)
+                self._trackers[name] = TwinTracker(self.network, calibrator=made)
             except (HieraError, TwinFileError) as error:
                 if name not in config.optional:
                     raise

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 @click.option("--twin", type=INPUT_FILE, help="Where the twin lies now.")
 @click.option("--with", "effects", type=INPUT_FILE, help="Where the effects of the virtual rig lie now.")
 @click.option("--healthy", type=INPUT_FILE, help="Where the healthy record lies now.")
+@click.option("--network", "card", type=INPUT_FILE, help="Where the card of the run's trained network lies now.")
 @click.option("--control", help="host:port of a `hil rig --mode lockstep` that runs already, if it is another now.")
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip of the rig's own; find its cause before.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
@@ -41,6 +42,7 @@ def command(
     twin: Path | None,
     effects: Path | None,
     healthy: Path | None,
+    card: Path | None,
     control: str | None,
     rearm: bool,
     viewer: bool | None,
@@ -65,7 +67,9 @@ def command(
     from hil.terminal import LiveRun
 
     folder = RunFolder(run)
-    moved = {"rig": rig, "profile": profile, "twin": twin, "effects": effects, "healthy": healthy}
+    moved = {
+        "rig": rig, "profile": profile, "twin": twin, "effects": effects, "healthy": healthy, "network": card,
+    }  # fmt: skip
     where = None if control is None else address(control)
 
     def request(manifest: dict[str, Any]) -> RunRequest:

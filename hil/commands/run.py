@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.commands.paths import INPUT_FILE, VIRTUAL_RIG
-from hil.commands.tracking_options import CALIBRATORS, NETWORK_MODE
+from hil.commands.tracking_options import CALIBRATORS, NETWORK, NETWORK_MODE
 
 if TYPE_CHECKING:
     from hil.adoption import NetworkMode
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip that the rig brings along; find its cause before.")
 @click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not know of (virtual rig).")
 @CALIBRATORS
+@NETWORK
 @NETWORK_MODE
 @click.option("--seed", default=0, show_default=True, help="Seed of the virtual rig and of the calibrators.")
 @click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
@@ -51,6 +52,7 @@ def command(
     rearm: bool,
     effects: Path | None,
     calibrators: tuple[str, ...],
+    card: Path | None,
     network_mode: NetworkMode,
     seed: int,
     runs: Path,
@@ -95,6 +97,7 @@ def command(
         seed=seed,
         effects=effects,
         calibrators=calibrators or None,
+        card=card,
         network_mode=network_mode,
         viewer=viewer,
         control=None if control is None else address(control),

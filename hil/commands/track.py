@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.commands.paths import INPUT_FILE
-from hil.commands.tracking_options import CALIBRATORS, NETWORK_MODE
+from hil.commands.tracking_options import CALIBRATORS, NETWORK, NETWORK_MODE
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,6 +27,7 @@ BLOCK_ROWS = 1200
 @click.argument("record", type=INPUT_FILE)
 @click.option("--twin", type=INPUT_FILE, required=True, help="Twin file, usually one that `hil commission` wrote.")
 @CALIBRATORS
+@NETWORK
 @NETWORK_MODE
 @click.option("--seed", default=0, show_default=True, help="Seed of the calibrators.")
 @click.option(
@@ -37,6 +38,7 @@ def command(
     record: Path,
     twin: Path,
     calibrators: tuple[str, ...],
+    card: Path | None,
     network_mode: NetworkMode,
     seed: int,
     out: Path | None,
@@ -54,16 +56,16 @@ def command(
     from hil.adoption import Advice, closed_gates
     from hil.adoption import manifest as adoption_manifest
     from hil.record import read_record, require_record_suffix
-    from hil.run_request import check_calibrators
+    from hil.run_request import check_calibrators, chosen
     from hil.terminal import Steps, console, show_comparison
-    from hil.tracking import DEFAULT, TrackingConfig, Twins, disturbance, too_coarse, window_kind, window_words
+    from hil.tracking import TrackingConfig, Twins, disturbance, too_coarse, window_kind, window_words
 
     if out is not None:
         require_record_suffix(out)
     check_calibrators(calibrators)
+    names, optional = chosen(calibrators or None, card)
     data = read_record(record)
-    optional = () if calibrators else DEFAULT[1:]
-    twins = Twins(TrackingConfig(twin, tuple(data.columns), calibrators or DEFAULT, seed, optional))
+    twins = Twins(TrackingConfig(twin, tuple(data.columns), names, seed, optional, card=card))
     data.require(*twins.network.input_columns)
     began = time.monotonic()
     outputs: dict[str, list[NDArray[np.float64]]] = {}

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import click
 
+from hil.commands.paths import INPUT_FILE
+
 CALIBRATORS = click.option(
     "--calibrator",
     "calibrators",
     multiple=True,
     help="May be repeated; default: pso, least_squares and, where there is one for the twin, the network hiera_unet.",
+)
+NETWORK = click.option(
+    "--network",
+    "card",
+    type=INPUT_FILE,
+    metavar="CARD",
+    help="Card (.json) of the ensemble that hiera_unet and hiera_ls ask, as `hil train` writes it; default: the "
+    "shipped one.",
 )
 NETWORK_MODE = click.option(
     "--network-mode",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.training.generate import campaigns_of
 from twin.calibrators.hiera_unet.campaigns import PER_RIG
 from twin.calibrators.hiera_unet.channels import ChannelTable
 from twin.calibrators.hiera_unet.features import Features
@@ -13,6 +14,9 @@ from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.store import Store, windows_of
 from twin.calibrators.hiera_unet.windows import Windows
 from twin.network import Network, TwinFileError
+
+FEWEST = 6
+"""Campaigns from which intervals are set: an interval of 90 % needs nine windows that know each output."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +50,11 @@ def read(folder: Path, features: Features, *, most: int | None = None) -> Data:
     """
     store = Store(folder, features)
     unseen = store.campaigns("conformal")
-    # Campaigns of one rig follow each other: whole rigs go to either side.
-    looked = [k // PER_RIG % 3 == 0 for k in range(len(unseen))]
-    if not any(looked) or all(looked):
+    looked = looked_at(len(unseen))
+    if len(unseen) - sum(looked) < FEWEST:
         raise TwinFileError(
-            f"{folder} holds {len(unseen)} campaigns to set intervals with, which are of too few rigs; generate more"
+            f"{folder} holds {len(unseen)} campaigns to set intervals with, which are of too few rigs; give `hil train "
+            f"loop` --windows {least_windows()} or more"
         )
     return Data(
         network=features.network,
@@ -63,3 +67,16 @@ def read(folder: Path, features: Features, *, most: int | None = None) -> Data:
         manifest=store.manifest,
         digest=store.digest,
     )
+
+
+def looked_at(count: int) -> list[bool]:
+    """Which of so many campaigns are for the curves; the others set intervals. Those of one rig follow each other."""
+    return [k // PER_RIG % 3 == 0 for k in range(count)]
+
+
+def least_windows() -> int:
+    """The fewest windows, in tens, that a training can be given."""
+    count = 10
+    while (found := sum(campaigns_of(count, "conformal").values())) - sum(looked_at(found)) < FEWEST:
+        count += 10
+    return count

@@ -27,6 +27,7 @@ def assemble(data: Data, folder: Path, name: str) -> Path | None:
     from twin.calibrators.hiera_unet.binding import identity_of, physics_of
     from twin.calibrators.hiera_unet.checkpoint import load
     from twin.calibrators.hiera_unet.leakage import ALLOWED
+    from twin.calibrators.hiera_unet.members import FORMAT
 
     identity = identity_of(data.network, data.table, data.deviations)
     physics = physics_of(data.network, data.table, data.deviations)
@@ -42,7 +43,7 @@ def assemble(data: Data, folder: Path, name: str) -> Path | None:
     networks = [m.network for m in members.values()]
     rng = np.random.default_rng(0)
     document: dict[str, Any] = {
-        "format": 1,
+        "format": FORMAT,
         "name": name,
         "members": {path.name: m.card["weights"]["sha256"] for path, m in members.items()},
         "left_out": left_out,

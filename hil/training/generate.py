@@ -2,8 +2,8 @@
 
     python -m hil.training.generate --out DIR [--count 3000] [--seed 0]
 
-Splits have seeds of their own, so that no rig, load or weather is in two of them. Finished shards are kept: a run that
-was interrupted goes on where it was.
+Splits have seeds of their own, so that no rig, load or weather is in two of them. What is finished is kept: a run that
+was interrupted goes on where it was, and one that asks for more adds to what is there.
 """
 
 from __future__ import annotations
@@ -19,12 +19,22 @@ import numpy as np
 
 from hil.terminal import Steps
 from hil.training.plant_windows import campaign as plant_campaign
+from hil.training.stopping import Stop
 from twin.calibrators.hiera_unet.campaigns import WINDOWS, Campaign, ends, label, simulated
 from twin.calibrators.hiera_unet.channels import table
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.plants import Family
-from twin.calibrators.hiera_unet.store import SPLITS, Kept, Store, identity, write_manifest, write_shard
+from twin.calibrators.hiera_unet.store import (
+    MANIFEST,
+    SPLITS,
+    Kept,
+    Store,
+    identity,
+    read_shard,
+    write_manifest,
+    write_shard,
+)
 from twin.network import Network, TwinFileError
 from twin.twinfile import load
 
@@ -33,6 +43,8 @@ SHARES = {"train": 0.8, "conformal": 0.1, "test": 0.1}
 SIMULATED = 0.6
 SHARD = 120
 """Campaigns a file."""
+ASKED = "asked.json"
+"""Seed and number of windows that a folder is being filled with."""
 PLANT_WINDOWS = 4
 
 
@@ -42,36 +54,116 @@ def features_of(network: Network | None = None, tunables: str = "nine") -> Featu
     return Features(twin, table(twin), Deviations.of(twin, tunables))
 
 
-def generate(seed: int, count: int, out: Path, say: Callable[[float, str], None] | None = None) -> Store:
-    """At least `count` windows in all, in the folder `out`.
+def campaigns_of(count: int, split: str) -> dict[str, int]:
+    """Source -> how many campaigns at least `count` windows in all ask of a split."""
+    sources = {"twin": (SIMULATED, WINDOWS), "plant": (1.0 - SIMULATED, PLANT_WINDOWS)}
+    return {name: -(-int(count * SHARES[split] * share) // each) for name, (share, each) in sources.items()}
+
+
+def generate(
+    seed: int, count: int, out: Path, say: Callable[[float, str], None] | None = None, stop: Stop | None = None
+) -> Store | None:
+    """At least `count` windows in all, in the folder `out`, on top of what it has of them; None where it was cut.
+
+    What is complete has a manifest. What is not has `ASKED`, and is gone on with by the same call.
 
     Args:
-        say: told how much is done, 0 to 1, and what is under way.
+        say: told how much is done, 0 to 1, and what is under way. stop: when to leave off.
+
+    Raises:
+        TwinFileError: the folder has windows of another seed, or more of them.
     """
     features = features_of()
     family = Family(features.network, features.deviations)
-    makers: dict[str, tuple[float, int, Callable[[int, int], Campaign]]] = {
-        "twin": (SIMULATED, WINDOWS, lambda s, n: simulated(family, s, n)),
-        "plant": (1.0 - SIMULATED, PLANT_WINDOWS, lambda s, n: plant_campaign(features, s, n)),
+    makers: dict[str, tuple[int, Callable[[int, int], Campaign]]] = {
+        "twin": (WINDOWS, lambda s, n: simulated(family, s, n)),
+        "plant": (PLANT_WINDOWS, lambda s, n: plant_campaign(features, s, n)),
     }
+    _refuse_others(out, seed, count)
+    files = _files(count)
     out.mkdir(parents=True, exist_ok=True)
+    (out / ASKED).write_text(json.dumps({"seed": seed, "count": count}) + "\n", encoding="utf-8")
+    (out / MANIFEST).unlink(missing_ok=True)
     shards: dict[str, dict[str, Any]] = {}
-    done = 0
-    for split in SPLITS:
-        for source, (share, each, make) in makers.items():
-            campaigns = -(-int(count * SHARES[split] * share) // each)
-            for first in range(0, campaigns, SHARD):
-                numbers = range(first, min(first + SHARD, campaigns))
-                name = f"{split}-{source}-{first // SHARD:03d}.npz"
-                own = _seed(seed, split, source)
-                if say is not None:
-                    say(min(done / count, 1.0), name)
-                shards[name] = _shard(out, name, numbers, features, own, make, each) | {
-                    "split": split, "source": source, "seed": own,
-                }  # fmt: skip
-                done += shards[name]["windows"]
-    write_manifest(out, features, shards, seed=seed, count=count, windows=done)
+    done, whole = 0, sum(len(numbers) for *_, numbers in files)
+    for split, source, numbers in files:
+        name = _name(split, source, numbers)
+        each, make = makers[source]
+        own = _seed(seed, split, source)
+
+        def step(made: int, name: str = name, done: int = done) -> bool:
+            if say is not None:
+                say((done + made) / whole, name)
+            return stop is not None and stop.over
+
+        found = _shard(out, name, numbers, features, own, make, each, step)
+        if found is None:
+            return None
+        shards[name] = found | {"split": split, "source": source, "seed": own}
+        done += len(numbers)
+    write_manifest(out, features, shards, seed=seed, count=count, windows=sum(s["windows"] for s in shards.values()))
+    (out / ASKED).unlink()
     return Store(out, features)
+
+
+def _files(count: int) -> list[tuple[str, str, range]]:
+    """Split, source and campaigns of every file that at least `count` windows take."""
+    return [
+        (split, source, range(first, min(first + SHARD, campaigns)))
+        for split in SPLITS
+        for source, campaigns in campaigns_of(count, split).items()
+        for first in range(0, campaigns, SHARD)
+    ]
+
+
+def _name(split: str, source: str, numbers: range) -> str:
+    return f"{split}-{source}-{numbers.start // SHARD:03d}.npz"
+
+
+def _refuse_others(folder: Path, seed: int, count: int) -> None:
+    """Raises TwinFileError where a folder has windows that these would replace."""
+    old = asked_of(folder)
+    if old is not None and old[0] != seed:
+        raise TwinFileError(
+            f"{folder} holds windows of data seed {old[0]}, not {seed}; give that one or another folder"
+        )
+    if old is not None and old[1] > count and (folder / MANIFEST).is_file():
+        raise TwinFileError(
+            f"{folder} holds {old[1]} windows, more than {count}; ask for as many or give another folder"
+        )
+
+
+def begun(folder: Path, count: int) -> float:
+    """Share, 0 to 1, of at least `count` windows that a folder has."""
+    there = whole = 0
+    for split, source, numbers in _files(count):
+        about = folder / f"{_name(split, source, numbers)}.json"
+        stop = json.loads(about.read_text(encoding="utf-8"))["numbers"][1] if about.is_file() else numbers.start
+        there += min(stop, numbers.stop) - numbers.start
+        whole += len(numbers)
+    return there / whole
+
+
+def complete(folder: Path, seed: int, count: int) -> bool:
+    """Whether a folder has all windows of a seed; see `generate`, which says why where it has not."""
+    return (folder / MANIFEST).is_file() and not (folder / ASKED).exists() and asked_of(folder) == (seed, count)
+
+
+def asked_of(folder: Path) -> tuple[int, int] | None:
+    """Seed and windows that a folder was or is being filled with; None where nothing was begun.
+
+    Raises:
+        TwinFileError: what says so cannot be read.
+    """
+    for name in (ASKED, MANIFEST):
+        try:
+            document = json.loads((folder / name).read_text(encoding="utf-8"))
+            return int(document["seed"]), int(document["count"])
+        except FileNotFoundError:
+            continue
+        except (ValueError, KeyError, TypeError) as error:
+            raise TwinFileError(f"{folder / name} cannot be read ({error}); remove it or give another folder") from None
+    return None
 
 
 def _shard(
@@ -82,28 +174,36 @@ def _shard(
     seed: int,
     make: Callable[[int, int], Campaign],
     each: int,
-) -> dict[str, Any]:
-    """One file, made unless it is there already."""
+    step: Callable[[int], bool],
+) -> dict[str, Any] | None:
+    """One file, with what is there of it already; None where `step`, told how many there are, says that it is over."""
     path, about = out / name, out / f"{name}.json"
-    wanted = {"seed": seed, "numbers": [numbers.start, numbers.stop], "each": each, "made_for": identity(features)}
-    if path.is_file() and about.is_file():
-        old = json.loads(about.read_text(encoding="utf-8"))
-        if {k: old.get(k) for k in wanted} == wanted and old["sha256"] == _sha256(path):
-            return {k: old[k] for k in ("campaigns", "windows", "healthy", "sha256")}
-    kept: list[Kept] = []
-    for number in numbers:
+    made_by = {"seed": seed, "each": each, "made_for": identity(features)}
+    old = json.loads(about.read_text(encoding="utf-8")) if path.is_file() and about.is_file() else {}
+    if any(old.get(k) != v for k, v in made_by.items()) or old["sha256"] != _sha256(path):
+        old = {}
+    if old.get("numbers") == [numbers.start, numbers.stop]:
+        return {k: old[k] for k in ("campaigns", "windows", "healthy", "sha256")}
+    kept = read_shard(path)[: len(numbers)] if old else []
+    had = len(kept)
+    for number in numbers[had:]:
+        if step(len(kept)):
+            break
         campaign = make(seed, number)
         rng = np.random.default_rng([seed, number, 13])
-        labels = tuple(label(features, campaign, end) for end in ends(campaign, rng, each))
-        kept.append(Kept(campaign, labels))
+        kept.append(Kept(campaign, tuple(label(features, campaign, end) for end in ends(campaign, rng, each))))
+    complete = len(kept) == len(numbers)
+    if not complete and len(kept) == had:
+        return None
     found: dict[str, Any] = {
         "campaigns": len(kept),
         "windows": sum(len(k.labels) for k in kept),
         "healthy": sum(not x.changed for k in kept for x in k.labels),
         "sha256": write_shard(path, kept),
     }
-    about.write_text(json.dumps({**wanted, **found}) + "\n", encoding="utf-8")
-    return found
+    reached = [numbers.start, numbers.start + len(kept)]
+    about.write_text(json.dumps({**made_by, "numbers": reached, **found}) + "\n", encoding="utf-8")
+    return found if complete else None
 
 
 def _seed(seed: int, split: str, source: str) -> int:
@@ -123,10 +223,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     try:
-        with Steps("windows", 1.0) as steps:
-            store = generate(given.seed, given.count, given.out, steps.update)
+        with Stop() as stop, Steps("windows", 1.0, begun=begun(given.out, given.count)) as steps:
+            store = generate(given.seed, given.count, given.out, steps.update, stop)
+            steps.cut = store is None
     except TwinFileError as error:
         parser.exit(1, f"{error}\n")
+    if store is None:
+        parser.exit(130, "interrupted; give the same command again\n")
     print(f"{store.manifest['windows']} windows in {given.out}")
 
 

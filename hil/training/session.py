@@ -9,19 +9,23 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hil import __version__
 from hil.training.ablation import without as leave_out
 from hil.training.data import Data
 from hil.training.ensemble import assemble
 from hil.training.picture import draw
+from hil.training.stopping import Stop
 
 LOOK_EVERY = 250
 """Steps between looks at unseen windows."""
 KEEP_EVERY_S = 60.0
+LIBRARIES = ("torch", "numpy")
 LOOKED_AT = 192
 """Unseen windows that a look takes: the same ones each time."""
 LEAKED = 24
@@ -33,7 +37,7 @@ Say = Callable[[int, str], None]
 
 @dataclass(frozen=True)
 class Outcome:
-    """How far a training came: `done` of `steps`, `made` of them now in `seconds`.
+    """How far a training came: `done` of `steps`, `made` of them now in `seconds`; `simulated`, the share of its data.
 
     At its end `card` and `picture` are what was written, and `lines` say how good it is.
     """
@@ -45,17 +49,18 @@ class Outcome:
     card: Path | None = None
     picture: Path | None = None
     lines: tuple[str, ...] = ()
+    simulated: float = 1.0
 
 
 def train(
-    data: Data, name: str, plan: Any, folder: Path, out: Path, *, minutes: float | None, command: str, say: Say,
+    data: Data, name: str, plan: Any, folder: Path, out: Path, *, stop: Stop, command: str, say: Say,
     device: str = "cpu", without: tuple[str, ...] = (),
 ) -> Outcome:  # fmt: skip
-    """Go on with the training in `folder` for some minutes, or to its end; then write the network to `out`.
+    """Go on with the training in `folder` until it is stopped, or to its end; then write the network to `out`.
 
     Args:
         name: of the configuration. plan: `twin.calibrators.hiera_unet.plan.Plan`. out: the weights' path.
-        minutes: after which to stop; None for no limit. command: as typed, for the card.
+        stop: when to leave off. command: that makes this training again, for the card.
         without: pieces to leave out, see `hil.training.ablation`.
 
     Raises:
@@ -70,18 +75,18 @@ def train(
     config, plan, data = leave_out(without, config, plan, data)
     trainer = Trainer(config, data.train, physics, plan, device, " ".join((data.digest, *without)))
     at, curves_at = folder / "training.pt", folder / "curves.jsonl"
-    folder.mkdir(parents=True, exist_ok=True)
     if at.exists():
         trainer.restore(kept(at))
     curves = [c for c in _read(curves_at) if c["step"] <= trainer.done]
     first = trainer.done
     began = last_kept = time.monotonic()
     gathered: list[dict[str, float]] = []
-    while trainer.done < plan.steps and (minutes is None or time.monotonic() - began < 60.0 * minutes):
+    while trainer.done < plan.steps and not stop.over:
         gathered.append(trainer.step())
         if trainer.done % LOOK_EVERY == 0 or trainer.done == plan.steps:
             curves.append(_look(trainer, data, gathered))
             gathered = []
+            folder.mkdir(parents=True, exist_ok=True)
             curves_at.write_text("".join(json.dumps(c) + "\n" for c in curves), encoding="utf-8")
         if time.monotonic() - last_kept > KEEP_EVERY_S:
             keep(trainer.state(), at)
@@ -158,6 +163,7 @@ def _finish(
         "name": out.stem,
         "seed": trainer.plan.seed,
         "command": command,
+        "versions": {"hil": __version__, **{name: metadata.version(name) for name in LIBRARIES}},
         "without": list(without),
         "plan": trainer.plan.document(),
         "data": {**data.manifest, "sha256": data.digest},
@@ -178,9 +184,15 @@ def _sentence(mode: str, metrics: dict[str, Any]) -> str:
 
 
 def begun(folder: Path) -> int:
-    """Steps that a training in `folder` has told of."""
-    curves = _read(folder / "curves.jsonl")
-    return int(curves[-1]["step"]) if curves else 0
+    """Steps after which the training in `folder` goes on.
+
+    Raises:
+        HieraError: what was kept of it cannot be read.
+    """
+    from twin.calibrators.hiera_unet.checkpoint import kept
+
+    at = folder / "training.pt"
+    return int(kept(at)["done"]) if at.exists() else 0
 
 
 def _read(path: Path) -> list[dict[str, Any]]:

@@ -17,11 +17,13 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.points import Signal
+from drivers.rigfile import file_sha256
 from hil.bands import SPAN_S, Bands
 from hil.cli import group
 from hil.journal import Header, JournalReader, JournalWriter
 from hil.record import Record, read_record, write_record
-from hil.run_folder import RunFolder
+from hil.resuming import request_of
+from hil.run_folder import RunFolder, RunFolderError
 from hil.tracking import TrackingConfig, disturbance
 from hil.tracking_process import Tracking
 from twin.kernel import simulate
@@ -129,6 +131,7 @@ def test_weights_of_something_else_are_refused_in_one_sentence(
     named = hil("track", record, "--twin", twin, "--calibrator", "hiera_unet")
     assert named.exit_code != 0 and words in str(named.exception) and "\n" not in str(named.exception)
     told = json.loads(hil("track", record, "--twin", twin, "--json").stdout)
+    assert damage != "twin" or "trains for the shipped loop's structure alone" in told["left_out"]["hiera_unet"]
     assert words in told["left_out"]["hiera_unet"] and list(told["bands"]) == ["static", "pso", "least_squares"]
 
 
@@ -207,6 +210,52 @@ def test_small_powers_are_told_with_digits() -> None:
     assert disturbance(document) == "heater_1 gives off 187 W (100 to 270) that the twin does not know of"
     document.update(disturbed_W=-187.4, disturbed_interval90_W=(-270.0, -100.0))
     assert disturbance(document) == "heater_1 takes up 187 W (100 to 270) that the twin does not know of"
+
+
+@network_here
+def test_own_weights_are_asked_where_their_card_is_named(
+    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from twin.calibrators.hiera_unet import service
+
+    card = Path(shutil.copytree(PROFILES / "trained", tmp_path / "own")) / "loop_small.json"
+    monkeypatch.setattr(service, "TRAINED", tmp_path / "none")
+    for name in ("hiera_unet", "hiera_ls"):
+        asked = hil("track", record, "--twin", LOOP, "--calibrator", name, "--network", card, "--json")
+        assert asked.exit_code == 0 and list(json.loads(asked.stdout)["bands"]) == ["static", name], asked.output
+    card.write_text(card.read_text(encoding="utf-8").replace('"format": 1', '"format": 99'), encoding="utf-8")
+    refused = hil("track", record, "--twin", LOOP, "--network", card)  # by the usual calibrators, too
+    assert refused.exit_code != 0 and "has format 99, not 1" in str(refused.exception)
+    missing = hil("track", record, "--twin", LOOP, "--network", tmp_path / "no.json")
+    assert missing.exit_code == 2 and "no.json: there is no such file" in missing.output
+    unasked = hil("track", record, "--twin", LOOP, "--network", card, "--calibrator", "pso")
+    assert "no calibrator asks it; add --calibrator hiera_unet or hiera_ls" in str(unasked.exception)
+
+
+@network_here
+def test_a_run_names_its_network_and_goes_on_with_that_alone(tmp_path: Path) -> None:
+    card = Path(shutil.copytree(PROFILES / "trained", tmp_path / "own")) / "loop_small.json"
+    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    words = ["run", tmp_path / "load.csv", "--virtual", "--lockstep", "--runs", tmp_path / "runs", "--no-viewer"]
+    done = hil(*words, "--network", card, "--calibrator", "hiera_unet", "--json")
+    assert done.exit_code == 0, done.output
+    folder = RunFolder(Path(json.loads(done.stdout)["folder"]))
+    manifest = folder.read_manifest()
+    assert manifest["files"]["network"] == {"path": str(card), "sha256": file_sha256(card)}
+    manifest["exit_status"] = "running"
+    assert request_of(folder, manifest, {}).card == card
+    moved = card.with_name("moved.json")
+    card.rename(moved)
+    with pytest.raises(RunFolderError, match="the run's network, is not there; say where it is with --network"):
+        request_of(folder, manifest, {})
+    assert request_of(folder, manifest, {"network": moved}).card == moved
+    moved.write_text(moved.read_text(encoding="utf-8").replace('"format": 1', '"format": 99'), encoding="utf-8")
+    with pytest.raises(RunFolderError, match="is not what it was when the run began; put that network back"):
+        request_of(folder, manifest, {"network": moved})
+    before = list((tmp_path / "runs").iterdir())
+    assert "has format 99" in str(hil(*words, "--network", moved).exception)
+    assert "no twin" in str(hil(*words, "--network", moved, "--no-twin").exception)
+    assert list((tmp_path / "runs").iterdir()) == before
 
 
 def test_a_twin_without_a_network_is_run_by_the_others(tmp_path: Path) -> None:

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import json
+import os
+import shlex
+import signal
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be written")
 
 from hil.commands.train import PIECES as command_pieces  # noqa: E402
-from hil.commands.train import command  # noqa: E402
-from hil.training import session  # noqa: E402
+from hil.commands.train import again, anywhere, command, loop_command, wanted  # noqa: E402
+from hil.training import generate, session  # noqa: E402
 from hil.training.ablation import PIECES, without  # noqa: E402
-from hil.training.data import Data, read  # noqa: E402
+from hil.training.data import Data, least_windows, read  # noqa: E402
 from hil.training.ensemble import assemble  # noqa: E402
 from hil.training.generate import features_of  # noqa: E402
+from hil.training.stopping import Stop  # noqa: E402
 from tests.twin.hiera import fake  # noqa: E402
 from twin.calibrators.hiera_unet import binding  # noqa: E402
 from twin.calibrators.hiera_unet.checkpoint import Identity, load  # noqa: E402
@@ -47,21 +52,26 @@ def data(monkeypatch: pytest.MonkeyPatch) -> Data:
     return Data(None, table, None, *parts, manifest={"seed": 0}, digest="d")  # type: ignore[arg-type]
 
 
-def trained(data: Data, folder: Path, seed: int, minutes: float | None = None) -> session.Outcome:
+def trained(
+    data: Data, folder: Path, seed: int, minutes: float | None = None, say: Callable[[int, Stop], None] | None = None
+) -> session.Outcome:
+    stop = Stop(minutes)
     plan = Plan(steps=4, batch=5, pairs=1, seed=seed)
     return session.train(
         data, "small", plan, folder / f"fake_small_{seed}", folder / f"fake_small_{seed}.safetensors",
-        minutes=minutes, command="hil train", say=lambda *_: None,
+        stop=stop, command="hil train", say=lambda done, _: None if say is None else say(done, stop),
     )  # fmt: skip
 
 
 def test_a_training_in_pieces_ends_with_card_picture_and_ensemble(data: Data, tmp_path: Path) -> None:
     cut = trained(data, tmp_path, 0, minutes=0.0)
     assert (cut.done, cut.card) == (0, None)
+    assert session.begun(tmp_path / "fake_small_0") == 0
     done = trained(data, tmp_path, 0)
     assert done.done == 4 and done.card is not None and done.picture is not None and done.picture.stat().st_size > 1000
     card = json.loads(done.card.read_text(), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
     assert [c["step"] for c in card["curves"]] == [2, 4] and card["data"] == {"seed": 0, "sha256": "d"}
+    assert {"hil", "torch", "numpy"} == card["versions"].keys()
     assert card["command"] == "hil train" and card["seed"] == 0 and len(card["metrics"]["blind"]["mae"]) == 2
     load(tmp_path / "fake_small_0.safetensors", IDENTITY, fake.config())
     assert any("unseen windows" in line for line in done.lines)
@@ -71,6 +81,70 @@ def test_a_training_in_pieces_ends_with_card_picture_and_ensemble(data: Data, tm
     told = ensemble["modes"]["online"]
     assert len(told["outputs"]["overall"]) == 2 and 0.5 < told["test"]["interval90"]["share"] <= 1.0
     assert told["parameters"] == [None, None]  # fewer scores than an interval needs
+
+
+def test_an_interrupt_in_the_first_step_keeps_that_step(data: Data, tmp_path: Path) -> None:
+    def interrupt(done: int, stop: Stop) -> None:
+        with stop:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    cut = trained(data, tmp_path, 0, say=interrupt)
+    assert (cut.done, cut.made, cut.card) == (1, 1, None)
+    trained(data, tmp_path, 0, say=lambda done, stop: interrupt(done, stop) if done == 3 else None)
+    # Curves were told after two steps; what goes on, and its pace, is what was kept.
+    assert session.begun(tmp_path / "fake_small_0") == 3
+    at_once = trained(data, tmp_path / "other", 0)
+    assert trained(data, tmp_path, 0).lines == at_once.lines
+
+
+def test_a_second_interrupt_ends_at_once() -> None:
+    with Stop() as stop:
+        assert not stop.over
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.over and stop.interrupted
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def typed(*words: object) -> Result:
+    return CliRunner().invoke(command, ["loop", *map(str, words)])
+
+
+def test_too_few_windows_are_refused_before_any_is_simulated(tmp_path: Path) -> None:
+    there = tmp_path / "there"
+    for words in (("--windows", 240), ()):
+        found = typed("--data", there, "--out", tmp_path / "out", *words)
+        assert found.exit_code == 2 and f"give --windows {least_windows()} or more" in " ".join(found.output.split())
+        there.mkdir(exist_ok=True)
+        (there / "manifest.json").write_text('{"seed": 1, "count": 240}')  # what an earlier version simulated
+    assert not (tmp_path / "out").exists() and [p.name for p in there.iterdir()] == ["manifest.json"]
+
+
+def test_minutes_are_of_simulating_too_and_the_command_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ("--data", tmp_path / "data", "--out", tmp_path, "--minutes", 0, "--windows", 500, "--data-seed", 7)
+    found = typed(*words)
+    assert found.exit_code == 0 and "0% simulated: give the same command again" in found.output
+    assert generate.asked_of(tmp_path / "data") == (7, 500) and wanted(tmp_path / "data", None, None) == (7, 500)
+    assert json.loads(typed(*words, "--json").stdout)["simulated"] == 0.0
+    refused = typed("--data", tmp_path / "data", "--data-seed", 8)
+    assert "holds windows of data seed 7, not 8" in str(refused.exception)
+
+
+def test_the_command_of_a_card_simulates_and_trains_the_same_again(tmp_path: Path) -> None:
+    plan = Plan(steps=2500, batch=9, seed=3)
+    line = again("full", plan, "cpu", 1, ("gates",), anywhere(tmp_path / "my data"), 1, 8000)
+    assert str(tmp_path) not in line and anywhere(Path("training/loop")) == "training/loop"
+    words = shlex.split(line)
+    given = loop_command.make_context("loop", words[3:]).params
+    assert words[:3] == ["hil", "train", "loop"] and given["data"] == Path("my data")
+    assert (given["name"], given["seed"], given["count"], given["data_seed"]) == ("full", 3, 8000, 1)
+    assert (given["steps"], given["batch"], given["half"], given["threads"]) == (2500, 9, False, 1)
+    assert (given["device"], given["without"]) == ("cpu", ("gates",))
+    for card in (generate.TWIN.parents[1] / "trained").glob("loop_small_?.json"):
+        document = json.loads(card.read_text())
+        given = loop_command.make_context("loop", shlex.split(document["command"])[3:]).params
+        assert (given["count"], given["data_seed"]) == (document["data"]["count"], document["data"]["seed"])
+        assert (given["seed"], given["steps"]) == (document["seed"], document["plan"]["steps"])
 
 
 def test_members_of_other_data_and_leaking_ones_are_left_out(data: Data, tmp_path: Path) -> None:

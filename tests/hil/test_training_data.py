@@ -9,7 +9,10 @@ from drivers.virtual.effects import Effect
 from drivers.virtual.geometry import build_cells
 from hil.training import generate as data
 from hil.training import plant_windows
-from twin.calibrators.hiera_unet.store import SPLITS
+from hil.training.data import FEWEST, least_windows, looked_at
+from hil.training.stopping import Stop
+from twin.calibrators.hiera_unet.store import SPLITS, Store
+from twin.network import TwinFileError
 
 FEATURES = data.features_of()
 IDS = FEATURES.deviations.ids
@@ -64,13 +67,64 @@ def test_specimens_differ_by_section_and_keep_the_shape_of_the_rig():
 
 def test_a_generated_folder_has_its_splits_and_is_not_made_twice(tmp_path):
     store = data.generate(3, 20, tmp_path)
+    assert store is not None
     assert store.manifest["windows"] >= 20
     shards = store.manifest["shards"]
     assert {entry["split"] for entry in shards.values()} == set(SPLITS)
     assert len({entry["seed"] for entry in shards.values()}) == len(shards)
     stamps = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.npz")}
     again = data.generate(3, 20, tmp_path)
-    assert again.digest == store.digest
+    assert again is not None and again.digest == store.digest
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.npz")} == stamps
     test = store.windows("test")
     assert len(test) and np.isfinite(test.x).all()
+
+
+class After(Stop):
+    """Over when it was asked so many times."""
+
+    def __init__(self, times: int) -> None:
+        super().__init__()
+        self.left = times
+
+    @property
+    def over(self) -> bool:
+        self.left -= 1
+        return self.left < 0
+
+
+def test_what_was_cut_or_was_less_is_added_to_and_is_the_same_as_at_once(tmp_path, monkeypatch):
+    whole = data.generate(3, 20, tmp_path / "whole")
+    assert whole is not None
+    made = []
+    plain = data.plant_campaign
+    monkeypatch.setattr(data, "plant_campaign", lambda f, s, n: made.append((s, n)) or plain(f, s, n))
+    parts, shares = tmp_path / "parts", []
+    assert data.generate(3, 10, parts) is not None
+    assert data.complete(parts, 3, 10) and not data.complete(parts, 3, 20)
+    before = data.begun(parts, 20)
+    while (store := data.generate(3, 20, parts, None, After(1))) is None:
+        shares.append(data.begun(parts, 20))
+        assert data.asked_of(parts) == (3, 20) and not data.complete(parts, 3, 20)
+        with pytest.raises(TwinFileError, match="no training data there"):
+            Store(parts, FEATURES)
+    assert 0.0 < before < shares[0] and len(shares) > 1 and shares == sorted(shares)
+    assert store.digest == whole.digest and data.complete(parts, 3, 20)
+    assert len(made) == len(set(made))
+
+
+def test_windows_of_another_seed_or_fewer_do_not_replace_those_of_a_folder(tmp_path):
+    data.generate(3, 10, tmp_path)
+    kept = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(TwinFileError, match="holds windows of data seed 3, not 4"):
+        data.generate(4, 10, tmp_path)
+    with pytest.raises(TwinFileError, match="holds 10 windows, more than 5"):
+        data.generate(3, 5, tmp_path)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == kept
+
+
+def test_the_fewest_windows_leave_rigs_to_set_intervals_with():
+    least = least_windows()
+    for count, enough in ((least, True), (least - 10, False), (240, False)):
+        campaigns = sum(data.campaigns_of(count, "conformal").values())
+        assert (campaigns - sum(looked_at(campaigns)) >= FEWEST) == enough

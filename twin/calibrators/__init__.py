@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from twin.calibrators.base import Calibration, Calibrator, Kind, Window
 from twin.network import Network, TwinFileError
 
@@ -14,17 +16,20 @@ ANY_TWIN = ("pso", "least_squares", "kalman")
 """Those that are not of the coolant loop only."""
 
 
-def make(name: str, network: Network, tunables: str | None = None, seed: int = 0) -> Calibrator:
+def make(
+    name: str, network: Network, tunables: str | None = None, seed: int = 0, card: Path | None = None
+) -> Calibrator:
     """Calibrator by name: ``pso`` (tuned swarm), ``pso_paper`` (Table 2 to the letter), ``least_squares``,
     ``kalman`` (filter), ``hiera_unet`` (trained network; needs the extra ``ml``), ``hiera_ls`` (that, then least
     squares).
 
     Args:
         tunables: a set of the twin; without one `usual` says which, for ``pso_paper`` it is ``paper4``.
+        card: of the ensemble that ``hiera_unet`` and ``hiera_ls`` ask; without one it is the shipped one.
 
     Raises:
         TwinFileError: no such calibrator or set, or the calibrator is of the coolant loop only and the twin is none.
-        HieraError: there is no trained network for this twin.
+        HieraError: there is no trained network for this twin, or the one of `card` does not fit it.
     """
     if name == "pso":
         from twin.calibrators.pso import Swarm
@@ -47,12 +52,13 @@ def make(name: str, network: Network, tunables: str | None = None, seed: int = 0
     if name == "hiera_unet":
         from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
 
-        return HieraUNetCalibrator.shipped(network, tunables or "nine")
+        return HieraUNetCalibrator.shipped(network, tunables or "nine", card)
     if name == "hiera_ls":
         from twin.calibrators.hiera_unet.refined import RefinedCalibrator
         from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
 
-        return RefinedCalibrator(network, HieraUNetCalibrator.shipped(network, tunables or "nine"), tunables or "nine")
+        asked = HieraUNetCalibrator.shipped(network, tunables or "nine", card)
+        return RefinedCalibrator(network, asked, tunables or "nine")
     raise TwinFileError(f"no calibrator {name!r}; there are: {', '.join(NAMES)}")
 
 

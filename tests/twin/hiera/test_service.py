@@ -54,6 +54,7 @@ def ensemble_card(folder: Path, **other: Any) -> Path:
     names = {f"loop_small_{s}.safetensors" for s in (0, 1)}
     factors = {"confidence": 0.9, "overall": [2.0] * 4, "binned": {}, "counts": {}, "method": "split conformal"}
     document = {
+        "format": 1,
         "name": "loop_small",
         "members": {n: load(folder / n).card["weights"]["sha256"] for n in sorted(names)},
         "modes": {"online": {"outputs": factors, "parameters": [None] * 9}},
@@ -254,6 +255,54 @@ def test_an_ensemble_of_something_else_is_refused(tmp_path: Path) -> None:
         load_ensemble(card, IDENTITY)
     with pytest.raises(HieraError, match="hang on a record's last moments"):
         load_ensemble(ensemble_card(tmp_path, leakage=0.2), IDENTITY)
+
+
+def changed(card: Path, **other: Any) -> Path:
+    """A card of the same members with something else on it."""
+    document = json.loads(card.read_text())
+    own = card.with_name("changed.json")
+    own.write_text(json.dumps(document | other))
+    return own
+
+
+@pytest.mark.parametrize(
+    ("outputs", "parameters", "words"),
+    [
+        ({"overall": [2.0]}, [None] * 9, r"factors 2.0 for outputs, not a positive one for each of T_heater"),
+        ({"overall": [2.0, 2.0, 2.0, float("nan")]}, [None] * 9, r"nan for outputs, not a positive one"),
+        ({"overall": ["a"] * 4}, [None] * 9, "cannot be read"),
+        ({"binned": {"7": [2.0, 2.0]}}, [None] * 9, r"factors 2.0, 2.0 for outputs in bin 7"),
+        ({}, [1.0, 2.0], r"has 2 factors for parameters, not a positive one or null for each of"),
+        ({}, [-1.0] * 9, r"has 9 factors for parameters, not a positive one or null"),
+    ],
+)
+def test_a_card_has_a_factor_for_each_output_and_parameter(
+    tmp_path: Path, outputs: dict[str, Any], parameters: list[float], words: str
+) -> None:
+    card = ensemble_card(tmp_path)
+    own = json.loads(card.read_text())["modes"]["online"]["outputs"] | outputs
+    with pytest.raises(HieraError, match=words) as caught:
+        load_ensemble(changed(card, modes={"online": {"outputs": own, "parameters": parameters}}), IDENTITY)
+    assert "changed.json" in str(caught.value) and "hil train loop" in str(caught.value)
+
+
+def test_a_card_of_another_format_or_of_too_few_or_unlike_members_is_refused(tmp_path: Path) -> None:
+    card = ensemble_card(tmp_path)
+    with pytest.raises(HieraError, match=r"format 99, not 1; have `hil train loop` write it again"):
+        load_ensemble(changed(card, format=99), IDENTITY)
+    with pytest.raises(HieraError, match="cannot be read"):
+        load_ensemble(changed(card, members=3), IDENTITY)
+    members = json.loads(card.read_text())["members"]
+    for count, said in ((1, "1 trained member, and"), (0, "0 trained members, and")):
+        with pytest.raises(HieraError, match=f"names {said} an ensemble has at least 2; train more"):
+            load_ensemble(changed(card, members=dict(list(members.items())[:count])), IDENTITY)
+    width = len(untrained().network.config.queries) * untrained().network.config.query_dim
+    other = HieraUNet(replace(config_for("small", LOOP, TABLE, DEVIATIONS), name="full"))
+    hull = Envelope(np.zeros(width), np.eye(width), 1e6)
+    save(Member(other, IDENTITY, hull, {"leakage": 0.0}), tmp_path / "loop_small_1.safetensors")
+    sha = load(tmp_path / "loop_small_1.safetensors").card["weights"]["sha256"]
+    with pytest.raises(HieraError, match=r"two configurations, 'small' and, in loop_small_1.safetensors, 'full'"):
+        load_ensemble(changed(card, members=members | {"loop_small_1.safetensors": sha}), IDENTITY)
 
 
 def open_gates() -> gates.Evidently:

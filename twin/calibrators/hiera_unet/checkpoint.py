@@ -134,15 +134,15 @@ def _refuse_others(path: Path, found: Identity, own: Config, identity: Identity 
     if found.twin != identity.twin or found.outputs != identity.outputs:
         other = "elements" if found.outputs == identity.outputs else f"sensors, {', '.join(found.outputs)}"
         raise HieraError(
-            f"the weights {path} were trained for a twin of another structure, with other {other}; train a network "
-            "for this twin with `hil train`"
+            f"the weights {path} were trained for a twin of another structure, with other {other}; `hil train` trains "
+            "for the shipped loop's structure alone, so choose another calibrator, such as least_squares"
         )
     if found.table != identity.table:
         raise HieraError(f"the weights {path} were trained with another channel table; train again with `hil train`")
     if found.parameters != identity.parameters:
         raise HieraError(
             f"the weights {path} tell {', '.join(found.parameters)}, not {', '.join(identity.parameters)}; calibrate "
-            "those or train again"
+            "those, as `hil train` trains for no others"
         )
 
 

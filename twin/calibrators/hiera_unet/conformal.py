@@ -50,8 +50,8 @@ class Factors:
     @classmethod
     def read(cls, document: dict[str, Any]) -> Factors:
         return cls(
-            document["confidence"], tuple(document["overall"]),
-            {int(b): tuple(v) for b, v in document["binned"].items()},
+            document["confidence"], tuple(map(float, document["overall"])),
+            {int(b): tuple(map(float, v)) for b, v in document["binned"].items()},
             {int(b): n for b, n in document["counts"].items()}, document["method"],
         )  # fmt: skip
 

@@ -19,7 +19,12 @@ from twin.calibrators.hiera_unet.leakage import leakage
 from twin.calibrators.hiera_unet.windows import Windows
 from twin.network import Array
 
+FORMAT = 1
 MODE = "online"
+LEAST = 2
+"""Members: one alone has nobody to differ from, and its intervals lack that part."""
+
+AGAIN = "have `hil train loop` write it again, with the command of one of its members"
 
 
 @dataclass(frozen=True)
@@ -84,33 +89,61 @@ def load_ensemble(card: Path, identity: Identity) -> Ensemble:
     """The ensemble of a card, for the twin and table that `identity` names.
 
     Raises:
-        HieraError: there is none, a member is missing or altered or belongs elsewhere, or its parameters leak.
+        HieraError: there is none, or too few members; its factors are not one for each output and parameter; a member
+            is missing or altered, belongs elsewhere or is of another configuration, or its parameters leak.
     """
     try:
-        document = json.loads(card.read_text(encoding="utf-8"))
-        names: dict[str, str] = document["members"]
+        document: dict[str, Any] = dict(json.loads(card.read_text(encoding="utf-8")))
+        if document.get("format") != FORMAT:
+            raise HieraError(f"the card {card} has format {document.get('format')}, not {FORMAT}; {AGAIN}")
+        names: dict[str, str] = dict(document["members"])
         own = document["modes"][MODE]
         factors = Factors.read(own["outputs"])
-        parameters = np.array([np.nan if f is None else f for f in own["parameters"]])
+        parameters = np.array([np.nan if f is None else f for f in own["parameters"]], dtype=np.float64)
     except FileNotFoundError as error:
         raise HieraError(
-            f"there is no trained network {card}; train one with `hil train loop` and put it there, or choose another "
-            "calibrator"
+            f"there is no trained network {card}; train one with `hil train loop` and name its card with --network, or "
+            "choose another calibrator"
         ) from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise HieraError(f"the card {card} cannot be read ({error}); train again") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise HieraError(f"the card {card} cannot be read ({error}); {AGAIN}") from error
     outside = [name for name in names if Path(name).name != name]
     if outside:
         raise HieraError(f"the card {card} names {outside[0]}, which does not lie beside it; train again")
+    if len(names) < LEAST:
+        raise HieraError(
+            f"the card {card} names {len(names)} trained member{'s' * (len(names) != 1)}, and an ensemble has at least "
+            f"{LEAST}; train more with `hil train loop` and other seeds"
+        )
     members = tuple(load(card.parent / name, identity) for name in names)
     for (name, digest), member in zip(names.items(), members, strict=True):
         if member.card["weights"]["sha256"] != digest:
             raise HieraError(f"the member {name} is not the one that {card} names; train again")
         if not float(member.card.get("leakage", np.inf)) <= LEAKS:
             raise HieraError(f"the member {name} is disqualified: its parameters hang on a record's last moments")
-    if not members:
-        raise HieraError(f"the card {card} names no member; train again")
+        if member.network.config != members[0].network.config:
+            raise HieraError(
+                f"the card {card} names members of two configurations, {members[0].network.config.name!r} and, in "
+                f"{name}, {member.network.config.name!r}; {AGAIN}"
+            )
+    _check_factors(card, factors, parameters, identity)
     return Ensemble(str(document["name"]), members, factors, parameters, document)
+
+
+def _check_factors(card: Path, factors: Factors, parameters: Array, identity: Identity) -> None:
+    """Raises HieraError: not one positive factor for each output, overall and in every bin, and for each parameter."""
+    outputs = {"outputs": factors.overall} | {f"outputs in bin {b}": own for b, own in factors.binned.items()}
+    for what, own in outputs.items():
+        if len(own) != len(identity.outputs) or not all(np.isfinite(f) and f > 0.0 for f in own):
+            raise HieraError(
+                f"the card {card} has the factors {', '.join(map(str, own))} for {what}, not a positive one for each "
+                f"of {', '.join(identity.outputs)}; {AGAIN}"
+            )
+    if len(parameters) != len(identity.parameters) or (np.isinf(parameters) | (parameters <= 0.0)).any():
+        raise HieraError(
+            f"the card {card} has {len(parameters)} factors for parameters, not a positive one or null for each of "
+            f"{', '.join(identity.parameters)}; {AGAIN}"
+        )
 
 
 def _tensors(w: Windows) -> tuple[torch.Tensor, ...]:

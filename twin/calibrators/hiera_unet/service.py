@@ -112,8 +112,8 @@ class HieraUNetCalibrator:
         self._spread = np.full(len(network.sensors), np.nan)
 
     @classmethod
-    def shipped(cls, network: Network, tunables: str = "nine") -> HieraUNetCalibrator:
-        """With the small ensemble under `profiles/trained`.
+    def shipped(cls, network: Network, tunables: str = "nine", card: Path | None = None) -> HieraUNetCalibrator:
+        """With the small ensemble under `profiles/trained`, or that of another card.
 
         Raises:
             HieraError: torch is missing, or there is no ensemble for this twin.
@@ -126,8 +126,9 @@ class HieraUNetCalibrator:
         from twin.calibrators.hiera_unet.members import load_ensemble
 
         channels, deviations = table(network), Deviations.of(network, tunables)
-        card = TRAINED / f"{channels.name}_small.json"
-        ensemble = load_ensemble(card, identity_of(network, channels, deviations))
+        ensemble = load_ensemble(
+            card or TRAINED / f"{channels.name}_small.json", identity_of(network, channels, deviations)
+        )
         return cls(network, ensemble, Features(network, channels, deviations))
 
     def calibrate(self, window: Window) -> Calibration:

@@ -1,0 +1,40 @@
+"""What one causal forward of the network costs, for `hil bench hiera`. Needs torch."""
+
+from __future__ import annotations
+
+import statistics
+from dataclasses import dataclass
+
+from hil.training.generate import features_of
+from twin.calibrators.hiera_unet.device import ready
+
+
+@dataclass(frozen=True)
+class Latency:
+    """One causal forward of one window, on one thread.
+
+    Attributes:
+        config: small or full. weights: how many it has. repetitions: timed forwards. minimum_ms, median_ms: of them.
+    """
+
+    config: str
+    weights: int
+    repetitions: int
+    minimum_ms: float
+    median_ms: float
+
+
+def latency(config: str, repetitions: int = 50) -> Latency:
+    """Time the configuration ``small`` or ``full`` with the coolant loop's sizes and random weights.
+
+    Raises:
+        HieraError: torch is missing, or there is no such configuration. ValueError: no repetition is asked for.
+    """
+    ready()
+    from twin.calibrators.hiera_unet.binding import config_for
+    from twin.calibrators.hiera_unet.latency import forward_ms
+
+    features = features_of()
+    sizes = config_for(config, features.network, features.table, features.deviations)
+    weights, times = forward_ms(sizes, repetitions)
+    return Latency(config, weights, repetitions, min(times), statistics.median(times))
