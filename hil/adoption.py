@@ -2,8 +2,8 @@
 
 The live twin of the network takes them on in any case: it is one of several that are compared, and steers nothing. The
 twin file is another matter. *shadow* leaves it alone and says nothing; *advisory* says what would change; *controlled*
-saves one revision at the end, of what was accepted before a last part of the record that neither saw, and only where
-that part is foretold better for it.
+saves one revision at the end, of what several proposals in a row agreed on before a last part of the record that
+neither saw, and only where that part is then foretold as well as of a calibrated twin, or clearly better.
 """
 
 from __future__ import annotations
@@ -34,11 +34,20 @@ HELD_OUT_S = 3600.0
 HELD_OUT_SHARE = 0.2
 WORSE = 1.02
 """Times its error before that a sensor may have afterwards, for noise alone."""
+IN_A_ROW = 3
+"""Open proposals of a parameter, one after the other, that have to agree."""
+CLEARLY = 0.75
+"""Share of the mean square before that a twin may leave which is better but not calibrated, sure to `SURE`."""
+SURE = 0.95
+BLOCK_S = 300.0
+"""Length of the blocks that are drawn again to tell how sure that is: errors within minutes are alike."""
+DRAWS = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """A parameter as accepted last: value and half width of its 90 % interval; when first and last, how often."""
+    """A parameter as accepted last: value and half width of its 90 % interval; since when, when last, how often in a
+    row."""
 
     value: float
     half_width: float
@@ -55,23 +64,29 @@ class Adoption:
     sentence: str
 
 
-def accepted(proposals: Iterable[Proposed], until_s: float = np.inf) -> dict[str, Accepted]:
-    """Parameters that the gates let through in proposals up to `until_s`."""
-    found: dict[str, Accepted] = {}
+def accepted(proposals: Iterable[Proposed], in_a_row: int = 1) -> dict[str, Accepted]:
+    """Parameters that the gates let through in the latest `in_a_row` proposals of theirs, which agree.
+
+    Two agree where each lies within the other's interval. What is only held since stands; what was let through since
+    and does not agree is a parameter that nobody knows.
+    """
+    rows: dict[str, Accepted] = {}
+    settled: dict[str, Accepted] = {}
     for proposed in proposals:
-        if proposed.time_s > until_s:
-            continue
         document, now = proposed.document, proposed.time_s
-        for name in document["values"].keys() - set(document["held"]):
-            before = found.get(name)
-            found[name] = Accepted(
-                document["values"][name],
-                NORMAL90 * document["standard_errors"][name],
-                before.first_s if before else now,
-                now,
-                before.count + 1 if before else 1,
-            )
-    return {name: found[name] for name in sorted(found)}
+        for name, value in document["values"].items():
+            if name in document["held"]:
+                rows.pop(name, None)
+                continue
+            half, before = NORMAL90 * document["standard_errors"][name], rows.get(name)
+            if before and abs(value - before.value) <= min(half, before.half_width):
+                rows[name] = Accepted(value, half, before.first_s, now, before.count + 1)
+            else:
+                rows[name] = Accepted(value, half, now, now, 1)
+                settled.pop(name, None)
+            if rows[name].count >= in_a_row:
+                settled[name] = rows[name]
+    return {name: settled[name] for name in sorted(settled)}
 
 
 class Advice:
@@ -106,16 +121,15 @@ def adopt(twin: Path, record: Record, proposals: list[Proposed], made_by: str) -
     begin_s, end_s = float(record.time_s[0]), float(record.time_s[-1])
     until_s = end_s - min(HELD_OUT_S, HELD_OUT_SHARE * (end_s - begin_s))
     seen = [proposed for proposed in proposals if proposed.time_s <= until_s]
-    taken = accepted(seen)
+    taken = accepted(seen, IN_A_ROW)
     if not taken:
-        return Adoption(None, f"no revision is saved: {closed_gates(seen)}")
+        none = f"no parameter was let through {IN_A_ROW} times in a row with values that agree"
+        return Adoption(None, f"no revision is saved: {none}; {closed_gates(seen)}")
     values = {name: a.value for name, a in taken.items()}
-    before, after = (_errors(n, record, until_s) for n in (network, with_elements(network, {}, values)))
-    noise = dict(zip(network.sensor_names, network.sigma.tolist(), strict=True))
-    total = [sum((errors[s] / noise[s]) ** 2 for s in before) for errors in (before, after)]
-    worse = [s for s in before if after[s] > WORSE * before[s]]
-    if not before or worse or total[1] >= total[0]:
-        why = f"{worse[0]} is foretold worse" if worse else "nothing is foretold better"
+    late = record.time_s > until_s
+    misses = [_misses(n, record)[late] for n in (network, with_elements(network, {}, values))]
+    before, after = (_errors(m, network) for m in misses)
+    if why := _objection(before, after, misses, record.time_s[late], network):
         return Adoption(None, f"no revision is saved: with the {len(taken)} accepted parameters {why} at the end")
     first, last = min(a.first_s for a in taken.values()), max(a.last_s for a in taken.values())
     revision = Revision(
@@ -137,8 +151,40 @@ def adopt(twin: Path, record: Record, proposals: list[Proposed], made_by: str) -
     )
 
 
-def _errors(network: Network, record: Record, from_s: float) -> dict[str, float]:
-    """Sensor -> RMSE in K of a free run over the whole record, counted from `from_s` on; begun anew after gaps."""
+def _objection(
+    before: dict[str, float],
+    after: dict[str, float],
+    misses: list[NDArray[np.float64]],
+    time_s: NDArray[np.float64],
+    network: Network,
+) -> str | None:
+    """Why a revision is not worth saving, from RMSE in K by sensor and misses (n, m) K, before and after; or None."""
+    worse = [s for s in before if after[s] > WORSE * before[s]]
+    if worse:
+        return f"{worse[0]} is foretold worse"
+    squares = [np.nansum((m / network.sigma) ** 2, axis=1) for m in misses]
+    if not before or squares[1].sum() >= squares[0].sum():
+        return "nothing is foretold better"
+    was_K, is_K = (float(np.sqrt(np.nanmean(m**2))) for m in misses)
+    if is_K <= network.rules.calibrated_K or clearly_better(squares[0], squares[1], time_s):
+        return None
+    return (
+        f"it is foretold with an error of {is_K:.3f} K, which is neither within {network.rules.calibrated_K:g} K nor "
+        f"clearly better than {was_K:.3f} K"
+    )
+
+
+def clearly_better(before: NDArray[np.float64], after: NDArray[np.float64], time_s: NDArray[np.float64]) -> bool:
+    """Whether squares (n,) at times (n,) s fell to `CLEARLY` of what they were, however blocks of them are drawn."""
+    block = ((time_s - time_s[0]) // BLOCK_S).astype(np.intp)
+    sums = np.stack([np.bincount(block, weights=squares) for squares in (before, after)], axis=1)
+    drawn = np.random.default_rng(0).integers(len(sums), size=(DRAWS, len(sums)))
+    was, now = sums[drawn].sum(axis=1).T
+    return bool(np.quantile(now - CLEARLY * was, SURE) <= 0.0)
+
+
+def _misses(network: Network, record: Record) -> NDArray[np.float64]:
+    """Predicted minus measured (n, m) K of a free run over the whole record, begun anew after gaps."""
     from twin.kernel import Kernel, held
     from twin.stretches import parts, stretches, traced
 
@@ -151,7 +197,12 @@ def _errors(network: Network, record: Record, from_s: float) -> dict[str, float]
     run = traced(
         Kernel(network, ()), network.values[None], start[None], time_s, held(network, inputs), known.begins
     )[0]  # fmt: skip
-    miss: NDArray[np.float64] = (run - measured)[time_s > from_s]
+    miss: NDArray[np.float64] = run - measured
+    return miss
+
+
+def _errors(miss: NDArray[np.float64], network: Network) -> dict[str, float]:
+    """Sensor -> RMSE in K of misses (n, m) K, where anything was measured."""
     good = np.isfinite(miss)
     return {
         sensor: float(np.sqrt(np.mean(miss[good[:, j], j] ** 2)))
@@ -165,7 +216,7 @@ def _note(name: str, a: Accepted, network: Network) -> str:
     unit = "" if parameter.unit == "1" else f" {parameter.unit}"
     return (
         f"{name}: {parameter.value:.4g} -> {a.value:.4g} ± {a.half_width:.2g}{unit} (90 %), accepted in {a.count} "
-        f"proposals, last at {a.last_s / 3600:.2f} h"
+        f"proposals in a row, last at {a.last_s / 3600:.2f} h"
     )
 
 

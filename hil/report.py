@@ -157,7 +157,7 @@ def _gates(reader: JournalReader) -> str:
         [name, f"{a.value:.4g} ± {a.half_width:.2g}", f"{a.count}", f"{a.first_s / 3600:.2f}", f"{a.last_s / 3600:.2f}"]
         for name, a in accepted(proposals).items()
     ]
-    head = ["parameter", "accepted last", "proposals", "first / h", "last / h"]
+    head = ["parameter", "accepted last", "in a row", "since / h", "last / h"]
     said = html.escape(closed_gates(proposals))
     return f"<h2>What the network's gates let through</h2>{_table(head, rows)}<p class=note>{said}</p>"
 

@@ -41,7 +41,7 @@ from twin.revisions import chain
 @dataclass(frozen=True, slots=True)
 class RunResult:
     """A finished run: its folder, how it ended, the twins side by side, how fast it went, what the diagnosis said, what
-    became of parameters that the network's gates let through."""
+    became of parameters that the network's gates let through, and what these gates held, as a sentence."""
 
     folder: RunFolder
     outcome: Outcome
@@ -51,6 +51,7 @@ class RunResult:
     viewed: bool
     diagnosis: Reply | None = None
     adoption: Adoption | None = None
+    gates: str | None = None
 
 
 async def run_session(
@@ -232,7 +233,8 @@ async def _run_in(run: _Run) -> RunResult:
     folder.write_manifest(manifest)
     announce("writing record and report")
     export_record(folder.journal, folder.record, {"uid": manifest["uid"], "started": manifest["started"]})
-    adopted = _adopted(request, folder)
+    proposals = _proposals(folder)
+    adopted = _adopted(request, folder, proposals)
     if adopted is not None:
         manifest["adoption"] = adoption.manifest(adopted)
         folder.write_manifest(manifest)
@@ -245,7 +247,8 @@ async def _run_in(run: _Run) -> RunResult:
 
     write_report(folder)
     duration_s = outcome.ticks * clock.period_s
-    return RunResult(folder, outcome, comparison, duration_s, wall_s, follower, told, adopted)
+    gates = adoption.closed_gates(proposals) if proposals else None
+    return RunResult(folder, outcome, comparison, duration_s, wall_s, follower, told, adopted, gates)
 
 
 async def _restored(
@@ -267,15 +270,19 @@ async def _restored(
     return anew
 
 
-def _adopted(request: RunRequest, folder: RunFolder) -> Adoption | None:
+def _proposals(folder: RunFolder) -> list[Proposed]:
+    """What the network proposed over the whole run."""
+    reader = JournalReader(folder.journal)
+    try:
+        return [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
+    finally:
+        reader.close()
+
+
+def _adopted(request: RunRequest, folder: RunFolder, proposals: list[Proposed]) -> Adoption | None:
     """In controlled mode, what was accepted as the next revision of the run's twin."""
     if request.network_mode != "controlled" or not folder.twin.is_file():
         return None
-    reader = JournalReader(folder.journal)
-    try:
-        proposals = [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
-    finally:
-        reader.close()
     made_by = f"hil run {request.profile.name} --network-mode controlled"
     return adoption.adopt(folder.twin, read_record(folder.record), proposals, made_by)
 

@@ -231,6 +231,8 @@ class LiveRun:
                 out.print(f"page with pictures: {told.page}", soft_wrap=True)
             if told.revision is not None:
                 out.print(f"revision of the twin: {shlex.quote(str(told.revision))}", soft_wrap=True, markup=False)
+        if result.gates is not None:
+            out.print(result.gates, soft_wrap=True, markup=False)
         if result.adoption is not None:
             out.print(result.adoption.sentence, soft_wrap=True, markup=False)
         out.print(f"run folder: {result.folder.path}", soft_wrap=True)

@@ -343,9 +343,12 @@ def calibration_document(calibration: Calibration) -> dict[str, Any]:
 def disturbance(document: dict[str, Any]) -> str | None:
     """What a calibration says of an unknown power in one of the rig's volumes, as a sentence, or None.
 
-    Also None where it is outdone: what such a twin misses is of its own making, not of the rig's.
+    Also None where it is outdone: what such a twin misses is of its own making, not of the rig's. And where a gate
+    found that the record is none of a rig: nothing follows from it.
     """
-    if document.get("outdone"):
+    from twin.calibrators.hiera_unet.gates import BROKEN
+
+    if document.get("outdone") or any(flag.startswith(BROKEN) for flag in document.get("flags", ())):
         return None
     where, power, interval = (document.get(f"disturbed{end}") for end in ("", "_W", "_interval90_W"))
     if where is None or power is None:

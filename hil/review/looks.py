@@ -39,7 +39,7 @@ WINDOW_COLOURS = {"calibrated": GREEN, "recovery": ORANGE, "stall": RED}
 GATE_COLOURS = {
     "open": GREEN,
     "some held": (45, 95, 120),
-    "SHORT_RECORD": FAINT,
+    **dict.fromkeys(("SHORT_RECORD", "UNCONFIRMED"), FAINT),
     "MISSING_REQUIRED": YELLOW,
     "LOW_SENSITIVITY": (120, 100, 60),
     "HIGH_UNCERTAINTY": ORANGE,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.adoption import Advice, accepted, adopt
+from hil.adoption import IN_A_ROW, Advice, accepted, adopt, clearly_better
 from hil.record import Record
 from hil.tracking import Proposed
 from twin.kernel import simulate
@@ -81,7 +81,36 @@ def test_only_what_came_before_the_end_is_saved_and_errors_are_of_the_end(twin: 
     late = [proposed(HOURS * 3600 - 300.0, {"fins.UA_100": 10.0})]
     done = adopt(twin, record, proposals(TRUE)[:20] + late, "a test")
     assert done.path is not None and load(done.path).parameters["fins.UA_100"].value == 45.0
-    assert accepted(late + proposals(TRUE), 600.0)["fins.UA_100"].count == 2
+
+
+def test_accepted_is_what_several_proposals_in_a_row_agree_on() -> None:
+    def after(*given: float | None) -> dict[str, float]:
+        row = [proposed(300.0 * k, {}, held=("a",)) if v is None else proposed(300.0 * k, {"a": v})
+               for k, v in enumerate(given)]  # fmt: skip
+        return {name: found.value for name, found in accepted(row, IN_A_ROW).items()}
+
+    assert after(5.0, 5.1, 5.2) == after(5.0, 5.1, 5.2, None) == {"a": 5.2}
+    assert after(5.0, 5.1) == after(5.0, None, 5.1, 5.2) == after(5.0, 5.1, 7.0) == {}
+    assert after(5.0, 5.1, 5.2, 7.0) == {}, "what no longer holds is not taken on"
+    assert after(5.0, 5.1, 5.2, 7.0, 7.1, 7.2) == {"a": 7.2}
+
+
+def test_clearly_better_is_what_is_so_in_most_blocks() -> None:
+    time_s, rng = np.arange(3600.0), np.random.default_rng(0)
+    before = rng.chisquare(4, 3600)
+    assert clearly_better(before, 0.6 * before, time_s) and not clearly_better(before, 0.97 * before, time_s)
+    once = np.where(time_s < 300.0, 40.0, 1.0) * before
+    assert not clearly_better(once, before, time_s), "one block of twelve is no ground"
+
+
+def test_a_record_in_another_order_is_not_the_twins_fault(twin: Path, record: Record) -> None:
+    """Some parameter always leaves a little less of two kelvins; that is no ground for a revision."""
+    order = np.random.default_rng(0).permutation(len(record.time_s) // 600)
+    rows = np.concatenate([np.arange(600) + 600 * k for k in order])
+    mixed = Record(record.time_s[: len(rows)], {name: v[rows] for name, v in record.columns.items()})
+    done = adopt(twin, mixed, proposals({"fins.UA_100": 61.0}), "a test")
+    assert done.path is None and "neither within 0.1 K nor clearly better than" in done.sentence
+    assert list(twin.parent.glob("*.toml")) == [twin]
 
 
 @pytest.mark.parametrize(

@@ -128,4 +128,6 @@ def test_an_outdone_window_is_no_calibrated_one_and_says_nothing_of_heat() -> No
     assert disturbance(document) == "tank gives off 44 W (32 to 57) that the twin does not know of"
     assert window_kind(document) == "calibrated" and window_kind(document | {"outdone": True}) == OUTDONE
     assert disturbance(document | {"outdone": True}) is None
+    assert disturbance(document | {"flags": ["SHORT_RECORD: why", "a flag"]}) is not None
+    assert disturbance(document | {"flags": ["FLAT_RECORD: no thermometer has moved at all"]}) is None
     assert window_kind({"kind": "stall", "outdone": True}) == "stall"

@@ -46,9 +46,7 @@ def single(
     loose = lagging_one(one) if odd is None or not natures(one, odd) else None
     if loose is not None:
         late = _late(one, loose, start)
-        # The mean of several is late by a part of what one of them is.
-        rest = tuple(e for e in effects if (e.where, e.driver) != (one.sensor, late.driver))
-        return "effect found" if verdict == "adequate" else verdict, (*rest, late), ()
+        return "effect found" if verdict == "adequate" else verdict, (*effects, late), ()
     if odd is None:
         return (*_now_and_then(one, verdict, effects, start), ())
     at = _belongs_to(odd, here, effects, finding)
@@ -188,6 +186,10 @@ def explained_by_one(
         again: diagnoses a record anew. Only if the twin is adequate without that thermometer's error, the thermometer
             is the answer: a place that is hotter than others of its kind makes its thermometer stand out too.
     """
+    for group in groups:
+        late = next((e for e in found.effects if e.driver == "rate_of_change" and e.where in group.columns), None)
+        if late is not None:
+            return _beside_late(late, group, network, record, again)
     if found.verdict != "unexplained":
         return found
     for group in groups:
@@ -211,6 +213,23 @@ def explained_by_one(
             network=None, next_experiment=None, indistinguishable=same, empirical=None,
         )  # fmt: skip
     return found
+
+
+def _beside_late(
+    late: Effect, group: Members, network: Network, record: Columns, again: Callable[[Columns], Diagnosis]
+) -> Diagnosis:
+    """What is found beside one thermometer that follows late: the mean of several is late by a part of that."""
+    j, i = network.sensor_names.index(group.sensor), group.columns.index(late.where)
+    own = np.nan_to_num(group.by_itself(i, group.fine)) / len(group.columns)
+    bins = np.clip(((record.time_s - record.time_s[0]) / group.step_s).astype(int), 0, len(own) - 1)
+    since = record.time_s >= late.onset_s
+    measured = record.measured.copy()
+    measured[since, j] -= own[bins][since]
+    rest = {name: each for name, each in record.members.items() if name != group.sensor}
+    left = again(replace(record, measured=measured, members=rest))
+    verdict: Verdict = "effect found" if left.verdict == "adequate" else left.verdict
+    said = f"{late.says}. Beside that: {left.summary}"
+    return replace(left, verdict=verdict, effects=(*left.effects, late), summary=said)
 
 
 def _share_of(group: Members, column: str, time_s: Array) -> Array:

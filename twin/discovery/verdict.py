@@ -153,8 +153,11 @@ def conclude(
                 "not quite of the form assumed",
             )
     for one in single:
+        before = effects
         verdict, effects, same = single_one(one, network, verdict, effects, finding, start)
-        others = (*others, *same)
+        # What could not be told from the mean's error is no question where one of several errs.
+        gone = {e.where for e in before} - {e.where for e in effects}
+        others = (*(a for a in others if one.sensor not in gone or a.where != one.sensor), *same)
     for span in still:
         effects = (standing(span), *effects)
         verdict = "effect found" if verdict == "adequate" else verdict

@@ -108,14 +108,17 @@ def test_a_change_is_followed_and_what_cannot_be_told_is_held_with_its_code(ense
 
 
 def test_the_twin_takes_on_an_open_proposal_within_the_window_too(ensemble: Ensemble) -> None:
-    """Half an hour of record opens the gates at 1,800 s, the end of a window; 2,100 s lies within the next one."""
+    """The first that every gate lets through moves nothing; the third, at 2,700 s, lies within a window."""
     t, u, y = record(CHANGE)
     tracker = TwinTracker(LOOP, calibrator(ensemble))
-    tracker.push(t[:2100], u[:2100], y[:2100])
+    first = tracker.push(t[:2101], u[:2101], y[:2101]).proposals[-1]
+    assert set(first["held"].values()) <= {"UNCONFIRMED", "LOW_SENSITIVITY"} and "UNCONFIRMED" in str(first["reasons"])
+    assert tracker.values == dict(zip(DEVIATIONS.ids, LOOP.values[DEVIATIONS.index], strict=True))
+    tracker.push(t[2101:2700], u[2101:2700], y[2101:2700])
     before = tracker.values
-    update = tracker.push(t[2100:2101], u[2100:2101], y[2100:2101])
+    update = tracker.push(t[2700:2701], u[2700:2701], y[2700:2701])
     (proposal,) = update.proposals
-    assert proposal["time_s"] == 2099.0 and not update.calibrations
+    assert proposal["time_s"] == 2699.0 and not update.calibrations
     moved = {name for name, value in tracker.values.items() if value != before[name]}
     assert moved and moved == set(before) - set(proposal["held"])
     assert all(tracker.values[name] == proposal["values"][name] for name in moved)
@@ -227,7 +230,13 @@ def test_it_proposes_every_five_minutes_however_the_stream_is_cut(ensemble: Ense
 
 
 @pytest.mark.parametrize(
-    ("damage", "code"), [("flat", "FLAT_RECORD"), ("shuffled", "SHUFFLED_RECORD"), ("hidden", "MISSING_REQUIRED")]
+    ("damage", "code"),
+    [
+        ("flat", "FLAT_RECORD"),
+        ("shuffled", "SHUFFLED_RECORD"),
+        ("blocks", "SHUFFLED_RECORD"),
+        ("hidden", "MISSING_REQUIRED"),
+    ],
 )
 def test_a_record_that_says_nothing_is_refused_with_the_reason(ensemble: Ensemble, damage: str, code: str) -> None:
     t, u, y = record(CHANGE)
@@ -235,6 +244,9 @@ def test_a_record_that_says_nothing_is_refused_with_the_reason(ensemble: Ensembl
         y[:] = 30.0 + 1.0 / 3.0  # the mean of such readings is not always the reading
     elif damage == "shuffled":
         y = np.random.default_rng(1).permutation(y)
+    elif damage == "blocks":
+        u, y = (a[: len(a) // 600 * 600].reshape(-1, 600, a.shape[1])[::-1].reshape(-1, a.shape[1]) for a in (u, y))
+        t = t[: len(y)]
     else:
         y[600:] = np.where(np.random.default_rng(1).random(y[600:].shape) < 0.02, y[600:], np.nan)
         y[600:, :2] = np.nan
@@ -315,6 +327,11 @@ def open_gates() -> gates.Evidently:
     )  # fmt: skip
 
 
+def warming(steps: int, *jumps: float) -> Any:
+    """Thermometers (n, 2) that rise, and jump by so much in the middle."""
+    return np.arange(float(steps))[:, None] / 20.0 + np.repeat([[0.0, 0.0], jumps], steps // 2, axis=0)
+
+
 @pytest.mark.parametrize(
     ("other", "code", "held"),
     [
@@ -330,9 +347,32 @@ def open_gates() -> gates.Evidently:
         ({"missed": np.array([0.5, np.nan])}, "", [False, False]),
         ({"missed": np.full(2, 0.09), "half_width": np.full(2, 0.01), "left": np.full(2, 0.2)}, "", [False, False]),
         ({"leakage": 0.1}, "LEAKAGE", [True, True]),
+        ({"measured": warming(500, 25.0, 25.0)}, "SHUFFLED_RECORD", [True, True]),
+        ({"measured": warming(120, 0.0, 20.0)}, "", [False, False]),
     ],
 )  # fmt: skip
 def test_each_gate_closes_for_its_own_reason(other: dict[str, Any], code: str, held: list[bool]) -> None:
     found = gates.reasons(replace(open_gates(), **other), ("a", "b"))
     assert {r.code for r in found} == ({code} if code else set())
     assert gates.held(found, ("a", "b")).tolist() == held
+
+
+def test_a_record_that_is_a_little_too_short_is_said_to_be_so() -> None:
+    (reason,) = gates.reasons(replace(open_gates(), steps=354), ("a", "b"))
+    assert reason.sentence == "29.5 minutes of record have been seen, fewer than 30"
+
+
+def test_the_interval_of_what_is_taken_on_reaches_as_far_as_it_was_moved(ensemble: Ensemble) -> None:
+    sd, values, held = np.full(9, 3.0), np.full(9, 14.0), np.arange(9) > 0
+    none = np.zeros(9)
+    proposal = service.Proposal(0.0, np.full(9, 10.0), sd, held, held, values, (), none, 1.0, none, 0)
+    told = proposal.document(DEVIATIONS.ids)
+    assert list(told["values"].values()) == [14.0, *[10.0] * 8]
+    assert list(told["standard_errors"].values()) == [5.0, *[3.0] * 8]
+
+
+def test_a_network_is_asked_whether_it_leaks_before_any_gate_opens(ensemble: Ensemble, monkeypatch: Any) -> None:
+    monkeypatch.setattr(Ensemble, "leakage", lambda *_: 0.2)
+    told = TwinTracker(LOOP, calibrator(ensemble)).push(*record(CHANGE)).proposals
+    assert all(p["held"].keys() == p["values"].keys() for p in told)
+    assert sum("LEAKAGE" in str(p["reasons"]) for p in told) == len(told) - 6

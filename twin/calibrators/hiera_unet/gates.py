@@ -24,13 +24,16 @@ UNEXPLAINED = 3.0
 """Error of what was foretold, in half widths of its intervals, from which it is a surprise; never less than a
 calibrated twin may miss by."""
 ROUGH = 12.0
-"""Median change from step to step, in noises of a step: more is no record of a thing that has a thermal mass."""
+"""Change from step to step, in noises of a step: of no thing that has a thermal mass as a median, nor of most
+thermometers at once."""
 FLAT_STEPS = 120
 FLAT_K = 1e-6
 """Change from step to step that is none: means of equal readings differ by rounding."""
 LEAKS = 0.05
 UNREADABLE = ("SHORT_RECORD", "MISSING_REQUIRED", "FLAT_RECORD", "SHUFFLED_RECORD")
 """Codes of the gates on the record itself."""
+BROKEN = ("FLAT_RECORD", "SHUFFLED_RECORD")
+"""Those of a record that is none of a rig: nothing at all may be concluded from it."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class Evidently:
 
     Attributes:
         hidden: share of what is required that is hidden, since the record began. steps: of record seen.
-        measured: (n, Y) degC, the target. noise: (Y,) K of one step. condition: of all parameters together.
+        measured: (n, Y) degC, all that was seen. noise: (Y,) K of one step. condition: of all parameters together.
         told: (P,) bool, tells them apart. half_width: (Y,) K mean half widths. missed, left: (Y,) K, root mean squares
             of measured minus foretold over the target, and of what a fit of the latest stretch leaves there; NaN where
             nothing was measured. tolerated: K by which a calibrated twin may miss.
@@ -79,17 +82,30 @@ def unreadable(hidden: float, steps: int, measured: Array, noise: Array) -> tupl
     """Gates on the record itself, before anything is computed from it."""
     found = []
     if steps < SHORTEST_STEPS:
-        found.append(Reason("SHORT_RECORD", f"only {steps * STEP_S / 60.0:.0f} minutes of record have been seen"))
+        seen, least = (STEP_S * n / 60.0 for n in (steps, SHORTEST_STEPS))
+        found.append(Reason("SHORT_RECORD", f"{seen:.1f} minutes of record have been seen, fewer than {least:.0f}"))
     if hidden > HIDDEN:
         found.append(Reason("MISSING_REQUIRED", f"{hidden:.0%} of the required channels are hidden"))
-    change = np.abs(np.diff(measured, axis=0))
+    whole = np.abs(np.diff(measured, axis=0))
+    change = whole[-FLAT_STEPS + 1 :]
     known = np.isfinite(change)
     if known.any() and len(measured) >= FLAT_STEPS and (change[known] < FLAT_K).all():
         found.append(Reason("FLAT_RECORD", "no thermometer has moved at all"))
     middle = [float(np.median(c[k])) / s for c, k, s in zip(change.T, known.T, noise, strict=True) if k.any()]
     if middle and min(middle) > ROUGH:
         found.append(Reason("SHUFFLED_RECORD", "readings jump from step to step as no rig does; are rows in order?"))
+    elif torn := int(_torn(whole, noise).sum()):
+        times = "once" if torn == 1 else f"{torn} times"
+        told = f"most thermometers jump at the same moment, {times} in what was seen; are rows in order?"
+        found.append(Reason("SHUFFLED_RECORD", told))
     return tuple(found)
+
+
+def _torn(change: Array, noise: Array) -> np.ndarray:
+    """Steps (n,) bool at which more than half of the thermometers, and two of them, jump in `change` (n, Y) K."""
+    jumps = (change > ROUGH * noise).sum(axis=1)
+    result: np.ndarray = jumps > np.maximum(np.isfinite(change).sum(axis=1) / 2.0, 1.0)
+    return result
 
 
 def reasons(e: Evidently, ids: tuple[str, ...]) -> tuple[Reason, ...]:

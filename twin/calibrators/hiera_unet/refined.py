@@ -111,8 +111,8 @@ class RefinedCalibrator(LeastSquares):
         deviations, nominal = self.proposing.features.deviations, self.proposing.network.values
         sd = proposal.sd / np.abs(deviations.scaling(nominal).slope(proposal.said))
         wide = deviations.prior_sd
-        mean = deviations.theta(np.where(proposal.held, before, proposal.said), nominal)
-        return Belief(mean, np.where(proposal.held, wide, np.clip(sd, NARROWEST * wide, wide)))
+        mean = deviations.theta(np.where(proposal.closed, before, proposal.said), nominal)
+        return Belief(mean, np.where(proposal.closed, wide, np.clip(sd, NARROWEST * wide, wide)))
 
     def _traced(self, window: Window, frame: Frame, found: Evidence) -> tuple[Array, Array]:
         """Readings (n', m) at the last samples of the window, those that the fit is of, and the state at the last."""

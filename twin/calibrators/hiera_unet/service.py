@@ -16,13 +16,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.calibrators.base import Calibration, Estimate, Window, from_plain, plain
-from twin.calibrators.hiera_unet import gates
+from twin.calibrators.hiera_unet import agreement, gates
+from twin.calibrators.hiera_unet.agreement import Spoken
 from twin.calibrators.hiera_unet.channels import table
 from twin.calibrators.hiera_unet.evidence import Evidence, estimate, step_noise
 from twin.calibrators.hiera_unet.features import Features, Frame
 from twin.calibrators.hiera_unet.gates import Evidently, Reason
 from twin.calibrators.hiera_unet.history import History
-from twin.calibrators.hiera_unet.holding import taken
+from twin.calibrators.hiera_unet.holding import NARROWEST, taken
 from twin.calibrators.hiera_unet.members import Ensemble, Said
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.series import STEP_S, Series
@@ -48,8 +49,9 @@ class Proposal:
 
     Attributes:
         time_s: of the latest sample that it has seen. said, sd: (P,) the network's parameters and standard errors in
-            their own units. held: (P,) bool, those that may not move. values: (P,) what is to be taken on: the record
-            fitted from `said`, what is held where it stands. reasons: closed gates.
+            their own units. closed: (P,) bool, those that gates hold which look at this proposal alone. held: (P,)
+            bool, those that may not move: these, and what proposals before do not bear out. values: (P,) what is to be
+            taken on: the record fitted from `said`, what is held where it stands. reasons: closed gates.
         half_width: (Y,) K mean half widths of the outputs' 90 % intervals. condition: see `Calibration`.
         attention: (Q, 12), what each query looked at. evaluations: simulations and forward passes.
     """
@@ -57,6 +59,7 @@ class Proposal:
     time_s: float
     said: Array
     sd: Array
+    closed: np.ndarray
     held: np.ndarray
     values: Array
     reasons: tuple[Reason, ...]
@@ -64,6 +67,11 @@ class Proposal:
     condition: float
     attention: Array
     evaluations: int
+
+    @property
+    def spread(self) -> Array:
+        """Standard errors (P,) of what is taken on, as far as the network knows: its own, and how far that is off."""
+        return np.asarray(np.hypot(self.sd, np.where(self.held, 0.0, self.values - self.said)))
 
     def document(self, ids: tuple[str, ...]) -> dict[str, Any]:
         """Plain data for a log; `held` says by which gate's code."""
@@ -73,7 +81,7 @@ class Proposal:
         return {
             "time_s": self.time_s,
             "values": dict(zip(ids, np.where(self.held, self.said, self.values).tolist(), strict=True)),
-            "standard_errors": dict(zip(ids, self.sd.tolist(), strict=True)),
+            "standard_errors": dict(zip(ids, self.spread.tolist(), strict=True)),
             "held": {i: own.get(i, whole) for i, h in zip(ids, self.held, strict=True) if h},
             "reasons": [str(r) for r in self.reasons],
             "half_width_K": self.half_width.tolist(),
@@ -108,6 +116,7 @@ class HieraUNetCalibrator:
         self.history = History(len(network.input_columns), len(network.sensors))
         self.records: deque[dict[str, Any]] = deque(maxlen=RECORDS)
         self._untold: list[dict[str, Any]] = []
+        self._spoken: tuple[Spoken, ...] = ()
         self._leakage: float | None = None
         self._spread = np.full(len(network.sensors), np.nan)
 
@@ -140,9 +149,12 @@ class HieraUNetCalibrator:
         return self._propose(window.parameters)
 
     def between(self, window: Window) -> tuple[Array, Array] | None:
-        """Propose within a window; the live twin's values and state from there on, None where all is held."""
+        """Propose within a window; the live twin's values and state from there on, None where nothing can be believed.
+
+        What only waits for the next proposal to say the same is no reason to leave the state where it is.
+        """
         proposal = self.propose(window)
-        if proposal.held.all():
+        if proposal.closed.all():
             return None
         values, _, _, end = self._taken_on(window, proposal)
         return values, end
@@ -165,12 +177,15 @@ class HieraUNetCalibrator:
         nominal, deviations = self.network.values, self.features.deviations
         series = self.history.series()
         past = self._read(series)
-        if self._leakage is None and past.frame.begin == 0:
+        if self._leakage is None and len(past.frame.time) - past.frame.begin >= gates.SHORTEST_STEPS:
+            # Loading only compares the card's own number: the network itself is asked before any gate can open.
             self._leakage = self.ensemble.leakage(past.row)
         # A target is hidden from the fit that is evidence: what is proposed is of one that is still to come.
         _, evidence, _, said = ahead = self._read(series.ahead(TARGET))
         seen = self._evidently(past, ahead)
-        found = gates.reasons(seen, self.ids)
+        alone = gates.reasons(seen, self.ids)
+        closed = gates.held(alone, self.ids)
+        found = (*alone, *self._doubts(alone, said, ~closed))
         held, values = gates.held(found, self.ids), deviations.values(said.theta, nominal)
         now = live[deviations.index]
         took = taken(
@@ -180,6 +195,7 @@ class HieraUNetCalibrator:
             time_s=self.history.last_s,
             said=values,
             sd=said.theta_sd * deviations.scaling(nominal).slope(values),
+            closed=closed,
             held=held,
             values=np.where(held, now, deviations.values(took.theta, nominal)),
             reasons=found,
@@ -192,6 +208,17 @@ class HieraUNetCalibrator:
         self.records.append(proposal.document(self.ids))
         self._untold.append(self.records[-1])
         return proposal
+
+    def _doubts(self, alone: tuple[Reason, ...], said: Said, allowed: np.ndarray) -> tuple[Reason, ...]:
+        """Gates that close on what was proposed before; of a record that cannot be read nothing is remembered."""
+        if any(r.code in gates.UNREADABLE for r in alone):
+            self._spoken = ()
+            return ()
+        half = NORMAL90 * np.maximum(said.theta_sd, NARROWEST * self.features.deviations.prior_sd)
+        now = Spoken(self.history.last_s, said.theta, half, allowed)
+        before = agreement.lately(self._spoken, now.time_s)
+        self._spoken = (*before, now)
+        return agreement.doubts(before, now, self.ids)
 
     def _read(self, series: Series) -> _Reading:
         """What a fit and the members say of the window that ends with a series."""
@@ -217,7 +244,7 @@ class HieraUNetCalibrator:
         return Evidently(
             hidden=float(1.0 - frame.m[frame.begin :, needed].mean()),
             steps=len(frame.time) - frame.begin,
-            measured=frame.target,
+            measured=frame.measured[frame.begin :],
             noise=step_noise(self.features),
             condition=ahead.evidence.condition,
             told=ahead.evidence.told,
@@ -254,7 +281,7 @@ class HieraUNetCalibrator:
         misses = (readings - window.measured) / self.network.sigma
         good = np.isfinite(misses)
         report = Report(
-            covariance=np.diag(proposal.sd**2),
+            covariance=np.diag(proposal.spread**2),
             flags=tuple(str(r) for r in proposal.reasons),
             frozen=tuple(i for i, h in zip(self.ids, proposal.held, strict=True) if h),
             condition=proposal.condition,
@@ -270,6 +297,7 @@ class HieraUNetCalibrator:
             "history": self.history.state(),
             "leakage": self._leakage,
             "spread": plain(self._spread),
+            "spoken": [s.plain() for s in self._spoken],
             "records": list(self.records),
         }
 
@@ -277,6 +305,7 @@ class HieraUNetCalibrator:
         self.history.restore(state["history"])
         self._leakage = state["leakage"]
         self._spread = from_plain(state["spread"])
+        self._spoken = tuple(Spoken.restored(s) for s in state.get("spoken", ()))
         self.records = deque(state["records"], maxlen=RECORDS)
 
 
