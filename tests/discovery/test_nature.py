@@ -63,7 +63,7 @@ def test_what_the_load_never_changed_is_not_told_apart(bench: Bench, healthy: Co
 
 def test_heat_that_a_clock_switches_at_one_place_is_no_error_of_reading(bench: Bench, healthy: Columns) -> None:
     record = bench.record(14.0)
-    on = slowly(np.where((record.time_s - 3700.0) % 9977.0 < 4296.0, 0.25, 0.0), 20.0)
+    on = slowly(np.where((record.time_s - 3700.0) % 9977.0 < 4296.0, 0.6, 0.0), 20.0)
     found = diagnosed(bench, healthy, record, on)
     assert found.verdict == "unexplained"
     assert found.effects[0].where == "T_pm3_C"

@@ -20,16 +20,18 @@ from twin.gauss_newton import SE90
 from twin.network import Array, Network
 
 LEAST_MEMBERS = 3
-LATE_WINDOW_S, LEAST_RATE = 7200.0, 3.0e-4
-"""Windows in which lags are estimated, and the scatter of the rate, K/s, without which one tells nothing."""
+LATE_WINDOW_S, RATE_S, LEAST_RATE = 7200.0, 60.0, 1.5e-4
+"""Windows in which lags are estimated, over what time rates are taken, whose noise would make a lag look shorter, and
+the scatter of rates, K/s, without which a window tells nothing."""
 PRESENT = 0.7
 """Share of a sensor's bins in which a thermometer has to have a reading, to be compared with the others."""
 MARGIN_K = 0.06
 """Differences below this are not looked at: contact and placement shift by as much."""
 STANDS_OUT = 6.0
 """Times the healthy scatter of a block that one thermometer must differ by."""
-LATE_WINDOWS, LEAST_LAG_S, ALONE = 3, 25.0, 0.4
-"""Windows since which one has to follow late, by how much, and the share of it by which any other may, or it before."""
+LATE_WINDOWS, LEAST_LAG_S, ALONE, NEARLY = 3, 25.0, 0.4, 0.8
+"""Windows since which one has to follow late, by how much, the share of it by which any other may, or it before, and of
+the best moment's gain that the earliest has to have."""
 LAGS_S = tuple(20.0 * 1.08**k for k in range(45))
 """Time constants that are tried."""
 SHARE = 0.7
@@ -194,21 +196,22 @@ def lateness(mean: Array, difference: Array, step_s: float) -> Array:
     A late thermometer differs (n, c) by minus its lag times the rate at which all of them move, as far as that is slow
     beside the lag.
     """
-    per = max(round(LATE_WINDOW_S / step_s), 1)
-    count, number = len(mean) // per, difference.shape[1]
-    found = np.full((count, number), np.nan)
-    for w in range(count):
+    joined = max(round(RATE_S / step_s), 1)
+    rows = len(mean) // joined
+    mean = mean[: rows * joined].reshape(rows, joined).mean(axis=1)
+    difference = difference[: rows * joined].reshape(rows, joined, -1).mean(axis=1)
+    rate = -np.gradient(mean, joined * step_s) if rows > 1 else np.full(rows, np.nan)
+    per = max(round(LATE_WINDOW_S / (joined * step_s)), 1)
+    found = np.full((rows // per, difference.shape[1]), np.nan)
+    for w in range(len(found)):
         part = slice(w * per, (w + 1) * per)
-        rate = -np.gradient(mean[part], step_s)
-        known = np.isfinite(rate) & np.isfinite(difference[part]).all(axis=1)
+        known = np.isfinite(rate[part]) & np.isfinite(difference[part]).all(axis=1)
         if known.sum() < 0.5 * per:
             continue
-        x, y = rate[known] - rate[known].mean(), difference[part][known]
+        x = rate[part][known] - rate[part][known].mean()
         spread = float(x @ x)
-        if spread < known.sum() * LEAST_RATE**2:
-            continue
-        pattern = _pattern(0, number)
-        found[w] = (x @ y) / spread / pattern[0]
+        if spread > known.sum() * LEAST_RATE**2:
+            found[w] = (x @ difference[part][known]) / spread / _pattern(0, difference.shape[1])[0]
     return found
 
 
@@ -344,7 +347,8 @@ def lagging_one(found: Members) -> Odd | None:
         return None
     late = late[known] - np.nanmedian(found.late_s, axis=0)
     i = int(np.argmax(np.median(late[-(len(late) // 2) :], axis=0)))
-    at = max(range(len(late) - LATE_WINDOWS + 1), key=lambda k: late[k:, i].sum() ** 2 / len(late[k:]))
+    gains = np.array([late[k:, i].sum() ** 2 / len(late[k:]) for k in range(len(late) - LATE_WINDOWS + 1)])
+    at = int(np.flatnonzero(gains >= NEARLY * gains.max())[0])
     after = np.median(late[at:], axis=0)
     before = abs(float(np.median(late[:at, i]))) if at else 0.0
     alone = max(float(np.abs(np.delete(after, i)).max()), before) < ALONE * after[i]

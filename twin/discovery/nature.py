@@ -76,6 +76,11 @@ def natures(found: Members, odd: Odd) -> tuple[Nature, ...]:
     )  # fmt: skip
 
 
+def came_slowly(found: Members, odd: Odd) -> bool:
+    """Whether a member came to differ as a place does that has a mass, and not at once."""
+    return odd.shape.name == "step" and _sudden(found, found.columns.index(odd.column), odd) < -RARER
+
+
 def _left(y: Array, columns: Array) -> float:
     """Squares of y (b,) that are left beside columns (b, e)."""
     size, *_ = np.linalg.lstsq(columns, y, rcond=None)

@@ -11,7 +11,7 @@ import numpy as np
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Verdict
 from twin.discovery.equivalence import width
 from twin.discovery.members import LATE_WINDOW_S, Members, Odd, began_between, lagging_one, odd_one, restless_one
-from twin.discovery.nature import Nature, natures
+from twin.discovery.nature import Nature, came_slowly, natures
 from twin.discovery.readings import Stuck
 from twin.discovery.words import amount, clock, when
 from twin.gauss_newton import SE90
@@ -62,7 +62,7 @@ def single(
     if at is not None and effects[at].kind == "sensor":
         odd = _in_its_own_shape(one, odd)
     told = natures(one, odd)
-    if not told and verdict == "adequate":
+    if not told and (verdict == "adequate" or (verdict == "unexplained" and came_slowly(one, odd))):
         # No error of one thermometer, nor heat of one place, that is there from one moment on.
         return (*_now_and_then(one, verdict, effects, start), ())
     fault = _fault(one, odd, _told(one, odd), start)
