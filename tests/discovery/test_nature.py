@@ -66,7 +66,7 @@ def test_heat_that_a_clock_switches_at_one_place_is_no_error_of_reading(bench: B
     on = slowly(np.where((record.time_s - 3700.0) % 9977.0 < 4296.0, 0.6, 0.0), 20.0)
     found = diagnosed(bench, healthy, record, on)
     assert found.verdict == "unexplained"
-    assert found.effects[0].where == "T_pm3_C"
+    assert "T_pm3_C" in {e.where for e in found.effects}
 
 
 @pytest.mark.parametrize("onset_h", [0.0, 5.0])
