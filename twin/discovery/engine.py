@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.discovery.basis import Basis, Columns, basis
 from twin.discovery.caution import as_commissioned, first_alone, nothing, unconfirmed
-from twin.discovery.contest import Contest
+from twin.discovery.contest import Contest, block_edges
 from twin.discovery.diagnosis import Diagnosis, SensorError
 from twin.discovery.experiment import Limits
 from twin.discovery.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
@@ -21,7 +21,7 @@ from twin.discovery.members import Members, members
 from twin.discovery.part import Part
 from twin.discovery.ranking import Finding
 from twin.discovery.readings import Stuck, stuck
-from twin.discovery.thermometers import explained_by_one
+from twin.discovery.thermometers import beside_late, explained_by_one, without_late
 from twin.discovery.verdict import conclude
 from twin.network import Array, Network, TwinFileError, mean_of_several
 from twin.steady import steady_state
@@ -57,6 +57,14 @@ def diagnose(
     record, still = _without_stuck(network, record)
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
     known = basis(network, healthy, grid)
+    single = _members(known, record, grid, healthy, block_edges(len(grid.time)))
+
+    def again(other: Columns) -> Diagnosis:
+        return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
+
+    late = without_late(single, network, record, float(grid.time[0]))
+    if late is not None:
+        return beside_late(late[0], again(late[1]), still, unread)
     say("scanning")
     inquiry = Inquiry(network, record, known, grid, say)
     whole = inquiry.whole
@@ -93,7 +101,6 @@ def diagnose(
         unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
         notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
     say("judging")
-    single = _members(known, record, grid, healthy, whole.contest.edges)
     found = conclude(
         finding,
         network=network,
@@ -112,10 +119,6 @@ def diagnose(
         doubted=doubted,
         later=tuple(part.grid for part in further),
     )
-
-    def again(other: Columns) -> Diagnosis:
-        return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
-
     return explained_by_one(found, network, record, single, again)
 
 

@@ -30,6 +30,54 @@ SMEARED = 1.5
 """Thresholds that may be left where an error was taken off in block means: its edges are sharper than they."""
 
 
+def without_late(
+    groups: tuple[Members, ...], network: Network, record: Columns, start: float
+) -> tuple[Effect, Columns] | None:
+    """One thermometer of several that follows the others late, and the record without that; None where none does.
+
+    The mean of several is late by a part of what one of them is, as by a mass that is not there.
+    """
+    for group in groups:
+        odd = lagging_one(group)
+        if odd is None:
+            continue
+        j, i = network.sensor_names.index(group.sensor), group.columns.index(odd.column)
+        own = np.nan_to_num(group.by_itself(i, group.fine)) / len(group.columns)
+        since_s = record.time_s - record.time_s[0]
+        bins = np.clip((since_s / group.step_s).astype(int), 0, len(own) - 1)
+        measured = record.measured.copy()
+        measured[:, j] -= np.where(since_s >= odd.shape.onset_s, own[bins], 0.0)
+        rest = {name: each for name, each in record.members.items() if name != group.sensor}
+        return _late(group, odd, start), replace(record, measured=measured, members=rest)
+    return None
+
+
+def beside_late(late: Effect, left: Diagnosis, still: tuple[Stuck, ...], notes: list[str]) -> Diagnosis:
+    """What was found without the error of a thermometer that follows late, and that error.
+
+    Args:
+        still: thermometers that stand still, taken out before. notes: what was to be said by then.
+    """
+    verdict: Verdict = "effect found" if left.verdict == "adequate" else left.verdict
+    effects = (*(standing(span) for span in still), *left.effects, late)
+    said = f"{late.says}. Beside that: {left.summary}"
+    return replace(left, verdict=verdict, effects=effects, summary=said, notes=(*notes, *left.notes))
+
+
+def _late(one: Members, odd: Odd, start: float) -> Effect:
+    onset, spread = start + odd.shape.onset_s, SE90 * odd.sd
+    window_s = LATE_WINDOW_S if odd.shape.onset_s > 0.0 else 0.0
+    return Effect(
+        kind="sensor", where=odd.column, driver="rate_of_change", change="new", value=odd.size, unit="s",
+        interval90=(odd.size - spread, odd.size + spread), onset_s=onset,
+        onset_interval90_s=(max(onset - window_s, start), onset + window_s), shape="step",
+        confidence=odd.share, z=odd.z,
+        evidence=f"it explains {100.0 * odd.share:.0f} % of what {odd.column} differs from the others by",
+        says=f"{odd.column} follows the other thermometers of {one.sensor} late, by {amount(odd.size, 's', spread)} "
+             f"{when(odd.shape, start)}",
+    )  # fmt: skip
+
+
 def single(
     one: Members, network: Network, verdict: Verdict, effects: tuple[Effect, ...], finding: Finding, start: float
 ) -> tuple[Verdict, tuple[Effect, ...], tuple[Alternative, ...]]:
@@ -43,10 +91,6 @@ def single(
     here = [i for i, e in enumerate(effects) if e.where in (node, one.sensor)]
     shapes = tuple(e.shape for e in finding.entries) if here and finding.entries else ()
     odd = odd_one(one, shapes) or (odd_one(one) if not here or verdict == "unexplained" else None)
-    loose = lagging_one(one) if odd is None or not natures(one, odd) else None
-    if loose is not None:
-        late = _late(one, loose, start)
-        return "effect found" if verdict == "adequate" else verdict, (*effects, late), ()
     if odd is None:
         return (*_now_and_then(one, verdict, effects, start), ())
     at = _belongs_to(odd, here, effects, finding)
@@ -148,20 +192,6 @@ def _fault(one: Members, odd: Odd, told: Nature, start: float) -> Effect:
     )  # fmt: skip
 
 
-def _late(one: Members, odd: Odd, start: float) -> Effect:
-    onset, spread = start + odd.shape.onset_s, SE90 * odd.sd
-    window_s = LATE_WINDOW_S if odd.shape.onset_s > 0.0 else 0.0
-    return Effect(
-        kind="sensor", where=odd.column, driver="rate_of_change", change="new", value=odd.size, unit="s",
-        interval90=(odd.size - spread, odd.size + spread), onset_s=onset,
-        onset_interval90_s=(max(onset - window_s, start), onset + window_s), shape="step",
-        confidence=odd.share, z=odd.z,
-        evidence=f"it explains {100.0 * odd.share:.0f} % of what {odd.column} differs from the others by",
-        says=f"{odd.column} follows the other thermometers of {one.sensor} late, by {amount(odd.size, 's', spread)} "
-             f"{when(odd.shape, start)}",
-    )  # fmt: skip
-
-
 def _restless(one: Members, odd: Odd, start: float) -> Effect:
     onset = start + odd.shape.onset_s
     return Effect(
@@ -186,10 +216,6 @@ def explained_by_one(
         again: diagnoses a record anew. Only if the twin is adequate without that thermometer's error, the thermometer
             is the answer: a place that is hotter than others of its kind makes its thermometer stand out too.
     """
-    for group in groups:
-        late = next((e for e in found.effects if e.driver == "rate_of_change" and e.where in group.columns), None)
-        if late is not None:
-            return _beside_late(late, group, network, record, again)
     if found.verdict != "unexplained":
         return found
     for group in groups:
@@ -213,23 +239,6 @@ def explained_by_one(
             network=None, next_experiment=None, indistinguishable=same, empirical=None,
         )  # fmt: skip
     return found
-
-
-def _beside_late(
-    late: Effect, group: Members, network: Network, record: Columns, again: Callable[[Columns], Diagnosis]
-) -> Diagnosis:
-    """What is found beside one thermometer that follows late: the mean of several is late by a part of that."""
-    j, i = network.sensor_names.index(group.sensor), group.columns.index(late.where)
-    own = np.nan_to_num(group.by_itself(i, group.fine)) / len(group.columns)
-    bins = np.clip(((record.time_s - record.time_s[0]) / group.step_s).astype(int), 0, len(own) - 1)
-    since = record.time_s >= late.onset_s
-    measured = record.measured.copy()
-    measured[since, j] -= own[bins][since]
-    rest = {name: each for name, each in record.members.items() if name != group.sensor}
-    left = again(replace(record, measured=measured, members=rest))
-    verdict: Verdict = "effect found" if left.verdict == "adequate" else left.verdict
-    said = f"{late.says}. Beside that: {left.summary}"
-    return replace(left, verdict=verdict, effects=(*left.effects, late), summary=said)
 
 
 def _share_of(group: Members, column: str, time_s: Array) -> Array:
