@@ -79,14 +79,15 @@ def drivers_of(network: Network, grid: Grid, contest: Contest) -> dict[str, Arra
 def signatures(found: tuple[Course, ...]) -> dict[str, Any]:
     """What kind of thing the unknown is like: the best of each signature, and how far the others are behind, in
     logarithms of evidence."""
-    best: dict[str, float] = {}
+    best: dict[str, Course] = {}
     for course in found:
-        best[course.signature] = max(best.get(course.signature, -math.inf), course.log_evidence)
+        best[course.signature] = max(course, best.get(course.signature, course), key=lambda c: c.log_evidence)
     if not best:
         return {}
-    first = max(best, key=lambda s: best[s])
-    behind = {s: round(best[first] - value, 1) for s, value in best.items() if s != first}
-    return {"signature": first, "behind": behind}
+    first = max(best.values(), key=lambda c: c.log_evidence)
+    rest = [c for c in best.values() if c is not first]
+    behind = {c.signature: round(first.log_evidence - c.log_evidence, 1) for c in rest}
+    return {"signature": first.signature, "behind": behind, "there": {c.signature: c.where for c in rest}}
 
 
 def spoken(description: dict[str, Any]) -> str:
@@ -95,7 +96,8 @@ def spoken(description: dict[str, Any]) -> str:
     if first is None:
         return ""
     behind = description.get("behind", {})
-    rest = " and ".join(f"as {SPOKEN[s]} by {value:.0f}" for s, value in behind.items())
+    there = description.get("there", {})
+    rest = " and ".join(f"as {SPOKEN[s]}{_at(there.get(s, ''))} by {value:.0f}" for s, value in behind.items())
     clear = all(value > 5.0 for value in behind.values())
     verb = "It is like" if clear else "It is most like"
     return f" {verb} {SPOKEN[first]}; {rest} worse in log evidence." if rest else ""
@@ -119,3 +121,7 @@ def unknown(found: tuple[Course, ...], description: dict[str, Any], start: float
             evidence=f"an unknown at {best.site} explains the record better than at any other place",
         ),
     )  # fmt: skip
+
+
+def _at(where: str) -> str:
+    return f" at {where}" if where else ""
