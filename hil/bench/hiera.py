@@ -43,6 +43,8 @@ class Size:
     calibrating: int = 6
 
 
+FORWARDS = ("small", "full")
+"""Configurations whose causal forward is timed."""
 FULL = Size(simulated=16, virtual=6, lost_every=7, calibrating=12)
 QUICK = Size(seeds=(0,), simulated=3, virtual=2, rigs=("simulated", "virtual"), lost=(0.25,))
 
@@ -106,7 +108,12 @@ def measure(
             done += 1
     except Absent as why:
         left_out.append(str(why))
-    return drawn.tables(everything, size.rigs), tuple(left_out)
+    timed: tuple[Table, ...] = ()
+    if network is not None:
+        from hil.bench.hiera_latency import latency
+
+        timed = drawn.forwards(latency(config) for config in FORWARDS)
+    return (*drawn.tables(everything, size.rigs), *timed), tuple(left_out)
 
 
 def _cases(size: Size, seed: int, features: Features, family: Family, data: Path) -> Iterator[Case]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,7 @@ from hil.bench.report import Cell, Table
 
 if TYPE_CHECKING:
     from hil.bench.hiera import Everything, Results
+    from hil.bench.hiera_latency import Latency
 
 BETWEEN = "Middle 90 % when cases are drawn again (bootstrap over cases)."
 AHEAD = (
@@ -105,7 +106,7 @@ def _count(value: float) -> Cell:
     return "never" if np.isinf(value) else value
 
 
-def _sound(scores: list[judge.Score]) -> list[judge.Score]:
+def _sound(scores: list[Score]) -> list[Score]:
     """Cases of rigs without physics that the twin lacks: elsewhere no value of its parameters is right."""
     return [s for s in scores if s.kind in ("healthy", "tracked")]
 
@@ -292,3 +293,15 @@ def cost(results: Results) -> Table:
     """CPU time of one window."""
     rows = tuple((name, 1e3 * float(np.median([s.cpu_s for s in scores]))) for name, scores in results.items())
     return Table("cost", "CPU time, ms a window of ten minutes (one thread)", ("by", "ms"), rows)
+
+
+LIMITS_MS = {"small": 10.0, "full": 50.0}
+"""What one causal forward may take."""
+
+
+def forwards(timed: Iterable[Latency]) -> tuple[Table, ...]:
+    """One causal forward of each configuration, on one thread."""
+    rows = tuple((t.config, t.weights, t.minimum_ms, t.median_ms, LIMITS_MS[t.config]) for t in timed)
+    notes = ("Of random weights; the least of many says what it costs where nothing else runs.",)
+    columns = ("configuration", "weights", "least", "median", "goal <=")
+    return (Table("forwards", "One causal forward, ms (one thread)", columns, rows, notes),)
