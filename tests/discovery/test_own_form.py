@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +19,7 @@ from twin.discovery.fitting import Fit
 from twin.discovery.grid import on_grid
 from twin.discovery.held_out import FAR_SHARE, contradicted
 from twin.discovery.ladder import of_own_form
-from twin.discovery.part import Part
+from twin.discovery.part import ENDS, Part, ended
 from twin.discovery.search import Entry
 from twin.discovery.shapes import Shape
 from twin.discovery.verdict import REFUTED_LEFT
@@ -58,6 +61,20 @@ def test_fouling_that_ends_in_the_last_hours_is_one_effect(bench: Bench, healthy
 def part(bench: Bench, healthy: Columns) -> Part:
     grid = on_grid(bench.network, healthy.time_s, healthy.inputs, healthy.measured)
     return Part.of(basis(bench.network, healthy, grid), grid)
+
+
+def test_what_eases_off_is_tried_as_what_stopped(part: Part, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As large at the record's end, and at its end at some shares of the record."""
+    first = next(e for e in part.entries if e.candidate.kind == "heat_rejection")
+    eased = replace(first, shape=Shape("saturating", 3600.0, 40_000.0), size=-5.0)
+    found = SimpleNamespace(chi=2.0 * part.contest.expected, entries=(eased,))
+    monkeypatch.setattr("twin.discovery.part.fitted", lambda _, groups: groups)
+    groups: Any = ended(part, found, ())  # type: ignore[arg-type]
+    span_s = part.grid.span_s
+    assert [(g.shape.onset_s + g.shape.growth_s) / span_s for (g,) in groups] == pytest.approx(ENDS)
+    reached = -5.0 * eased.shape.mean(span_s - 1.0, span_s)
+    assert all(g.shape.name == "ramp" and g.size == pytest.approx(reached) for (g,) in groups)
+    assert ended(part, SimpleNamespace(chi=0.0, entries=(eased,)), ()) == []  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

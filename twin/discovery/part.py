@@ -182,7 +182,7 @@ def timed(part: Part, best: Fit, known: tuple[Entry, ...]) -> list[tuple[Fit, tu
 
 
 def ended(part: Part, best: Fit, known: tuple[Entry, ...]) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """A fit with what rises in it to the end, and is not `known`, having ended before, where it leaves more than noise.
+    """A fit with what grows in it, and is not `known`, having ended before, where it leaves more than noise.
 
     A ramp that stops within a record's last hours is like one that does not but for those hours.
     """
@@ -191,12 +191,15 @@ def ended(part: Part, best: Fit, known: tuple[Entry, ...]) -> list[tuple[Fit, tu
     before, groups = {e.candidate.id for e in known}, []
     for i, entry in enumerate(best.entries):
         shape, span = entry.shape, part.grid.span_s
-        if entry.candidate.id in before or shape.name != "ramp" or shape.free(span):
+        # One that eases off may stand for one that stopped.
+        eases = shape.name == "saturating"
+        if entry.candidate.id in before or not shape.grows or (shape.free(span) and not eases):
             continue
+        reached = entry.size * shape.mean(span - 1.0, span)
         for growth_s in (share * span - shape.onset_s for share in ENDS):
             if growth_s > EARLY_S:
-                stopped = replace(entry, shape=replace(shape, growth_s=growth_s))
-                stopped = replace(stopped, size=entry.size * growth_s / shape.growth_s).refreshed(part.contest)
+                ramp = replace(shape, name="ramp", growth_s=growth_s)
+                stopped = replace(entry, shape=ramp, size=reached).refreshed(part.contest)
                 groups.append((*best.entries[:i], stopped, *best.entries[i + 1 :]))
     return fitted(part, groups)
 
