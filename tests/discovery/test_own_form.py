@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -65,8 +64,8 @@ def part(bench: Bench, healthy: Columns) -> Part:
 
 def test_what_eases_off_is_tried_as_what_stopped(part: Part, monkeypatch: pytest.MonkeyPatch) -> None:
     """As large at the record's end, and at its end at some shares of the record."""
-    first = next(e for e in part.entries if e.candidate.kind == "heat_rejection")
-    eased = replace(first, shape=Shape("saturating", 3600.0, 40_000.0), size=-5.0)
+    law = next(law for law in part.laws if law.candidate.kind == "heat_rejection")
+    eased = Entry(law, Shape("saturating", 3600.0, 40_000.0), np.empty(0), -5.0, 0.0, 0.0)
     found = SimpleNamespace(chi=2.0 * part.contest.expected, entries=(eased,))
     monkeypatch.setattr("twin.discovery.part.fitted", lambda _, groups: groups)
     groups: Any = ended(part, found, ())  # type: ignore[arg-type]

@@ -32,6 +32,8 @@ STANDS_OUT = 6.0
 LATE_WINDOWS, LEAST_LAG_S, ALONE, NEARLY = 3, 25.0, 0.4, 0.8
 """Windows since which one has to follow late, by how much, the share of it by which any other may, or it before, and of
 the best moment's gain that the earliest has to have."""
+LAG_SHARE = 0.5
+"""Share of what one differs by from minute to minute that a lag has to explain; what comes and goes looks like one."""
 LAGS_S = tuple(20.0 * 1.08**k for k in range(45))
 """Time constants that are tried."""
 SHARE = 0.7
@@ -355,7 +357,8 @@ def lagging_one(found: Members) -> Odd | None:
     if not alone or (late[at:, i] > LEAST_LAG_S).mean() < SHARE:
         return None
     scatter = max(float(np.nanstd(found.late_s[:, i])), 1.0)
-    return _lag(found, i, float(known[at]) * LATE_WINDOW_S if at else 0.0, float(after[i]) / scatter)
+    odd = _lag(found, i, float(known[at]) * LATE_WINDOW_S if at else 0.0, float(after[i]) / scatter)
+    return odd if odd.share > LAG_SHARE else None
 
 
 def _lag(found: Members, i: int, since_s: float, z: float) -> Odd:
