@@ -54,7 +54,7 @@ def test_what_only_the_last_part_shows_beside_the_answer_is_told(
     tank = next(e for e in found.effects if e.kind == "sensor")
     assert tank.value == pytest.approx(bias_K, rel=0.1) and tank.onset_s == pytest.approx(since_h * 3600.0, abs=300.0)
     assert found.held_out_s[0] == pytest.approx(seen_h * 3600.0, abs=120.0)
-    assert any("beside the answer" in note for note in found.notes)
+    assert any(f"the fit was given the record up to {seen_h:.1f} h" in note for note in found.notes)
 
 
 def test_a_second_effect_that_the_fit_would_see_the_first_minutes_of_is_seen_for_half_of_its_time(
