@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -52,13 +50,15 @@ def test_an_error_that_is_there_at_once_is_the_thermometers(bench: Bench, health
     assert [(e.kind, e.where, e.driver) for e in found.effects] == [("sensor", "T_pm3_C", "constant")]
 
 
-def test_what_the_load_never_changed_is_not_told_apart(bench: Bench, healthy: Columns) -> None:
-    """There before the record begins, and the modules no warmer at one time than at another by more than a little."""
+def test_a_loss_that_grows_and_a_share_that_grows_are_not_told_apart(bench: Bench, healthy: Columns) -> None:
+    """No onset tells, and the room's temperature moves by less than the modules'."""
     record = bench.record(14.0)
-    even = replace(record, measured=record.measured.copy())
-    found = diagnosed(bench, healthy, even, -0.04 * (0.15 * excess(bench, even) + 0.85 * excess(bench, even).mean()))
-    named = {(e.kind, e.where) for e in found.effects} | {(a.kind, a.where) for a in found.indistinguishable}
-    assert {"T_pm3_C", "pm3"} & {where for _, where in named}
+    grown = np.clip((record.time_s / 3600.0 - 8.0) / 6.0, 0.0, 1.0)
+    found = diagnosed(bench, healthy, record, -0.015 * grown * excess(bench, record))
+    assert found.verdict == "ambiguous"
+    named = {(a.kind, a.where) for a in found.indistinguishable}
+    assert named == {("heat_loss", "pm3"), ("sensor", "T_pm3_C")}
+    assert "cannot tell" in found.summary and found.effects[0].driver == "elapsed_time"
 
 
 def test_heat_that_a_clock_switches_at_one_place_is_no_error_of_reading(bench: Bench, healthy: Columns) -> None:

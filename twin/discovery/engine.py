@@ -53,6 +53,7 @@ def diagnose(
         TwinFileError: a record too short or without readings, a healthy record that is not healthy.
     """
     say("reading")
+    given = record
     record, unread = _comparable(network, record, healthy)
     record, still = _without_stuck(network, record)
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
@@ -62,9 +63,9 @@ def diagnose(
     def again(other: Columns) -> Diagnosis:
         return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
 
-    late = without_late(single, network, record, float(grid.time[0]))
+    late = without_late(single, network, given, float(grid.time[0]))
     if late is not None:
-        return beside_late(late[0], again(late[1]), still, unread)
+        return beside_late(late[0], again(late[1]))
     say("scanning")
     inquiry = Inquiry(network, record, known, grid, say)
     whole = inquiry.whole

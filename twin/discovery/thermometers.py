@@ -41,27 +41,24 @@ def without_late(
         odd = lagging_one(group)
         if odd is None:
             continue
-        j, i = network.sensor_names.index(group.sensor), group.columns.index(odd.column)
-        own = np.nan_to_num(group.by_itself(i, group.fine)) / len(group.columns)
+        j = network.sensor_names.index(group.sensor)
+        own = np.nan_to_num(group.by_itself(group.columns.index(odd.column), group.fine))
         since_s = record.time_s - record.time_s[0]
         bins = np.clip((since_s / group.step_s).astype(int), 0, len(own) - 1)
-        measured = record.measured.copy()
-        measured[:, j] -= np.where(since_s >= odd.shape.onset_s, own[bins], 0.0)
-        rest = {name: each for name, each in record.members.items() if name != group.sensor}
-        return _late(group, odd, start), replace(record, measured=measured, members=rest)
+        off = np.where(since_s >= odd.shape.onset_s, own[bins], 0.0)
+        measured, each = record.measured.copy(), record.members[group.sensor].copy()
+        measured[:, j] -= off / len(group.columns)
+        each[:, network.sensors[j].measured.index(odd.column)] -= off
+        members = {**record.members, group.sensor: each}
+        return _late(group, odd, start), replace(record, measured=measured, members=members)
     return None
 
 
-def beside_late(late: Effect, left: Diagnosis, still: tuple[Stuck, ...], notes: list[str]) -> Diagnosis:
-    """What was found without the error of a thermometer that follows late, and that error.
-
-    Args:
-        still: thermometers that stand still, taken out before. notes: what was to be said by then.
-    """
+def beside_late(late: Effect, left: Diagnosis) -> Diagnosis:
+    """What was found without the error of a thermometer that follows late, and that error."""
     verdict: Verdict = "effect found" if left.verdict == "adequate" else left.verdict
-    effects = (*(standing(span) for span in still), *left.effects, late)
     said = f"{late.says}. Beside that: {left.summary}"
-    return replace(left, verdict=verdict, effects=effects, summary=said, notes=(*notes, *left.notes))
+    return replace(left, verdict=verdict, effects=(*left.effects, late), summary=said)
 
 
 def _late(one: Members, odd: Odd, start: float) -> Effect:
@@ -99,7 +96,7 @@ def single(
         if own is not odd and effects[at].kind not in HEATS:
             # What came in at another time, or grew, is another thing: the thermometer's own. Heat at one place shows in
             # its thermometer, in whatever form it is told.
-            return verdict, (*effects, _fault(one, own, _told(one, own), start)), ()
+            return verdict, (*effects, _fault(one, own, natures(one, own), start)), ()
         old = effects[at]
         changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
         return verdict, tuple(changed if i == at else e for i, e in enumerate(effects)), ()
@@ -109,8 +106,7 @@ def single(
     if not told and (verdict == "adequate" or (verdict == "unexplained" and came_slowly(one, odd))):
         # No error of one thermometer, nor heat of one place, that is there from one moment on.
         return (*_now_and_then(one, verdict, effects, start), ())
-    fault = _fault(one, odd, _told(one, odd), start)
-    same = _instead(odd, told)
+    fault, same = _fault(one, odd, told, start), _instead(odd, told)
     if verdict == "unexplained":
         return verdict, (*effects, fault), same
     if at is not None:
@@ -129,14 +125,6 @@ def _now_and_then(
     """The same with a thermometer that is off now and then; beside a cause that is named none is looked for."""
     restless = restless_one(one) if verdict in ("adequate", "unexplained") else None
     return (verdict, effects) if restless is None else ("unexplained", (*effects, _restless(one, restless, start)))
-
-
-def _told(one: Members, odd: Odd) -> Nature:
-    """What is the matter where one differs: the likeliest thing, an error of reading where nothing explains it."""
-    found = natures(one, odd)
-    return (
-        found[0] if found else Nature("sensor", "constant" if odd.shape.name == "step" else "elapsed_time", False, 1.0)
-    )
 
 
 def _instead(odd: Odd, told: tuple[Nature, ...]) -> tuple[Alternative, ...]:
@@ -170,13 +158,15 @@ def _either(same: tuple[Alternative, ...], fault: Effect) -> str:
     return " or ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in named)
 
 
-def _fault(one: Members, odd: Odd, told: Nature, start: float) -> Effect:
+def _fault(one: Members, odd: Odd, likely: tuple[Nature, ...], start: float) -> Effect:
+    """What is the matter where one differs: the likeliest thing, an error of reading where nothing explains it."""
     spread, drifts = SE90 * odd.sd, odd.shape.name != "step"
     low, high = began_between(one, odd)
+    told = likely[0] if likely else Nature("sensor", "elapsed_time" if drifts else "constant", False, 1.0)
     off = amount(abs(odd.final), "K", spread)
     if told.local:
         says = f"{odd.place} is {off} {'warmer' if odd.final > 0.0 else 'colder'} than its neighbours tell"
-        says += {"heat_loss": ", the more the warmer it is beside the room", "heat_source": ""}[told.kind]
+        says += ", the more the warmer it is beside the room" if told.kind == "heat_loss" else ""
         says += " and more with the heater's power" if told.driver == "heater_power" else ""
         says = f"{says}, too little heat for the loop to show" + (", at the record's end," if drifts else "")
     else:
