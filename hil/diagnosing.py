@@ -25,12 +25,12 @@ from hil.record import Record, read_record
 from hil.record_time import span
 from hil.run_folder import RunFolder
 from hil.segments import Parts
-from twin.discovery.basis import Columns, Commissioned
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.engine import diagnose
-from twin.discovery.experiment import Limits
-from twin.discovery.grid import on_grid
 from twin.discovery.growing.answer import diagnose_grown, fits_growth
+from twin.discovery.healthy.basis import Columns, Commissioned
+from twin.discovery.planning.experiment import Limits
+from twin.discovery.records.grid import on_grid
 from twin.network import InputSpec, Network, Revision, TwinFileError
 from twin.revisions import chain, save_revision
 from twin.twinfile import save

@@ -12,7 +12,7 @@ from drivers.rigfile import file_sha256, load_rig
 from hil.profile import Profile, SetpointLimit, validate, write_profile
 from hil.setpoints import setpoint_columns
 from twin.discovery.diagnosis import Diagnosis
-from twin.discovery.experiment import Limits
+from twin.discovery.planning.experiment import Limits
 
 EXPERIMENT = "experiment.csv"
 

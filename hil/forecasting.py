@@ -15,9 +15,9 @@ from hil.profile import Profile, ProfileError, read_profile
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from twin.discovery.basis import Columns
-    from twin.discovery.forecast import Forecast
-    from twin.discovery.lint import Label
+    from twin.discovery.effects.lint import Label
+    from twin.discovery.healthy.basis import Columns
+    from twin.discovery.planning.forecast import Forecast
     from twin.network import Network
 
 STEP_S = 10.0
@@ -100,7 +100,7 @@ def document(found: Forecast) -> dict[str, object]:
 def _show(to: Console, found: Forecast, what: str) -> None:
     from rich.table import Table
 
-    from twin.discovery.blind_spots import spoken
+    from twin.discovery.answer.blind_spots import spoken
 
     table = Table(title=f"Least effect that this {what} could show, present all along", title_justify="left")
     for heading in ("kind", "where", "driver", "from", "that tunables leave"):

@@ -28,8 +28,8 @@ from hil.journal_rows import Samples
 from hil.segments import Parts
 
 if TYPE_CHECKING:
-    from twin.discovery.basis import Columns
     from twin.discovery.diagnosis import Diagnosis
+    from twin.discovery.healthy.basis import Columns
 
 SURE = 0.9
 """Confidence of every effect that an adoption asks for."""

@@ -19,13 +19,13 @@ import numpy as np
 
 from hil.bench.discovery_visible import signature, true_size, visible
 from hil.bench.discovery_worker import Request, serve
-from twin.discovery.basis import basis
-from twin.discovery.contest import Contest
+from twin.discovery.effects.laws import Book
 from twin.discovery.engine import HELD_OUT
-from twin.discovery.grid import on_grid
-from twin.discovery.laws import Book
-from twin.discovery.null import FALSE_ALARMS, null_scores
-from twin.discovery.search import Entry, scan
+from twin.discovery.healthy.basis import basis
+from twin.discovery.records.grid import on_grid
+from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.null import FALSE_ALARMS, null_scores
+from twin.discovery.scoring.search import Entry, scan
 from twin.network import Array, Network
 
 STIFF = 1e12

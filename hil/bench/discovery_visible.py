@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from hil.bench.discovery_score import family, same_driver
-from twin.discovery.contest import Contest
-from twin.discovery.laws import Law
+from twin.discovery.effects.laws import Law
+from twin.discovery.scoring.contest import Contest
 from twin.network import Array, Network
 
 _UNITS = {"bias": "K", "drift_per_h": "K", "lag_s": "s"}

@@ -168,9 +168,9 @@ def _twin(file: Path, _: Path, out: Console) -> None:
 
 
 def _catalogue(file: Path, out: Console) -> None:
-    from twin.discovery.blind_spots import spoken
-    from twin.discovery.catalogue import catalogue
-    from twin.discovery.lint import lint
+    from twin.discovery.answer.blind_spots import spoken
+    from twin.discovery.effects.catalogue import catalogue
+    from twin.discovery.effects.lint import lint
     from twin.twinfile import load
 
     network = load(file)

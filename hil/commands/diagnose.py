@@ -17,8 +17,8 @@ from hil.errors import FOUND
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from twin.discovery.basis import Columns
     from twin.discovery.diagnosis import Diagnosis
+    from twin.discovery.healthy.basis import Columns
     from twin.network import Network
 
 STEPS = 6.0
@@ -99,7 +99,7 @@ def command(
     from hil.experiment_file import limits_of, rig_of, write_experiment
     from hil.forecasting import foretell
     from hil.terminal import Steps, console, invocation
-    from twin.discovery.health import NotHealthyError
+    from twin.discovery.healthy.health import NotHealthyError
     from twin.network import TwinFileError
     from twin.twinfile import load
 
@@ -190,8 +190,8 @@ def _bootstrap(network: Network, healthy: Columns, named: Path | None, draws: in
     """Draw, commission and diagnose healthy records, and keep what came of them for this and later diagnoses."""
     from hil.terminal import Steps
     from twin.discovery.bootstrap import bootstrap
-    from twin.discovery.health import NotHealthyError
-    from twin.discovery.widening import keep
+    from twin.discovery.healthy.health import NotHealthyError
+    from twin.discovery.healthy.widening import keep
     from twin.network import TwinFileError
 
     with Steps("drawing healthy records", float(draws), quiet=quiet) as steps:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.twin.conftest import LOOP
-from twin.discovery.basis import Columns
+from twin.discovery.healthy.basis import Columns
 from twin.kernel import Kernel
 from twin.network import Array, Network
 from twin.revisions import with_elements

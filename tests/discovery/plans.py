@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tests.discovery.conftest import STEP_S
-from twin.discovery.basis import Columns
+from twin.discovery.healthy.basis import Columns
 from twin.kernel import Kernel
 from twin.network import Array, Network
 

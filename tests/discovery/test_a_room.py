@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.discovery.basis import Columns
 from twin.discovery.growing.answer import diagnose_grown
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.growth import samples_of
 from twin.discovery.growing.unaided import Problem
 from twin.discovery.growing.wardrobe import Wardrobe, unsized
+from twin.discovery.healthy.basis import Columns
 from twin.kernel import Kernel, simulate
 from twin.network import Array, Network, TwinFileError
 from twin.revisions import with_elements

@@ -8,10 +8,10 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from tests.twin.conftest import LOOP
-from twin.discovery.basis import Commissioned
-from twin.discovery.catalogue import catalogue, extended, sized
+from twin.discovery.effects.catalogue import catalogue, extended, sized
 from twin.discovery.engine import diagnose
-from twin.discovery.health import NotHealthyError
+from twin.discovery.healthy.basis import Commissioned
+from twin.discovery.healthy.health import NotHealthyError
 from twin.elements.base import Candidate
 from twin.network import Network
 from twin.twinfile import load

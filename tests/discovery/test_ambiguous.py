@@ -7,14 +7,14 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import STEADY, inputs_of, run, steady
-from twin.discovery.basis import Columns, basis
-from twin.discovery.design import Runner, informed
 from twin.discovery.engine import diagnose
-from twin.discovery.experiment import MARGIN_K, Limits
-from twin.discovery.fitting import fit
-from twin.discovery.grid import on_grid
-from twin.discovery.model import Model
-from twin.discovery.part import Part
+from twin.discovery.healthy.basis import Columns, basis
+from twin.discovery.planning.design import Runner, informed
+from twin.discovery.planning.experiment import MARGIN_K, Limits
+from twin.discovery.records.grid import on_grid
+from twin.discovery.refit.fitting import fit
+from twin.discovery.refit.model import Model
+from twin.discovery.selection.part import Part
 from twin.kernel import Kernel
 from twin.network import Network
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.basis import Columns, basis
-from twin.discovery.caution import unconfirmed
+from twin.discovery.answer.verdict import slight
 from twin.discovery.diagnosis import Fold, SensorError
 from twin.discovery.engine import diagnose
-from twin.discovery.grid import on_grid
-from twin.discovery.ladder import search
-from twin.discovery.part import Part
-from twin.discovery.ranking import Finding, unusual
-from twin.discovery.verdict import slight
+from twin.discovery.healthy.basis import Columns, basis
+from twin.discovery.records.grid import on_grid
+from twin.discovery.selection.caution import unconfirmed
+from twin.discovery.selection.ladder import search
+from twin.discovery.selection.part import Part
+from twin.discovery.selection.ranking import Finding, unusual
 
 SAME = {"T_tank_C": SensorError(0.06, 0.055, 0.055, 0.05)}
 LESS = {"T_tank_C": SensorError(0.09, 0.060, 0.052, 0.05)}

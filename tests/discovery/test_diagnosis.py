@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.basis import Columns
 from twin.discovery.engine import diagnose, foresee
-from twin.discovery.ladder import EXACT_SHARE, SECOND_SHARE
+from twin.discovery.healthy.basis import Columns
+from twin.discovery.selection.ladder import EXACT_SHARE, SECOND_SHARE
 from twin.network import TwinFileError
 
 HEATED = ("heat_source", "modules", "constant")

@@ -10,11 +10,11 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from tests.discovery.test_records import TWINS, cooler, heaters
-from twin.discovery.basis import Columns
-from twin.discovery.caution import as_commissioned
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.engine import diagnose
 from twin.discovery.growing.answer import LONGEST, diagnose_grown, fits_growth
+from twin.discovery.healthy.basis import Columns
+from twin.discovery.selection.caution import as_commissioned
 from twin.kernel import simulate
 from twin.network import Revision, TwinFileError
 from twin.revisions import with_elements

@@ -7,10 +7,10 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
-from twin.discovery.basis import Columns
-from twin.discovery.catalogue import catalogue
+from twin.discovery.effects.catalogue import catalogue
+from twin.discovery.effects.lint import examine, lint, richest
 from twin.discovery.engine import diagnose
-from twin.discovery.lint import examine, lint, richest
+from twin.discovery.healthy.basis import Columns
 from twin.kernel import simulate
 
 FINS, FAN = ("heat_rejection", "radiator", "constant"), ("actuator", "fan_speed", "constant")

@@ -9,8 +9,8 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from twin.commission import commission
-from twin.discovery.basis import Columns
 from twin.discovery.engine import diagnose
+from twin.discovery.healthy.basis import Columns
 from twin.network import Array, mean_of_several
 
 

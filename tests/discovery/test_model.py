@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.basis import Columns, basis
+from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose
-from twin.discovery.grid import on_grid
-from twin.discovery.model import Model
-from twin.discovery.part import Part
-from twin.discovery.search import Entry
-from twin.discovery.shapes import Shape
+from twin.discovery.healthy.basis import Columns, basis
+from twin.discovery.records.grid import on_grid
+from twin.discovery.refit.model import Model
+from twin.discovery.scoring.search import Entry
+from twin.discovery.selection.part import Part
 from twin.kernel import Kernel
 
 LAG_S, LOSS = 90.0, 6.0

@@ -8,10 +8,10 @@ from scipy.signal import lfilter
 
 from tests.discovery.conftest import STEP_S, Bench
 from tests.discovery.test_thermometers import SENSOR, with_six
-from twin.discovery.basis import Columns
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.engine import diagnose
-from twin.discovery.members import lateness
+from twin.discovery.healthy.basis import Columns
+from twin.discovery.thermometers.members import lateness
 from twin.network import Array
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.basis import Columns, basis
-from twin.discovery.grid import on_grid
-from twin.discovery.localise import courses
-from twin.discovery.part import Part
-from twin.discovery.sites import sites_of
-from twin.discovery.spells import explained, outdone
+from twin.discovery.answer.spells import explained, outdone
+from twin.discovery.healthy.basis import Columns, basis
+from twin.discovery.places.localise import courses
+from twin.discovery.places.sites import sites_of
+from twin.discovery.records.grid import on_grid
+from twin.discovery.selection.part import Part
 from twin.kernel import Kernel
 from twin.network import Network
 

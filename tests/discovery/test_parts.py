@@ -9,21 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.discovery.conftest import Bench
-from twin.discovery import ladder
-from twin.discovery.basis import Columns, basis
-from twin.discovery.catalogue import catalogue, extended, sized
-from twin.discovery.contest import Contest
-from twin.discovery.formulas import Formulas, follow
-from twin.discovery.grid import centred, filled, on_grid
-from twin.discovery.ladder import BESIDE_SHARE, EXACT_SHARE, SECOND_SHARE, SLOW_SHARE, share_needed
-from twin.discovery.laws import Book, Law
-from twin.discovery.model import Model
-from twin.discovery.noise import bands, learn
-from twin.discovery.ranking import piled_up
-from twin.discovery.readings import stuck
-from twin.discovery.search import Entry
-from twin.discovery.shapes import Shape
-from twin.discovery.words import said
+from twin.discovery.effects.catalogue import catalogue, extended, sized
+from twin.discovery.effects.formulas import Formulas, follow
+from twin.discovery.effects.laws import Book, Law
+from twin.discovery.effects.phrases import said
+from twin.discovery.effects.shapes import Shape
+from twin.discovery.healthy.basis import Columns, basis
+from twin.discovery.records.grid import centred, filled, on_grid
+from twin.discovery.records.noise import bands, learn
+from twin.discovery.records.readings import stuck
+from twin.discovery.refit.model import Model
+from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.search import Entry
+from twin.discovery.selection import ladder
+from twin.discovery.selection.ladder import BESIDE_SHARE, EXACT_SHARE, SECOND_SHARE, SLOW_SHARE, share_needed
+from twin.discovery.selection.ranking import piled_up
 from twin.network import TwinFileError
 from twin.twinfile import load
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.contest import block_edges
-from twin.discovery.grid import on_grid
-from twin.discovery.probe import Probe
+from twin.discovery.effects.probe import Probe
+from twin.discovery.records.grid import on_grid
+from twin.discovery.scoring.contest import block_edges
 from twin.network import Network
 
 

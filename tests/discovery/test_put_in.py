@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.basis import Columns
 from twin.discovery.engine import diagnose
+from twin.discovery.healthy.basis import Columns
 from twin.kernel import Kernel
 
 CONDUCTANCE, CAPACITY, ONSET_H = 30.0, 5.0e4, 7.0

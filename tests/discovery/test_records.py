@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hil.bench.discovery_records import measure
-from twin.discovery.catalogue import catalogue, sites_of
+from twin.discovery.effects.catalogue import catalogue, sites_of
 from twin.discovery.growing.alike import together
 from twin.discovery.growing.growth import Growth, grow, grow_at_rest
 from twin.discovery.growing.likelihood import Spectrum, cosines, judged

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.basis import Columns
-from twin.discovery.catalogue import catalogue
-from twin.discovery.grid import on_grid
-from twin.discovery.laws import Law
-from twin.discovery.model import Model
-from twin.discovery.probe import Probe
-from twin.discovery.search import Entry
-from twin.discovery.shapes import Shape
+from twin.discovery.effects.catalogue import catalogue
+from twin.discovery.effects.laws import Law
+from twin.discovery.effects.probe import Probe
+from twin.discovery.effects.shapes import Shape
+from twin.discovery.healthy.basis import Columns
+from twin.discovery.records.grid import on_grid
+from twin.discovery.refit.model import Model
+from twin.discovery.scoring.search import Entry
 
 SHAPES = (Shape("step", 7200.0), Shape("ramp", 3600.0, 10_000.0), Shape("saturating", 5400.0, 4000.0))
 

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.basis import Columns, basis
-from twin.discovery.contest import Contest
 from twin.discovery.diagnosis import Fold
+from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose
-from twin.discovery.fitting import fit
-from twin.discovery.grid import on_grid
-from twin.discovery.model import Model
-from twin.discovery.noise import CAUTION, bands, learn
-from twin.discovery.null import FALSE_ALARMS, Null
-from twin.discovery.part import Part
-from twin.discovery.search import Entry, able_to_begin
-from twin.discovery.shapes import Shape
-from twin.discovery.validation import holds, validate
+from twin.discovery.healthy.basis import Columns, basis
+from twin.discovery.records.grid import on_grid
+from twin.discovery.records.noise import CAUTION, bands, learn
+from twin.discovery.refit.fitting import fit
+from twin.discovery.refit.model import Model
+from twin.discovery.refit.validation import holds, validate
+from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.null import FALSE_ALARMS, Null
+from twin.discovery.scoring.search import Entry, able_to_begin
+from twin.discovery.selection.part import Part
 
 SIGMA, STEP_S = np.array([0.02, 0.03]), 10.0
 

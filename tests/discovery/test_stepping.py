@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares, lsq_linear
 
 from tests.discovery.conftest import Bench
-from twin.discovery.basis import Columns, basis
-from twin.discovery.fitting import fit
-from twin.discovery.grid import on_grid
-from twin.discovery.model import Model
-from twin.discovery.part import Part
-from twin.discovery.search import Entry
-from twin.discovery.shapes import Shape
-from twin.discovery.stepping import LEAST, Squares, bounded, minimise
+from twin.discovery.effects.shapes import Shape
+from twin.discovery.healthy.basis import Columns, basis
+from twin.discovery.records.grid import on_grid
+from twin.discovery.refit.fitting import fit
+from twin.discovery.refit.model import Model
+from twin.discovery.refit.stepping import LEAST, Squares, bounded, minimise
+from twin.discovery.scoring.search import Entry
+from twin.discovery.selection.part import Part
 
 
 def smooth(wanted: np.ndarray, reach: float = np.inf) -> Squares:

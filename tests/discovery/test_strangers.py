@@ -10,8 +10,8 @@ from hil.record import Record, read_record
 from tests.twin.conftest import stranger  # noqa: F401
 from twin.commission import commission
 from twin.datasheet import from_datasheet
-from twin.discovery.basis import Columns
 from twin.discovery.engine import diagnose
+from twin.discovery.healthy.basis import Columns
 
 
 @pytest.mark.parametrize("case", [f"d{k}" for k in range(8)])

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.basis import Basis, Columns, basis
-from twin.discovery.contest import narrowed
+from twin.discovery.effects.probe import free_run
 from twin.discovery.engine import diagnose
-from twin.discovery.grid import Grid, on_grid
-from twin.discovery.health import NotHealthyError
-from twin.discovery.part import Part
-from twin.discovery.probe import free_run
-from twin.discovery.structure import Structure
+from twin.discovery.healthy.basis import Basis, Columns, basis
+from twin.discovery.healthy.health import NotHealthyError
+from twin.discovery.records.grid import Grid, on_grid
+from twin.discovery.scoring.contest import narrowed
+from twin.discovery.scoring.structure import Structure
+from twin.discovery.selection.part import Part
 from twin.kernel import Kernel
 
 

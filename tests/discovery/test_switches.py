@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import run
-from twin.discovery.basis import Columns
 from twin.discovery.engine import diagnose
+from twin.discovery.healthy.basis import Columns
 
 POWERS = (700.0, 640.0, 700.0, 640.0, 700.0, 640.0, 860.0, 800.0, 860.0, 800.0, 860.0, 800.0)
 HOURLY = tuple({"time_s": 3600.0 * h, "heater_power_W": p, "pump_speed_pct": 85.0, "fan_speed_pct": 70.0}

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.basis import Columns
 from twin.discovery.engine import diagnose
+from twin.discovery.healthy.basis import Columns
 from twin.network import Array
 
 SENSOR, COUNT = "T_modules_C", 6

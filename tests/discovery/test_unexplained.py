@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.basis import Columns
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.engine import diagnose
-from twin.discovery.held_out import contradicted
+from twin.discovery.healthy.basis import Columns
+from twin.discovery.selection.held_out import contradicted
 
 
 def test_water_that_flows_less_for_a_time_is_told_from_heat_and_from_readings(bench: Bench, healthy: Columns) -> None:

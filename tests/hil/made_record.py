@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.record import Record, write_record
-from twin.discovery.basis import Columns
+from twin.discovery.healthy.basis import Columns
 from twin.network import Network
 
 

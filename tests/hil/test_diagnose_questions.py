@@ -20,7 +20,7 @@ from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
 from tests.hil.made_record import written
 from tests.twin.conftest import LOOP
-from twin.discovery.basis import Columns
+from twin.discovery.healthy.basis import Columns
 from twin.twinfile import load
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.twin.conftest import LOOP
-from twin.discovery.formulas import Formulas
+from twin.discovery.effects.formulas import Formulas
 from twin.kernel import simulate
 from twin.network import Network, TwinFileError
 from twin.revisions import with_elements

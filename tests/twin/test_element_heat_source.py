@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.twin.two_nodes import U, heat, network, worst_error
-from twin.discovery.catalogue import catalogue
+from twin.discovery.effects.catalogue import catalogue
 from twin.elements.base import Candidate
 from twin.elements.heat_source import day
 from twin.network import TwinFileError

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from hil.tracking import TrackingConfig, Twins
 from tests.discovery.conftest import Bench
 from twin.commission import commission
-from twin.discovery.basis import Columns
+from twin.discovery.effects.probe import Probe
 from twin.discovery.engine import diagnose
-from twin.discovery.grid import on_grid
-from twin.discovery.probe import Probe
+from twin.discovery.healthy.basis import Columns
+from twin.discovery.records.grid import on_grid
 from twin.kernel import Kernel
 from twin.network import Array, Network
 from twin.stretches import LONG_S, MOST, SHORT_S, each_alone, parts, stretches, traced

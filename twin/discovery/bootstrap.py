@@ -14,11 +14,11 @@ from collections.abc import Callable
 import numpy as np
 
 from twin.commission import commission
-from twin.discovery.basis import Columns, basis
-from twin.discovery.drawn import drawn
 from twin.discovery.engine import diagnose
-from twin.discovery.grid import on_grid
-from twin.discovery.widening import FEWEST, Bootstrap
+from twin.discovery.healthy.basis import Columns, basis
+from twin.discovery.healthy.drawn import drawn
+from twin.discovery.healthy.widening import FEWEST, Bootstrap
+from twin.discovery.records.grid import on_grid
 from twin.network import Network
 
 DRAWS = 40

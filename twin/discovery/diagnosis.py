@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from twin.network import Array, Network
 
 if TYPE_CHECKING:
-    from twin.discovery.empirical import Empirical
+    from twin.discovery.places.empirical import Empirical
 
 Verdict = Literal["adequate", "effect found", "ambiguous", "unexplained"]
 

@@ -7,22 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.discovery.basis import Basis, Columns, basis
-from twin.discovery.caution import as_commissioned, first_alone, nothing, unconfirmed
-from twin.discovery.contest import Contest, block_edges
+from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis, SensorError
-from twin.discovery.experiment import Limits
-from twin.discovery.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
-from twin.discovery.grid import Grid, on_grid
-from twin.discovery.held_out import binned
-from twin.discovery.inquiry import Inquiry
-from twin.discovery.ladder import weighed
-from twin.discovery.members import Members, members
-from twin.discovery.part import Part
-from twin.discovery.ranking import Finding
-from twin.discovery.readings import Stuck, stuck
-from twin.discovery.thermometers import beside_late, explained_by_one, without_late
-from twin.discovery.verdict import conclude
+from twin.discovery.healthy.basis import Basis, Columns, basis
+from twin.discovery.planning.experiment import Limits
+from twin.discovery.planning.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
+from twin.discovery.records.grid import Grid, on_grid
+from twin.discovery.records.readings import Stuck, stuck
+from twin.discovery.scoring.contest import Contest, block_edges
+from twin.discovery.selection.caution import as_commissioned, first_alone, nothing, unconfirmed
+from twin.discovery.selection.held_out import binned
+from twin.discovery.selection.inquiry import Inquiry
+from twin.discovery.selection.ladder import weighed
+from twin.discovery.selection.part import Part
+from twin.discovery.selection.ranking import Finding
+from twin.discovery.thermometers.at_fault import beside_late, explained_by_one, without_late
+from twin.discovery.thermometers.members import Members, members
 from twin.network import Array, Network, TwinFileError, mean_of_several
 from twin.steady import steady_state
 from twin.stretches import stretches

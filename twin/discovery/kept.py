@@ -51,5 +51,6 @@ def cached(name: str, network: Network, *data: Array) -> Path | None:
 @cache
 def _code() -> str:
     """Of the elements and the search: another catalogue has other groups, another search other scores."""
-    files = sorted(p for p in Path(__file__).parents[1].rglob("*.py") if p.parent.name in ("elements", "discovery"))
+    here = Path(__file__).parent
+    files = [*sorted(here.rglob("*.py")), *sorted((here.parent / "elements").rglob("*.py"))]
     return hashlib.sha256(b"\0".join(p.read_bytes() for p in files)).hexdigest()

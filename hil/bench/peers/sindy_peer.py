@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pysindy
 
-from twin.discovery.formulas import Formulas
-from twin.discovery.grid import Grid
-from twin.discovery.laws import temperatures
-from twin.discovery.probe import Run
+from twin.discovery.effects.formulas import Formulas
+from twin.discovery.effects.laws import temperatures
+from twin.discovery.effects.probe import Run
+from twin.discovery.records.grid import Grid
 from twin.network import Array, Network
 
 MEAN_S = 300.0

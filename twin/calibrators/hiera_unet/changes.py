@@ -14,7 +14,7 @@ import numpy as np
 from twin.calibrators.hiera_unet.parameters import FACTOR, LOSS, REACH, SUM
 from twin.calibrators.hiera_unet.plants import Family
 from twin.calibrators.hiera_unet.series import STEP_S
-from twin.discovery.formulas import follow
+from twin.discovery.effects.formulas import follow
 from twin.elements.heat_source import HeatSource
 from twin.network import Array
 

@@ -18,7 +18,7 @@ from twin.calibrators.hiera_unet.regimes import regimes
 from twin.calibrators.hiera_unet.series import STEP_S, Series, filled_forward
 from twin.calibrators.hiera_unet.signals import FORMULAS, Stretch, stuck
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
-from twin.discovery.formulas import Formulas
+from twin.discovery.effects.formulas import Formulas
 from twin.network import Array, Network
 
 CLOCK = 6

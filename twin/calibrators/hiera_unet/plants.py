@@ -19,7 +19,7 @@ from twin.calibrators.hiera_unet.loads import drive
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.series import STEP_S
 from twin.commission import commission
-from twin.discovery.catalogue import sites_of
+from twin.discovery.effects.catalogue import sites_of
 from twin.kernel import Kernel
 from twin.network import Array, Network, TwinFileError
 from twin.revisions import with_elements

@@ -21,7 +21,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import dct
 
-from twin.discovery.grid import filled
+from twin.discovery.records.grid import filled
 from twin.network import Array
 
 RATIO = 1.5

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.discovery.equivalence import width
 from twin.discovery.growing.beam import Beam, FittedSet, Label, by_score
 from twin.discovery.growing.calibration import Chance, by_chance
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.likelihood import cosines, judged
 from twin.discovery.growing.unaided import Samples, readings_of
 from twin.discovery.growing.wardrobe import name_of
-from twin.discovery.search import Entry
+from twin.discovery.scoring.equivalence import width
+from twin.discovery.scoring.search import Entry
 from twin.network import Array
 
 NEEDED = 25.0

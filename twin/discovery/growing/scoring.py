@@ -13,7 +13,7 @@ from twin.codegen import FEW_LANES
 from twin.discovery.growing.likelihood import Spectrum
 from twin.discovery.growing.unaided import Fit, Problem, readings_of
 from twin.discovery.growing.wardrobe import Wardrobe, unsized
-from twin.discovery.search import Entry
+from twin.discovery.scoring.search import Entry
 from twin.elements.base import Candidate
 from twin.network import Array
 

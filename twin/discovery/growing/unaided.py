@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.codegen import FEW_LANES
-from twin.discovery.grid import centred
 from twin.discovery.growing.likelihood import Spectrum, cosines, judged
 from twin.discovery.growing.wardrobe import Wardrobe
-from twin.discovery.search import Entry
+from twin.discovery.records.grid import centred
+from twin.discovery.scoring.search import Entry
 from twin.gauss_newton import Scaling
 from twin.network import Array
 

@@ -11,14 +11,14 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.discovery.catalogue import LATE, catalogue, extended, sites_of
+from twin.discovery.effects.catalogue import LATE, catalogue, extended, sites_of
+from twin.discovery.effects.laws import Law
+from twin.discovery.effects.shapes import Shape
+from twin.discovery.effects.shared_kernels import SharedKernel
 from twin.discovery.growing.alike import together
 from twin.discovery.growing.resting import Resting
-from twin.discovery.laws import Law
-from twin.discovery.model import Model
-from twin.discovery.search import Entry
-from twin.discovery.shapes import Shape
-from twin.discovery.shared_kernels import SharedKernel
+from twin.discovery.refit.model import Model
+from twin.discovery.scoring.search import Entry
 from twin.elements.base import Candidate
 from twin.kernel import Kernel
 from twin.network import Array, Network

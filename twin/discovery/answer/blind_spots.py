@@ -1,0 +1,72 @@
+"""What this record, and what no record of the rig, can tell from one another, in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.discovery.diagnosis import Alternative
+from twin.discovery.effects.lint import ALIKE, Label, Lint
+from twin.discovery.scoring.search import Entry
+
+if TYPE_CHECKING:
+    from twin.discovery.selection.ranking import Finding
+
+MOST = 8
+
+
+def always_alike(finding: Finding, groups: Lint) -> tuple[str, ...]:
+    """A sentence for each effect of the answer that shares its signature with others on every record of the rig."""
+    out = []
+    for entry in finding.entries:
+        label = _own(entry)
+        same = [x for x in groups.beside(label) if x[:2] != label[:2]]
+        if same:
+            names = " and ".join(spoken(x) for x in (label, *same))
+            out.append(f"{names} cannot be told apart on any record of this rig")
+    return tuple(dict.fromkeys(out))
+
+
+def twins_of(finding: Finding, groups: Lint, known: tuple[Alternative, ...]) -> tuple[Alternative, ...]:
+    """Members of the answer's group that are not yet among what cannot be told from it: no record excludes them."""
+    named = {(a.kind, a.where, a.driver) for a in known} | {e.label for e in finding.entries}
+    weights = {r.entries[-1].label: r.weight for r in finding.ranked[::-1]}
+    out = {}
+    for entry in finding.entries:
+        # What grows, or was a step, follows the time for its twin too.
+        label = _own(entry)
+        for kind, where, driver in groups.beside(label):
+            shown = (kind, where, entry.driver if entry.shape.grows else driver)
+            if (kind, where) != label[:2] and shown not in named and shown not in out:
+                out[shown] = Alternative(*shown, confidence=weights.get(shown, 0.0))
+    return tuple(out.values())
+
+
+def alike_here(finding: Finding) -> tuple[str, ...]:
+    """Pairs that this record cannot tell apart although the physics differ."""
+    contest = finding.contest
+    entries = list({e.candidate.id: e for e in finding.scanned}.values())[:24]
+    if len(entries) < 2:
+        return ()
+    gram, _ = contest.joint(np.stack([e.vector for e in entries]))
+    norm = np.sqrt(np.maximum(np.diag(gram), 1e-30))
+    rho = gram / np.outer(norm, norm)
+    out = []
+    for i in range(len(entries)):
+        for j in range(i + 1, len(entries)):
+            a, b = entries[i], entries[j]
+            if abs(rho[i, j]) > ALIKE and a.label != b.label:
+                out.append(f"{spoken(a.label)} and {spoken(b.label)} cannot be told apart on this record")
+    return tuple(dict.fromkeys(out))[:MOST]
+
+
+def _own(entry: Entry) -> Label:
+    c = entry.candidate
+    return c.kind, c.where, c.driver
+
+
+def spoken(label: Label) -> str:
+    """An entry as it is said."""
+    kind, where, driver = label
+    return f"{kind.replace('_', ' ')} at {where} ({driver.replace('_', ' ')})"

@@ -1,0 +1,105 @@
+"""Heat that begins when its place is warmer than ever before: a temperature may have switched it on.
+
+No element switches, and one switching inside a record looks like something that simply begins. What tells them apart is
+that a temperature switches when its place becomes warmer than before, the likelier the faster it does.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.discovery.diagnosis import Alternative
+from twin.discovery.effects.catalogue import sites_of
+from twin.discovery.effects.phrases import clock
+from twin.discovery.effects.shapes import EARLY_S
+from twin.discovery.records.grid import Grid
+from twin.discovery.refit.model import Model
+from twin.discovery.scoring.equivalence import OPEN
+from twin.discovery.scoring.search import Entry
+from twin.network import Array
+
+if TYPE_CHECKING:
+    from twin.discovery.selection.ranking import Finding
+
+HYSTERESIS_K = 3.0
+"""As far as a place may cool below the temperature that switched before it is switched off again."""
+BEFOREHAND = 0.1
+"""Switches among sources, as odds, before any data."""
+_WITHIN_K = 0.1
+_WITHIN_S = 120.0
+
+
+def switched(finding: Finding, grid: Grid, start: float) -> tuple[tuple[Alternative, str], ...]:
+    """For each constant source that may be one that a temperature switched on: the alternative, and a sentence.
+
+    Args:
+        grid: the whole record. start: its first stamp, s.
+    """
+    if finding.fit is None:
+        return ()
+    probe = finding.contest.probe
+    places = sites_of(probe.network).places
+    out: list[tuple[Alternative, str]] = []
+    for entry in finding.fit.entries:
+        read = [j for j, s in enumerate(probe.network.sensors) if places[s.node] == entry.candidate.where]
+        source = entry.candidate.kind == "heat_source" and entry.driver == "constant"
+        if not source or entry.shape.name != "step" or not read:
+            continue
+        edge = _edge(entry, grid, grid.measured[:, read[0]])
+        if edge is None:
+            continue
+        odds = BEFOREHAND * _odds(_without(finding, entry, grid)[:, read[0]], grid, entry)
+        weight = odds / (1.0 + odds)
+        if weight > OPEN:
+            where = entry.candidate.where.replace("_", " ")
+            says = (
+                f"the heat at the {where} begins at {clock(start + entry.shape.onset_s)}, as it passes {edge:.1f} degC "
+                f"for the first time: a temperature may switch it on; to see, let the {where} cool below "
+                f"{edge - HYSTERESIS_K:.0f} degC"
+            )
+            out.append((Alternative("heat_source", entry.candidate.where, "threshold", weight), says))
+    return tuple(out)
+
+
+def _edge(entry: Entry, grid: Grid, measured: Array) -> float | None:
+    """Temperature at the onset, degC, where it was never as warm before and never much cooler after; else None."""
+    since = grid.time - grid.time[0]
+    onset, spread = entry.shape.onset_s, _spread(entry)
+    # What comes after the onset is warmer by the heat itself.
+    before, at, after = since < onset - spread, (since >= onset - spread) & (since <= onset), since > onset + spread
+    if onset < EARLY_S or not all(np.isfinite(measured[part]).any() for part in (before, at, after)):
+        return None
+    edge = float(np.nanmax(measured[at]))
+    never_before = float(np.nanmax(measured[before])) <= edge + _WITHIN_K
+    return edge if never_before and float(np.nanmin(measured[after])) >= edge - HYSTERESIS_K else None
+
+
+def _odds(readings: Array, grid: Grid, entry: Entry) -> float:
+    """How much more often a temperature between the first and the highest that a place passes, drawn by lot, would have
+    switched at the onset than a time drawn by lot would have fallen on it.
+
+    Args:
+        readings: (n,) of the place, without the effect.
+    """
+    since = grid.time - grid.time[0]
+    highest = np.maximum.accumulate(readings)
+    spread, passed = _spread(entry), float(highest[-1] - highest[0])
+    before, after = np.interp(entry.shape.onset_s + np.array([-spread, spread]), since, highest)
+    return float(after - before) / passed * float(since[-1]) / (2.0 * spread) if passed > 0.0 else 0.0
+
+
+def _spread(entry: Entry) -> float:
+    """As far as the onset may be off, s."""
+    return max(_WITHIN_S, 2.0 * entry.onset_sd_s)
+
+
+def _without(finding: Finding, entry: Entry, grid: Grid) -> Array:
+    """Readings (n, m) of the answer, had this effect not been there."""
+    assert finding.fit is not None
+    fitted = finding.fit
+    model = Model.of(finding.contest.probe, fitted.entries)
+    sizes = np.array([[0.0 if e is entry else e.size for e in fitted.entries]])
+    state = model.begun(grid.time, grid.inputs, grid.measured, fitted.state, fitted.values, grid.begins)[None]
+    return model.run(grid.time, grid.inputs, state, fitted.values[None, :], sizes, begins=grid.begins)[0]

@@ -1,0 +1,79 @@
+"""A diagnosis in plain words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
+from twin.discovery.effects.phrases import amount, clock, said, when
+from twin.discovery.places.sites import spoken
+from twin.discovery.scoring.equivalence import OPEN
+from twin.discovery.scoring.search import Entry
+
+if TYPE_CHECKING:
+    from twin.discovery.selection.ranking import Finding
+
+_DRIVEN = {"threshold": "a temperature that switches it"}
+
+
+def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0, spread: float = 0.0) -> str:
+    """The effect in plain words; `grown` is the share of its size that it has reached, `spread` half its interval."""
+    text = said(entry.candidate, entry.size * grown, spread)
+    since = when(entry.shape, start)
+    if entry.shape.name == "ramp":
+        until = f" for {clock(entry.shape.growth_s)}" if grown >= 1.0 else ""
+        return f"{text} by the end, having grown steadily {since}{until}"
+    if entry.shape.name == "saturating":
+        return f"{text} by the end, growing {since} with a time constant of {clock(entry.shape.growth_s)}"
+    return f"{text}, {since}"
+
+
+def summarise(
+    verdict: Verdict,
+    effects: tuple[Effect, ...],
+    errors: dict[str, SensorError],
+    others: tuple[Alternative, ...],
+    description: dict[str, Any],
+    finding: Finding,
+) -> str:
+    """The verdict in plain words."""
+    if verdict == "adequate":
+        best = finding.ladder[0].best_z
+        tried = ", which was not confirmed" if best >= finding.threshold else ""
+        return (
+            "The twin is adequate: nothing in this record asks for an effect that it lacks "
+            f"(best score {best:.1f}{tried}; noise alone reaches {finding.threshold:.1f} in one record of a hundred)."
+        )
+    worst = max(errors, key=lambda n: errors[n].before / errors[n].noise) if errors else ""
+    fit_text = ""
+    if worst and finding.fit is not None:
+        e = errors[worst]
+        fit_text = (
+            f" On the part that the fit never saw, {worst} is off by {e.stale:.2g} K, by {e.before:.2g} K when "
+            f"re-tuned, by {e.after:.2g} K with the new term, at a noise of {e.noise:.2g} K."
+        )
+    if verdict == "unexplained":
+        if not effects:
+            return "The twin does not fit this record and no single place explains it." + fit_text
+        u = next((e for e in effects if e.kind == "unknown"), effects[0])
+        beside = "".join(f"{e.says}. " for e in effects if e is not u and e.says)
+        if u.shape == "spell":
+            return f"{beside}{u.says}.{spoken(description)} No effect of the catalogue ends, so nothing is adopted."
+        low, high = (amount(x, u.unit) for x in u.interval90)
+        return (
+            f"{beside}Something at {u.where} is not in the catalogue: {amount(u.value, u.unit)} on average "
+            f"({low} to {high}) since {clock(u.onset_s)}, following {u.driver.replace('_', ' ')}.{spoken(description)} "
+            "No known effect explains it, so nothing is adopted."
+        )
+    said = ". ".join(e.says for e in effects)
+    named = {(e.kind, e.where) for e in effects}
+    places = dict.fromkeys((a.kind, a.where) for a in others if (a.kind, a.where) not in named)
+    names = ", ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in places)
+    if verdict == "ambiguous" and names:
+        return f"{said}; but this record cannot tell that from {names}." + fit_text
+    followed = {e.driver for e in effects}
+    drivers = [a.driver for a in others if (a.kind, a.where) in named and a.confidence > OPEN]
+    drivers = [_DRIVEN.get(d, d.replace("_", " ")) for d in dict.fromkeys(drivers) if d not in followed]
+    if drivers:
+        return f"{said}; whether it follows {' or '.join(drivers)} instead this record cannot tell." + fit_text
+    return said + "." + fit_text

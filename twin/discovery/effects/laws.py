@@ -1,0 +1,152 @@
+"""What each candidate does to a rig, at size 1, at the temperatures that the rig had: heat into nodes, or a reading.
+
+The law is evaluated on measured temperatures, which makes it linear in its size and independent of how wrong the
+twin is; nodes that nothing reads take the twin's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from twin.discovery.effects.catalogue import catalogue, extended, sized
+from twin.discovery.effects.formulas import Formulas, follow
+from twin.discovery.effects.probe import Run
+from twin.discovery.records.grid import Grid, filled
+from twin.elements.base import Candidate
+from twin.elements.flow import Flow
+from twin.network import Array, Network
+
+LEAST_W = 1e-9
+SMOOTH_S = 3600.0
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A candidate at size 1: `heat` (n, k) W into nodes and `reading` (n, m) K onto sensors; None where it is none."""
+
+    candidate: Candidate
+    heat: Array | None
+    reading: Array | None
+
+
+def temperatures(network: Network, grid: Grid, run: Run) -> Array:
+    """Node temperatures (n, k), degC: measured where a sensor is, with gaps closed; the twin's elsewhere."""
+    known = run.temperatures.copy()
+    window = max(round(SMOOTH_S / grid.step_s), 1)
+    for j, sensor in enumerate(network.sensors):
+        k = network.nodes.index(sensor.node)
+        off = (grid.measured[:, j] - run.readings[:, j])[:, None]
+        slow = uniform_filter1d(filled(off, np.isfinite(off))[:, 0], window, mode="nearest")
+        known[:, k] = run.temperatures[:, k] + slow
+    return known
+
+
+class Book:
+    """The candidates of a network with their formulas, which are made once for all records.
+
+    Attributes:
+        candidates: all but those of `put_in`, other forms of some of them with a temperature of their own to begin at.
+    """
+
+    def __init__(self, network: Network) -> None:
+        self.network = network
+        every = catalogue(network)
+        self.candidates = tuple(c for c in every if not c.begins)
+        self.put_in = tuple(c for c in every if c.begins)
+        self._base = Formulas(network)
+        self._made: dict[str, Formulas] = {}
+
+    def _formulas(self, candidate: Candidate, changed: Network) -> Formulas:
+        """Formulas of the network with a candidate; those that add the same elements share them."""
+        # What an element remembers is left out of the text where it is neutral, so it matters which of its parameters
+        # are not.
+        own = {*candidate.adds, *(name.split(".")[0] for name in candidate.changes)}
+        mine = [p.id for p in changed.parameters.values() if p.element in own and p.value not in (0.0, 1.0)]
+        before = [
+            name for name in mine if name in self.network.ids and self.network.parameters[name].value not in (0.0, 1.0)
+        ]
+        if not candidate.adds and not candidate.replaces and mine == before:
+            return self._base
+        key = repr((sorted(candidate.adds.items()), sorted(candidate.replaces.items()), mine))
+        if key not in self._made:
+            self._made[key] = Formulas(changed)
+        return self._made[key]
+
+    def laws(self, grid: Grid, run: Run, only: tuple[Candidate, ...] | None = None) -> list[Law]:
+        """The laws of the candidates that do anything on this record; `only` of some of them."""
+        network = self.network
+        known = temperatures(network, grid, run)
+        base = self._base.heats(known, grid.inputs, network.values, grid.step_s)
+        found = []
+        for candidate in self.candidates if only is None else only:
+            if candidate.kind == "sensor" and not candidate.adds:
+                law = Law(candidate, None, _reading(network, candidate, grid, run))
+            elif candidate.begins:
+                law = Law(candidate, _put_in(network, candidate, grid, known), None)
+            elif candidate.kind == "delay":
+                law = Law(candidate, _delay(network, self._base, candidate, grid, known, base), None)
+            else:
+                bigger = extended(network, candidate)
+                changed = bigger.with_values(sized(bigger, candidate, candidate.typical))
+                formulas = self._formulas(candidate, changed)
+                heat = formulas.heats(known, grid.inputs, changed.values, grid.step_s)
+                law = Law(candidate, (heat - base) / candidate.typical, None)
+            size = law.heat if law.heat is not None else law.reading
+            if size is not None and np.isfinite(size).all() and float(np.abs(size).max()) * candidate.typical > LEAST_W:
+                found.append(law)
+        return found
+
+
+def _put_in(network: Network, candidate: Candidate, grid: Grid, known: Array) -> Array:
+    """Heat into a node for 1 W/K to what was put in there at the temperature of an input, before that has warmed up."""
+    heat = np.zeros_like(known)
+    (table,) = candidate.adds.values()
+    k = network.nodes.index(table["node"])
+    heat[:, k] = grid.inputs[:, network.input_columns.index(candidate.begins)] - known[:, k]
+    return heat
+
+
+def _reading(network: Network, candidate: Candidate, grid: Grid, run: Run) -> Array:
+    """Change of the readings (n, m) for a unit of a parameter of one sensor, or of several that are alike."""
+    out = np.zeros((len(grid.time), len(network.sensors)))
+    for name, weight in candidate.changes.items():
+        element, parameter = name.split(".")
+        j = network.sensor_names.index(element)
+        seen = run.temperatures[:, network.nodes.index(network.sensors[j].node)]
+        if parameter == "bias_K":
+            out[:, j] += weight
+        elif parameter == "gain":
+            out[:, j] += weight * seen
+        elif parameter == "lag_s":
+            size = candidate.typical
+            out[:, j] += weight * (follow(seen, size, grid.step_s) - seen) / size
+        elif parameter == "cross_talk":
+            other = candidate.replaces[element]["other"] if candidate.replaces else network.sensors[j].other
+            out[:, j] += weight * (run.temperatures[:, network.nodes.index(other)] - seen)
+    return out
+
+
+def _delay(network: Network, formulas: Formulas, candidate: Candidate, grid: Grid, known: Array, base: Array) -> Array:
+    """Heat that a further volume of pipe keeps from arriving: what the water before it was, a delay ago."""
+    (name, _), *_ = candidate.changes.items()
+    pipe = name.split(".")[0]
+    node = candidate.adds[pipe]["to"] if candidate.adds else next(e for e in network.elements if e.name == pipe).to  # type: ignore[attr-defined]
+    flow = next(e for e in network.elements if isinstance(e, Flow) and node in e.path)
+    before = flow.feeds()[node]
+    values = network.parameters
+    rate = values[f"{flow.name}.nominal"].value * values[f"{flow.name}.factor"].value / 60.0
+    litres = rate * np.maximum(grid.inputs[:, network.input_columns.index(flow.pump)], 0.0) * 0.01
+    passed = np.concatenate([[0.0], np.cumsum(litres * grid.step_s)])[:-1]
+    late = known.copy()
+    k = network.nodes.index(before) if before else -1
+    if k < 0:
+        return np.zeros_like(known)
+    size = candidate.typical
+    when = np.interp(passed - size, passed + 1e-9 * np.arange(len(passed)), grid.time)
+    late[:, k] = np.interp(when, grid.time, known[:, k])
+    heat = (formulas.heats(late, grid.inputs, network.values, grid.step_s) - base) / size
+    heat[:, k] = 0.0
+    return heat

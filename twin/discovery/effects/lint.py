@@ -1,0 +1,128 @@
+"""Entries of a twin's catalogue that no input can separate, found once for each twin by its richest run.
+
+Every candidate is switched on a quarter into a run in which everything that is driven steps through its range, the
+room drifts, and the tunables are free. Candidates whose whitened signatures then still agree to one part in a thousand
+agree on every record of that rig: an answer that names one of them has to name the others.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from twin.commission import weak_prior
+from twin.discovery.effects.laws import Book
+from twin.discovery.effects.probe import Probe
+from twin.discovery.kept import store, stored
+from twin.discovery.records.grid import BIN_S, Grid
+from twin.network import Array, Network
+from twin.steady import steady_state
+
+ALIKE = 0.999
+HOURS, ONSET = 8.0, 0.25
+REST, AT_REST = (0.45, 0.78), 0.05
+"""Part of the run in which heaters rest, and their power then."""
+VISIBLE = 5.0
+"""Score from which an effect can be seen at all."""
+LARGE = 5.0
+"""Typical sizes that an effect of which nothing can be seen would have to exceed."""
+
+Label = tuple[str, str, str]
+"""Kind, place and driver."""
+
+
+@dataclass(frozen=True)
+class Lint:
+    """`groups` of labels that no input separates; `unseen` ones that a large effect would not show either."""
+
+    groups: tuple[tuple[Label, ...], ...]
+    unseen: tuple[Label, ...]
+
+    def beside(self, label: Label) -> tuple[Label, ...]:
+        """What no record of the rig tells from an entry."""
+        return tuple(dict.fromkeys(x for g in self.groups if label in g for x in g if x != label))
+
+
+def lint(network: Network) -> Lint:
+    """Groups of a twin's catalogue; from the cache where this very twin has been looked at before."""
+    held = stored("lint", network)
+    if held is not None:
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            groups = tuple(tuple((k, w, d) for k, w, d in g) for g in held["groups"])
+            return Lint(groups, tuple((k, w, d) for k, w, d in held["unseen"]))
+    found = examine(network)
+    store("lint", asdict(found), network)
+    return found
+
+
+def examine(network: Network) -> Lint:
+    """Groups of a twin's catalogue, found anew.
+
+    Raises:
+        TwinFileError: the twin has no tunables.
+    """
+    ids = network.tunables("commission" if "commission" in network.sets else None)
+    probe, book = Probe(network, ids), Book(network)
+    grid = richest(network)
+    state = steady_state(network, grid.inputs[0]).reshape(-1)
+    grid = Grid(grid.time, grid.inputs, probe.run(grid, state).readings, grid.sigma, grid.step_s)
+    run = probe.run(grid, state)
+    prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state, 1.0)
+    free = (probe.sensitivities(grid, state) / grid.sigma[:, None]).reshape(-1, probe.q + probe.k)
+    laws = book.laws(grid, run)
+    on = (grid.time >= ONSET * grid.time[-1])[:, None]
+    shown = np.empty((free.shape[0], len(laws)))
+    for i, law in enumerate(laws):
+        change = np.zeros_like(run.readings) if law.reading is None else law.reading * on
+        if law.heat is not None:
+            change = change + probe.run(grid, state, injected=law.heat * on).readings - run.readings
+        shown[:, i] = (change / grid.sigma).ravel()
+    cross = free.T @ shown
+    gram = shown.T @ shown - cross.T @ np.linalg.solve(free.T @ free + prior.precision, cross)
+    norm = np.sqrt(np.maximum(np.diag(gram), 1e-30))
+    labels = [(law.candidate.kind, law.candidate.where, law.candidate.driver) for law in laws]
+    visible = [n * LARGE * law.candidate.typical > VISIBLE for n, law in zip(norm, laws, strict=True)]
+    groups: list[list[int]] = []
+    for i in np.argsort(-norm * [law.candidate.typical for law in laws]).tolist():
+        if not visible[i]:
+            continue
+        for group in groups:
+            if abs(gram[i, group[0]]) > ALIKE * norm[i] * norm[group[0]]:
+                group.append(i)
+                break
+        else:
+            groups.append([i])
+    named = [tuple(dict.fromkeys(labels[i] for i in sorted(g))) for g in groups]
+    seen = {labels[i] for i in range(len(laws)) if visible[i]}
+    every = dict.fromkeys((c.kind, c.where, c.driver) for c in book.candidates)
+    return Lint(tuple(g for g in named if len(g) > 1), tuple(x for x in every if x not in seen))
+
+
+def richest(network: Network, seed: int = 0) -> Grid:
+    """Inputs in which everything varies by itself: drives in steps of 5 to 40 minutes, the room slowly; for a third of
+    the time the heater rests, so that the slowest volume cools and warms."""
+    rng = np.random.default_rng(seed)
+    bins = int(HOURS * 3600.0 / BIN_S)
+    time: Array = BIN_S * np.arange(bins, dtype=np.float64)
+    inputs = np.empty((bins, len(network.input_columns)))
+    for j, (column, spec) in enumerate(network.inputs.items()):
+        if column.startswith("time_of_day"):
+            inputs[:, j] = (4.0 * time / 3600.0) % 24.0
+        elif column.endswith("_C"):
+            inputs[:, j] = spec.nominal + 4.0 * np.sin(2.0 * np.pi * time / (2.3 * 3600.0)) + 2.0 * time / time[-1]
+        else:
+            high = min(spec.upper, 1.3 * spec.nominal) if spec.nominal > 0.0 else spec.upper
+            low = max(spec.lower, 0.3 * spec.nominal)
+            inputs[:, j] = _stepped(rng, time, low, high)
+            if column.endswith("_W"):
+                inputs[(time > REST[0] * time[-1]) & (time < REST[1] * time[-1]), j] *= AT_REST
+    return Grid(time, inputs, np.full((bins, len(network.sensors)), np.nan), network.sigma, BIN_S)
+
+
+def _stepped(rng: np.random.Generator, time: Array, low: float, high: float) -> Array:
+    edges = np.cumsum(rng.uniform(300.0, 2400.0, int(time[-1] / 300.0) + 2))
+    levels = rng.uniform(low, high, len(edges) + 1)
+    stepped: Array = levels[np.searchsorted(edges, time, side="right")]
+    return stepped

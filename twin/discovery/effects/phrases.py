@@ -1,0 +1,46 @@
+"""Sizes, times and candidates as an operator reads them."""
+
+from __future__ import annotations
+
+from twin.discovery.effects.shapes import Shape
+from twin.elements.base import Candidate
+
+_OPPOSITES = (("} more", "} less"), ("} too high", "} too low"))
+
+
+def said(candidate: Candidate, size: float, spread: float = 0.0) -> str:
+    """What a candidate of this size, more or less by `spread`, does, in plain words."""
+    c = candidate
+    named = c.kind == "sensor" and c.where.endswith("_C")
+    who = c.where if named else f"The {c.where.replace('_', ' ')}"
+    says = _plural(c.says) if not named and c.where.endswith("s") else c.says
+    for much, little in _OPPOSITES:
+        if size < 0.0 and much in says:
+            says, size = says.replace(much, little), -size
+    return f"{who} {says.format(value=amount(size, c.unit, spread), share=amount(size, 'W/W', spread))}"
+
+
+def when(shape: Shape, start: float) -> str:
+    return f"since {clock(start + shape.onset_s)}" if shape.onset_s > 0.0 else "from the beginning of the record"
+
+
+def _plural(says: str) -> str:
+    first, _, rest = says.partition(" ")
+    verb = {"has": "have", "is": "are", "exchanges": "exchange", "loses": "lose", "takes": "take", "gives": "give"}
+    return f"{verb.get(first, first.removesuffix('s'))} {rest}"
+
+
+def amount(value: float, unit: str, spread: float = 0.0) -> str:
+    """A size as an operator reads it, with its interval where it has a `spread`."""
+    part = unit == "W/W" or unit.startswith("of the")
+    named = {"1": "", "W/W": " %"}.get(unit, f" % {unit}" if part else f" {unit}")
+    factor = 100.0 if part else 1.0
+    low, high = (f"{factor * (value + side * spread):.3g}" for side in (-1.0, 1.0))
+    return f"{factor * value:.3g}{named}" + (f" ({low} to {high})" if low != high else "")
+
+
+def clock(seconds: float) -> str:
+    minutes = round(seconds / 60.0)
+    if minutes < 60:
+        return f"{minutes} min"
+    return f"{minutes // 60} h {minutes % 60:02d} min"

@@ -1,0 +1,285 @@
+"""A twin that can be asked: what would a reading be if so much heat entered here, then?
+
+One kernel serves every hypothesis: the network with a source of any time course in every node and a reading of every
+node. What an effect does to the rig is told by the heat that it brings (`formulas`), so no kernel has to be compiled
+for a candidate before it is worth one, and most share one then (`shared_kernels`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from twin.discovery.effects.shared_kernels import SharedKernels
+from twin.discovery.records.grid import Grid, centred, filled
+from twin.elements import Parameter
+from twin.elements.base import Status
+from twin.elements.heat_source import HeatSource
+from twin.elements.sensor import Sensor
+from twin.gauss_newton import Data, Prior, Scaling, align
+from twin.kernel import Kernel
+from twin.network import Array, InputSpec, Network
+from twin.stretches import begun_anew, each_alone, traced
+
+FIRST_BINS = 6
+SETTLE_BINS = 90
+KEPT = 4
+_STEP = 1.0e-4
+_STATE_STEP = 1.0e-2
+_PROBE_W = 10.0
+_LEAST_WAY = 1.0e-9
+"""Share of the greatest difference of a state that is kept."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Free run: `readings` (n, m) of the network's sensors and `temperatures` (n, k) of its nodes, degC."""
+
+    readings: Array
+    temperatures: Array
+
+
+class Probe:
+    """The kernel of a network with an injection of heat at every node.
+
+    Args:
+        tunables: parameters that a calibration may move; their sensitivities are asked for.
+    """
+
+    def __init__(self, network: Network, tunables: tuple[str, ...]) -> None:
+        self.network = network
+        self.scaling = Scaling.of(network, tunables)
+        self.kernels = SharedKernels(network, tunables)
+        self.columns = tuple(f"probe_{node}_W" for node in network.nodes)
+        self.probed, self._gains, self._reads = _with_probes(network, self.columns)
+        self._kernel = Kernel(self.probed, (*tunables, *self._gains))
+        self._tunable = self.probed.index(tunables)
+        self._gain = self.probed.index(self._gains)
+        self.m, self.k, self.q = len(network.sensors), len(network.nodes), len(tunables)
+        self._made: list[tuple[Grid, tuple[Hashable, ...], Array]] = []
+
+    def values(self, values: Array | None = None) -> Array:
+        """Full parameter vector of the probed network out of one of the network (p,)."""
+        full = self.probed.values.copy()
+        if values is not None:
+            full[self.probed.index(self.network.ids)] = values
+        full[self._gain] = 1.0
+        return full
+
+    def _inputs(self, grid: Grid, injected: Array | None) -> Array:
+        extra = np.zeros((len(grid.time), self.k)) if injected is None else injected
+        return np.ascontiguousarray(np.hstack([grid.inputs, extra]))
+
+    def first_state(self, grid: Grid, values: Array | None = None) -> Array:
+        """Temperatures (s * k,) at the beginning of each stretch that fit its first quarter of an hour."""
+        probed, inputs = self.probed_state(grid).reshape(-1, self.k), self._inputs(grid, None)
+        sigma = np.concatenate([grid.sigma, np.ones(len(self.probed.sensors) - self.m)])
+        found = []
+        for state, stretch in zip(probed, grid.stretches, strict=True):
+            rows = slice(stretch.start, min(stretch.start + SETTLE_BINS, stretch.stop))
+            measured = np.full((rows.stop - rows.start, len(sigma)), np.nan)
+            measured[:, : self.m] = grid.measured[rows]
+            good = np.isfinite(measured)
+            weight = np.where(good, 1.0 / sigma, 0.0)
+            data = Data(grid.time[rows], inputs[rows], np.where(good, measured, 0.0), weight)
+            found.append(align(self._kernel, self.values(values), state, data, 1.0)[: self.k])
+        return np.concatenate(found)
+
+    def probed_state(self, grid: Grid) -> Array:
+        """Node temperatures (s * k,) from the first readings of each stretch."""
+        firsts = [slice(r.start, min(r.start + FIRST_BINS, r.stop)) for r in grid.stretches]
+        return np.concatenate([self.network.initial_state(grid.measured[rows]) for rows in firsts])
+
+    def run(self, grid: Grid, state: Array, values: Array | None = None, injected: Array | None = None) -> Run:
+        """Free run from `state` (s * k,), with heat `injected` (n, k) W on top of the network's own."""
+        readings = self._traced(self.values(values)[None, :], state[None, :], grid, self._inputs(grid, injected))
+        means = centred(readings[0])
+        return Run(means[:, : self.m], means[:, self._reads])
+
+    def _traced(self, rows: Array, states: Array, grid: Grid, inputs: Array) -> Array:
+        """Readings (P, n, m) with parameters `rows` (P, p), from `states` (P, s * k)."""
+        return traced(self._kernel, rows, states, grid.time, inputs, grid.begins)
+
+    def responses(self, grid: Grid, state: Array, injected: Array, values: Array | None = None) -> Array:
+        """What heat does to the readings (n, m, j), K, for j courses `injected` (n, k, j) W."""
+        base = self.run(grid, state, values).readings
+        found = [self.run(grid, state, values, injected[:, :, j]).readings - base for j in range(injected.shape[2])]
+        return np.stack(found, axis=2) if found else np.empty((*base.shape, 0))
+
+    def _kept(self, what: tuple[Hashable, ...], grid: Grid, make: Callable[[], Array]) -> Array:
+        """What was made of the same grid before, or is made now: several contests are held on one."""
+        for other, known, made in self._made:
+            if other is grid and known == what:
+                return made
+        made = make()
+        self._made = [*self._made[1 - KEPT :], (grid, what, made)]
+        return made
+
+    def sensitivities(self, grid: Grid, state: Array, values: Array | None = None) -> Array:
+        """d reading / d (tunables in z, temperatures at the beginnings): (n, m, q + s * k)."""
+        what = ("sensitivities", state.tobytes(), None if values is None else values.tobytes())
+        return self._kept(what, grid, lambda: self._sensitivities(grid, state, values))
+
+    def _sensitivities(self, grid: Grid, state: Array, values: Array | None) -> Array:
+        centre = self.values(values)
+        count = 1 + self.q + self.k
+        rows, states = np.tile(centre, (count, 1)), np.tile(state, (count, 1)).reshape(count, -1, self.k)
+        z = self.scaling.to_z(centre[self._tunable])
+        upper = self.scaling.to_z(self.scaling.upper)
+        steps = np.where(z + _STEP > upper, -_STEP, _STEP)
+        for i in range(self.q):
+            moved = z.copy()
+            moved[i] += steps[i]
+            rows[1 + i, self._tunable] = self.scaling.to_values(moved)
+        states[1 + self.q :] += _STATE_STEP * np.eye(self.k)[:, None, :]
+        readings = self._traced(rows, states.reshape(count, -1), grid, self._inputs(grid, None))
+        scale = np.concatenate([steps, np.full(self.k, _STATE_STEP)])
+        change: Array = (readings[1:, :, : self.m] - readings[0, :, : self.m]) / scale[:, None, None]
+        slopes = np.moveaxis(change, 0, 2)
+        states = each_alone(slopes[..., self.q :], grid.begins)
+        return centred(np.concatenate([slopes[..., : self.q], states], axis=2))
+
+    def blocks(self, grid: Grid, state: Array, edges: np.ndarray, values: Array | None = None) -> Array:
+        """Mean readings in each of b blocks when 1 W enters one node during one block: (b, m, b, k) K/W.
+
+        Args:
+            edges: (b + 1,) bins at which blocks begin, the last one past the end.
+        """
+        what = ("blocks", state.tobytes(), edges.tobytes(), None if values is None else values.tobytes())
+        return self._kept(what, grid, lambda: self._blocks(grid, state, edges, values))
+
+    def _blocks(self, grid: Grid, state: Array, edges: np.ndarray, values: Array | None) -> Array:
+        count = len(edges) - 1
+        found = np.zeros((count, self.m, count, self.k))
+        inputs = self._inputs(grid, np.full((len(grid.time), self.k), _PROBE_W))
+        centre = self.values(values)
+        centre[self._gain] = 0.0
+        gained = np.tile(centre, (self.k, 1))
+        gained[:, self._gain] += np.eye(self.k)
+        left = _Left(state[: self.k])
+        for b, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+            until = min(last + 1, len(grid.time))
+            # Row 0 is the undisturbed run, the k after it are this block's, the rest what earlier blocks left behind.
+            begun = np.vstack([np.repeat(left.base, 1 + self.k, axis=0), left.rows])
+            rows = np.vstack([centre[None, :], gained, np.repeat(centre[None, :], len(left.rows), axis=0)])
+            readings, states = self._carried(rows, begun, state, grid, inputs, slice(first, until), last)
+            mean = readings[:, : last - first, : self.m].mean(axis=1)
+            own, before = mean[1 : 1 + self.k] - mean[0], left.of(mean[1 + self.k :] - mean[0])
+            found[b, :, b] = own.T / _PROBE_W
+            found[b, :, :b] = before.reshape(b, self.k, self.m).transpose(2, 0, 1) / _PROBE_W
+            left = left.after(states, self.k)
+        return found
+
+    def _carried(
+        self, rows: Array, begun: Array, state: Array, grid: Grid, inputs: Array, part: slice, last: int
+    ) -> tuple[Array, Array]:
+        """Readings (P, n, m) over a part of the grid and full states at its end; all begin anew where a stretch does,
+        before bin `last`."""
+        at, states, readings = part.start, begun, []
+        for i, first in enumerate(grid.begins):
+            if i == 0 or not part.start <= first < last:
+                continue
+            if first > at:
+                own, states = self._kernel.trace(rows, states, grid.time[at : first + 1], inputs[at : first + 1])
+                readings.append(own[:, :-1])
+            at, states = first, begun_anew(states, np.tile(state[i * self.k : (i + 1) * self.k], (len(rows), 1)))
+        own, states = self._kernel.trace(rows, states, grid.time[at : part.stop], inputs[at : part.stop])
+        return (np.concatenate([*readings, own], axis=1) if readings else own), states
+
+
+class _Left:
+    """What earlier blocks' heat has left behind: `shares` (b * k, r) of a few ways `basis` (r, size) in which a full
+    state can differ.
+
+    Each way is carried on by itself. There are hardly more of them than the network has nodes: what water carries along
+    has gone round many times in a block, and is what the nodes make of it.
+    """
+
+    def __init__(self, base: Array, shares: Array | None = None, basis: Array | None = None) -> None:
+        self.base = np.atleast_2d(base)
+        self._shares = np.empty((0, 0)) if shares is None else shares
+        self.rows = self.base[:0] if basis is None else self.base + _STATE_STEP * basis
+
+    def of(self, change: Array) -> Array:
+        """Of what these rows change (r, ...): what each earlier block's heat does (b * k, ...)."""
+        found: Array = self._shares @ change / _STATE_STEP
+        return found
+
+    def after(self, states: Array, k: int) -> _Left:
+        """What is left after a block, from full states (1 + k + r, size) at its end."""
+        change = states[1:] - states[0]
+        own, carried = change[:k], change[k:] / _STATE_STEP
+        count, r = self._shares.shape
+        shares = np.zeros((count + k, r + k))
+        shares[:count, :r], shares[count:, r:] = self._shares, np.eye(k)
+        weight = np.abs(shares).max(axis=0)
+        weight[weight == 0.0] = 1.0
+        u, singular, ways = np.linalg.svd(np.vstack([carried, own]) * weight[:, None], full_matrices=False)
+        kept = singular > _LEAST_WAY * singular[0]
+        size = np.abs(ways[kept]).max(axis=1)
+        return _Left(states[:1], (shares / weight) @ (u * singular)[:, kept] * size, ways[kept] / size[:, None])
+
+
+def posterior(network: Network, probe: Probe, grid: Grid, state: Array, inflation: float, widen: float) -> Prior:
+    """Gaussian knowledge of [tunables z, initial state] after a healthy record; `widen` multiplies its variance.
+
+    The state's part is replaced by what a first reading tells, since the next record begins elsewhere.
+    """
+    weight = np.where(np.isfinite(grid.measured), 1.0 / grid.sigma, 0.0)
+    j = probe.sensitivities(grid, state) * weight[:, :, None]
+    flat = j.reshape(-1, j.shape[2])
+    prior_sd = probe.scaling.prior_sd()
+    state_precision = np.full(j.shape[2] - probe.q, 1.0)
+    precision = flat.T @ flat / inflation + np.diag(np.concatenate([prior_sd**-2.0, state_precision]))
+    covariance = np.linalg.inv(precision)[: probe.q, : probe.q] * widen
+    limit = prior_sd / np.sqrt(np.diag(covariance))
+    covariance = covariance * np.outer(np.minimum(limit, 1.0), np.minimum(limit, 1.0))
+    full = np.eye(probe.q + probe.k)
+    full[: probe.q, : probe.q] = np.linalg.inv(covariance)
+    values = network.values[probe.scaling.index]
+    return Prior(np.concatenate([probe.scaling.to_z(values), state[: probe.k]]), full)
+
+
+def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, tuple[str, ...], list[int]]:
+    elements, parameters, inputs = list(network.elements), dict(network.parameters), dict(network.inputs)
+    gains = []
+    for node, column in zip(network.nodes, columns, strict=True):
+        inputs[column] = InputSpec(column, 0.0, -1e6, 1e6, "W")
+        element = HeatSource(f"probe_in_{node}", node, column, "linear")
+        elements.append(element)
+        for spec in element.parameter_specs():
+            key = f"{element.name}.{spec.name}"
+            status: Status = "tunable" if spec.name == "gain" else "fixed"
+            parameters[key] = Parameter(
+                key, element.name, spec.name, 0.0, spec.unit, spec.lower, spec.upper, status, "a question"
+            )  # fmt: skip
+        gains.append(f"{element.name}.gain")
+    # Every node gets a reading of its own without lag or bias, behind those that the network has.
+    reads = []
+    for k, node in enumerate(network.nodes):
+        sensor = Sensor(f"probe_at_{node}", node, (f"probe_at_{node}_C",))
+        elements.append(sensor)
+        reads.append(len(network.sensors) + k)
+        for spec in sensor.parameter_specs():
+            key = f"{sensor.name}.{spec.name}"
+            value = spec.default if spec.default is not None else 0.0
+            parameters[key] = Parameter(
+                key, sensor.name, spec.name, value, spec.unit, spec.lower, spec.upper, "fixed", spec.source
+            )  # fmt: skip
+    probed = replace(
+        network, elements=tuple(elements), parameters=MappingProxyType(parameters), inputs=MappingProxyType(inputs),
+        digest="",
+    )  # fmt: skip
+    return probed, tuple(gains), reads
+
+
+def free_run(probe: Probe, grid: Grid) -> tuple[Array, Run, Array, np.ndarray]:
+    """First state (s * k,), the run from it, its residual (n, m) in K, gaps closed, and where (n, m) one was read."""
+    state = probe.first_state(grid)
+    run = probe.run(grid, state)
+    off = grid.measured - run.readings
+    good = np.isfinite(off)
+    return state, run, filled(off, good), good

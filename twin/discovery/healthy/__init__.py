@@ -1,0 +1,1 @@
+"""What a healthy record says of noise and of the twin's own error."""

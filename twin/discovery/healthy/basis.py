@@ -1,0 +1,219 @@
+"""What is known before a record is looked at: the noise, the tunables and how far they are trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.commission import weak_prior
+from twin.discovery.effects.laws import Book, Law
+from twin.discovery.effects.operating import offsets
+from twin.discovery.effects.probe import Probe, Run, free_run
+from twin.discovery.healthy.health import Health
+from twin.discovery.healthy.widening import Bootstrap, kept
+from twin.discovery.records import noise as noises
+from twin.discovery.records.grid import Grid, on_grid
+from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.search import scan
+from twin.discovery.scoring.structure import Structure
+from twin.gauss_newton import Prior
+from twin.network import Array, Network, TwinFileError
+
+BETTER = 0.9
+"""Share of the squares that a newer twin leaves of a healthy record which an older one has to stay below."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A record as a network sees it: time (N,) s, inputs (N, c), measured (N, m) degC.
+
+    `members` holds the single thermometers (N, c) of every sensor that is the mean of several, NaN where one is not.
+    """
+
+    time_s: Array
+    inputs: Array
+    measured: Array
+    members: Mapping[str, Array] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, network: Network, time_s: ArrayLike, columns: Mapping[str, ArrayLike]) -> Columns:
+        """Select a network's columns; raises TwinFileError where some are missing."""
+        inputs, measured = network.select(columns)
+        nothing = np.full(len(measured), np.nan)
+        single = {
+            s.name: np.column_stack([np.asarray(columns.get(c, nothing), dtype=np.float64) for c in s.measured])
+            for s in network.sensors
+            if len(s.measured) > 1
+        }
+        return cls(np.asarray(time_s, dtype=np.float64), inputs, measured, single)
+
+
+@dataclass(frozen=True)
+class Commissioned(Columns):
+    """A healthy record, and the twin as it was `before` it took up what that record does not hold, newest first.
+
+    Those of `before` have the columns of the twin at hand.
+    """
+
+    before: tuple[Network, ...] = ()
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What is known before the record is looked at.
+
+    Attributes:
+        tried: (2, c) lowest and highest inputs, but for short moments, of the healthy record, or of the record where
+            there is none.
+        structure: what the twin's structure leaves, as far as the healthy record says. plain: the noise where none of
+            that is known.
+        bootstrap: what healthy records drawn from this twin came to, where that was found out (`bootstrap`).
+        earlier: the twin that the healthy record belongs to, where it is not the one at hand, or None.
+    """
+
+    probe: Probe
+    book: Book
+    noise: noises.Noise
+    prior: Prior
+    warnings: tuple[str, ...]
+    tried: Array
+    plain: noises.Noise | None = None
+    structure: Structure | None = None
+    bootstrap: Bootstrap | None = None
+    earlier: Network | None = None
+
+    @property
+    def sentence(self) -> str:
+        """Which twin the healthy record belongs to, where it is not the one at hand, else ""."""
+        if self.earlier is None:
+            return ""
+        silent = [s.name for s in self.probe.network.sensors if len(s.measured) > 1 and s.node in self.taken_up]
+        return (
+            f"the healthy record is of the rig before the twin's last changes: noise and how far tunables are trusted "
+            f"are what its revision {self.earlier.revision.number} makes of it"
+        ) + (f"; the single thermometers of {' and '.join(silent)} are not compared with it" if silent else "")
+
+    @cached_property
+    def taken_up(self) -> frozenset[str]:
+        """Nodes that an effect has been taken up at since the healthy record."""
+        if self.earlier is None:
+            return frozenset()
+        now, then = self.probe.network, self.earlier
+        free = {*then.tunables("commission" if "commission" in then.sets else None)}
+        new = {
+            p.element
+            for p in now.parameters.values()
+            if p.id not in free and (p.id not in then.parameters or p.value != then.parameters[p.id].value)
+        }
+        return frozenset(node for e in now.elements if e.name in new for node in e.nodes())
+
+    def contest(self, grid: Grid, state: Array, run: Run, laws: list[Law]) -> Contest:
+        """The quadratic form of a record with these laws."""
+        structure = self.structure
+        if structure is not None:
+            here = offsets(self.probe.network, laws, grid)
+            structure, laws = structure.beyond(here), [*laws, *here]
+        return Contest(self.probe, grid, state, run, self.noise, self.prior, structure, laws)
+
+    @property
+    def wider(self) -> float:
+        """Factor by which thresholds are raised."""
+        return 1.0 if self.bootstrap is None else self.bootstrap.wider
+
+
+def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
+    """Noise and prior from a healthy record, or from the record itself.
+
+    Raises:
+        NotHealthyError: the healthy record does not fit the twin. TwinFileError: a twin without tunables.
+    """
+    ids = network.tunables("commission" if "commission" in network.sets else None)
+    if not ids:
+        raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
+    probe, book = Probe(network, ids), Book(network)
+    if healthy is not None:
+        health, of = _healthy(network, probe, book, healthy)
+        same = health.noise.step_s == record.step_s
+        return Basis(
+            probe=probe,
+            book=book,
+            noise=health.less if same else health.less.at_step(record.step_s),
+            plain=health.noise if same else health.noise.at_step(record.step_s),
+            prior=_about(health.prior, of, probe),
+            warnings=(health.rough,) if health.rough else (),
+            tried=_tried(health.grid),
+            structure=health.structure,
+            bootstrap=kept(network, healthy.time_s, healthy.inputs, healthy.measured),
+            earlier=None if of is probe else of.network,
+        )
+    state, _, residual, _ = free_run(probe, record)
+    prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state[: probe.k], 0.3)
+    learned = noises.learn(residual, record.sigma, record.step_s)
+    warning = (
+        "no healthy record was given: the noise floor is taken from this record itself, so small effects are not seen "
+        "and parameters are trusted less; give --healthy for a sharper answer"
+    )
+    own = _from_itself(probe, book, record, state, learned, prior)
+    return Basis(probe, book, own, prior, (warning,), _tried(record))
+
+
+def _healthy(network: Network, probe: Probe, book: Book, healthy: Columns) -> tuple[Health, Probe]:
+    """What a healthy record says by the twin that it fits best, and the probe of that; the newest of equals."""
+    before = healthy.before if isinstance(healthy, Commissioned) else ()
+    best, least = probe, np.inf
+    for then in (network, *before) if before else ():
+        of = (
+            probe
+            if then is network
+            else Probe(then, then.tunables("commission" if "commission" in then.sets else None))
+        )
+        _, _, residual, good = free_run(of, grid := on_grid(then, healthy.time_s, healthy.inputs, healthy.measured))
+        left = float(np.nansum((np.where(good, residual, 0.0) / grid.sigma) ** 2))
+        if left < BETTER * least:
+            best, least = of, left
+    return Health.of(best.network, best, book if best is probe else Book(best.network), healthy), best
+
+
+def _about(prior: Prior, of: Probe, now: Probe) -> Prior:
+    """What a twin's tunables were trusted to be, about the values that it has now."""
+    if of is now:
+        return prior
+    shared = [i for i, name in enumerate(of.scaling.ids) if name in now.scaling.ids]
+    places = [now.scaling.ids.index(of.scaling.ids[i]) for i in shared]
+    rows = np.concatenate([shared, of.q + np.arange(of.k)]).astype(int)
+    at = np.concatenate([places, now.q + np.arange(now.k)]).astype(int)
+    covariance = np.linalg.inv(prior.precision)
+    # What it has now is no better known for being new.
+    wide = np.concatenate([now.scaling.prior_sd() ** 2, np.ones(now.k)])
+    own = np.diag(wide)
+    own[np.ix_(at, at)] = covariance[np.ix_(rows, rows)]
+    mean = np.concatenate([now.scaling.to_z(now.network.values[now.scaling.index]), prior.mean[of.q :]])
+    return Prior(mean, np.linalg.inv(own))
+
+
+def _tried(grid: Grid) -> Array:
+    tried: Array = np.percentile(grid.inputs, (2.0, 98.0), axis=0)
+    return tried
+
+
+def _from_itself(probe: Probe, book: Book, grid: Grid, state: Array, noise: noises.Noise, prior: Prior) -> noises.Noise:
+    """Noise of what is left after the best three hypotheses have taken what they can, twice."""
+    run = probe.run(grid, state)
+    candidates = book.laws(grid, run)
+    for _ in range(2):
+        contest = Contest(probe, grid, state, run, noise, prior)
+        chosen: list[Array] = []
+        for _ in range(3):
+            found = scan(contest, candidates, np.stack(chosen) if chosen else None)
+            if not found or found[0].z < 3.0:
+                break
+            chosen.append(found[0].vector)
+        sizes = contest.estimate(np.stack(chosen) if chosen else np.empty((0, contest.sites, contest.b))).sizes
+        moved = contest.moved(np.array(chosen), sizes)
+        left = contest.left_over(np.array(chosen), sizes, moved)
+        noise = noises.learn_blocks(left, grid.sigma, contest.step_s, grid.step_s, noise)
+    return noise

@@ -1,0 +1,63 @@
+"""Healthy records drawn from a twin: what the noise that it was commissioned with makes of its own readings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from twin.discovery.effects.probe import free_run
+from twin.discovery.healthy.basis import Basis, Columns
+from twin.discovery.healthy.health import WIDEN
+from twin.discovery.records.grid import on_grid
+from twin.kernel import simulate
+from twin.network import Array, Network
+
+
+def drawn(known: Basis, healthy: Columns, rng: np.random.Generator) -> Iterator[Columns]:
+    """Records of one rig under the inputs of the healthy one, without end.
+
+    The rig is the twin with parameters drawn from what commissioning knows of them. A record has noise of all periods
+    as it was learned, white noise in every sample, and gaps where the healthy record has them. Single thermometers of
+    a sensor keep their mean distance from it.
+    """
+    network = known.probe.network
+    grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
+    noise = (known.plain or known.noise).at_step(grid.step_s)
+    state, *_ = free_run(known.probe, grid)
+    q, scaling = known.probe.q, known.probe.scaling
+    spread = np.linalg.inv(known.prior.precision[:q, :q]) / WIDEN
+    z = rng.multivariate_normal(scaling.to_z(network.values[scaling.index]), spread, method="cholesky")
+    values = network.values.copy()
+    values[scaling.index] = scaling.to_values(np.clip(z, scaling.to_z(scaling.lower), scaling.to_z(scaling.upper)))
+    time = healthy.time_s
+    truth = simulate(network, time, healthy.inputs, state[: len(network.nodes)], values)
+    bins = np.minimum(((time - time[0]) / grid.step_s + 1e-9).astype(np.intp), len(grid.time) - 1)
+    while True:
+        slow = noise.draw(len(grid.time), rng)[bins]
+        white = network.sigma * rng.standard_normal(truth.shape)
+        measured = truth + slow + white - _bin_means(white, bins)
+        measured[~np.isfinite(healthy.measured)] = np.nan
+        members = {
+            name: _members(measured[:, network.sensor_names.index(name)], each, network, name, rng)
+            for name, each in healthy.members.items()
+        }
+        yield Columns(time, healthy.inputs, measured, members)
+
+
+def _members(mean: Array, healthy: Array, network: Network, name: str, rng: np.random.Generator) -> Array:
+    """Single readings (N, c) whose mean is `mean` (N,), each as far from it on average as in the healthy record."""
+    count = healthy.shape[1]
+    own = network.sigma[network.sensor_names.index(name)] * np.sqrt(count) * rng.standard_normal(healthy.shape)
+    whole = healthy[np.isfinite(healthy).all(axis=1)]
+    away = (whole - whole.mean(axis=1, keepdims=True)).mean(axis=0) if len(whole) else np.zeros(count)
+    single: Array = mean[:, None] + away + own - own.mean(axis=1, keepdims=True)
+    single[~np.isfinite(healthy)] = np.nan
+    return single
+
+
+def _bin_means(values: Array, bins: np.ndarray) -> Array:
+    count = np.maximum(np.bincount(bins), 1)
+    means = np.stack([np.bincount(bins, column) / count for column in values.T], axis=1)
+    found: Array = means[bins]
+    return found

@@ -1,0 +1,1 @@
+"""Where something acts that the catalogue does not know."""

@@ -1,0 +1,119 @@
+"""Where and when, without a catalogue: one unknown quantity at one site, free to change from block to block.
+
+A random walk at the site, given all readings, is the smoother of an augmented Kalman filter (Rauch, Tung & Striebel,
+AIAA J. 3 (1965) 1445) written in one step, since the contest already holds the whole record as a quadratic form. Its
+marginal likelihood says how well an unknown at this site explains the record; the walk's size is profiled.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from twin.discovery.diagnosis import Course
+from twin.discovery.places.sites import Site
+from twin.discovery.scoring.contest import Contest
+from twin.network import Array
+
+WALK_PER_BLOCK = (0.03, 0.1, 0.3, 1.0, 3.0)
+"""Step of the walk from block to block, in typical sizes of the site, that are tried."""
+
+
+def courses(contest: Contest, sites: dict[str, Site]) -> tuple[Course, ...]:
+    """Unknown courses at each site, the likeliest first."""
+    found = []
+    difference = np.diff(np.eye(contest.b), axis=0)
+    for name, site in sites.items():
+        gram, score = contest.small(site.vector)
+        best: Course | None = None
+        for share in WALK_PER_BLOCK:
+            walk = share * site.typical
+            precision = difference.T @ difference / walk**2
+            precision[0, 0] += (30.0 * site.typical) ** -2
+            lower = np.linalg.cholesky(gram + precision + 1e-12 * np.trace(gram) * np.eye(contest.b) / contest.b)
+            mean = np.linalg.solve(lower.T, np.linalg.solve(lower, score))
+            _, log_prior = np.linalg.slogdet(precision)
+            evidence = 0.5 * float(score @ mean) - float(np.log(np.diag(lower)).sum()) + 0.5 * float(log_prior)
+            if best is None or evidence > best.log_evidence:
+                inverse = np.linalg.inv(lower)
+                sd = np.sqrt((inverse**2).sum(axis=0))
+                best = Course(name, site.unit, contest.hours, mean, sd, evidence, site.signature, site.where)
+        if best is not None:
+            found.append(best)
+    found.sort(key=lambda c: -c.log_evidence)
+    return tuple(found)
+
+
+def describe(course: Course, drivers: dict[str, Array], step_h: float) -> dict[str, Any]:
+    """What a course looks like: since when, how much, what it follows.
+
+    Args:
+        drivers: name -> block means (b,) of what it may follow.
+    """
+    mean, sd = course.mean, course.sd
+    significant = np.abs(mean) > 2.0 * sd
+    out: dict[str, Any] = {"site": course.site, "unit": course.unit, "present_share": float(significant.mean())}
+    onset = _onset(mean)
+    out["onset_s"] = float(course.hours[onset] * 3600.0)
+    after = mean[onset:]
+    out["mean"] = float(after.mean())
+    out["mean_sd"] = float(np.sqrt(np.mean(sd[onset:] ** 2)))
+    low, high = np.percentile(after, [5, 95])
+    out["range"] = [float(low), float(high)]
+    scores = {}
+    for name, values in drivers.items():
+        v = values[onset:]
+        if np.ptp(v) > 1e-9 * max(float(np.abs(v).max()), 1e-9) and len(v) > 8 and np.std(after) > 0.0:
+            scores[name] = float(np.corrcoef(v, after)[0, 1])
+    out["follows"] = {name: round(r, 3) for name, r in sorted(scores.items(), key=lambda x: -abs(x[1]))[:3]}
+    period, share = _period(after, step_h)
+    if share > 0.35:
+        out["period_s"] = period
+    top = next(iter(out["follows"]), "") if scores else ""
+    driver = "history"
+    if share > 0.35:
+        driver = "periodic"
+    elif np.std(after) < 0.15 * abs(float(after.mean())):
+        driver = "constant"
+    elif top and abs(scores[top]) > 0.7:
+        driver = top
+    elif _two_valued(after):
+        driver = "threshold"
+    out["driver"] = driver
+    return out
+
+
+def _onset(mean: Array) -> int:
+    """First block of the latter of two pieces that differ most in mean square."""
+    n = len(mean)
+    squares = np.cumsum(mean**2)
+    at = np.arange(1, n - 1)
+    left, right = squares[at - 1] / at, (squares[-1] - squares[at - 1]) / (n - at)
+    gain = np.where(right > left, (right - left) * np.sqrt(at * (n - at)) / n, 0.0)
+    if not len(at) or right[int(np.argmax(gain))] < 4.0 * left[int(np.argmax(gain))]:
+        return 0
+    return int(at[int(np.argmax(gain))])
+
+
+def _period(values: Array, step_h: float) -> tuple[float, float]:
+    """Strongest period, s, and its share of the variance (with its first harmonic)."""
+    if len(values) < 24:
+        return 0.0, 0.0
+    spectrum = np.abs(np.fft.rfft(values - values.mean())) ** 2
+    spectrum[:3] = 0.0
+    if spectrum.sum() <= 0.0:
+        return 0.0, 0.0
+    k = int(np.argmax(spectrum))
+    share = (spectrum[max(k - 1, 0) : k + 2].sum() + (spectrum[2 * k] if 2 * k < len(spectrum) else 0.0)) / (
+        np.abs(np.fft.rfft(values - values.mean())) ** 2
+    ).sum()
+    return len(values) * step_h * 3600.0 / k, float(share)
+
+
+def _two_valued(values: Array) -> bool:
+    low, high = np.percentile(values, [10, 90])
+    if high <= low:
+        return False
+    position = (values - low) / (high - low)
+    return bool(np.mean((position < 0.25) | (position > 0.75)) > 0.8)

@@ -1,0 +1,1 @@
+"""Before data: what a record could see, and the experiment that would decide."""

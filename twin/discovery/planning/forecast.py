@@ -1,0 +1,161 @@
+"""What a record, or a planned profile, could show: the smallest effect of each kind, and the pairs it cannot separate.
+
+No reading is needed: signatures follow from the inputs and from what the twin does with them. The usual condition
+number of the tunables says next to nothing about this; the matrix of pairs does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.discovery.effects.laws import Law
+from twin.discovery.effects.probe import Probe
+from twin.discovery.healthy.basis import Basis
+from twin.discovery.records.grid import Grid
+from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.null import FALSE_ALARMS, null_scores
+from twin.elements.base import Candidate
+from twin.network import Array, Network
+
+CONFUSED = 0.98
+CLEAR = 6.0
+"""Score at which an effect shows on any record."""
+LARGE = 5.0
+"""Typical sizes: an effect of that size should be seen."""
+MOST_HIDDEN = 0.4
+"""Mean share, over the kinds, of entries that may stay hidden in a record that is called adequate."""
+STILL = 0.02
+"""Share by which an input moves that counts as standing still."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One candidate, present from the beginning: the least size that would be noticed, and how much of its signature
+    the tunables cannot take up."""
+
+    candidate: Candidate
+    least: float
+    kept: float
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Candidates by how well they show, and pairs (a, b, correlation) that look alike."""
+
+    seen: tuple[Seen, ...]
+    unseen: tuple[Candidate, ...]
+    confused: tuple[tuple[Candidate, Candidate, float], ...]
+
+
+def plan_of(network: Network, time: Array, inputs: Array) -> Grid:
+    """A planned record on bins of ten seconds: time (n,) s evenly spaced, inputs (n, c), no readings."""
+    step = float(time[1] - time[0])
+    return Grid(time, inputs, np.full((len(time), len(network.sensors)), np.nan), network.sigma / np.sqrt(step), step)
+
+
+def planned(probe: Probe, grid: Grid, state: Array | None = None) -> tuple[Grid, Array]:
+    """The grid with the twin's own readings in place of measured ones, and its initial state."""
+    start = probe.probed_state(grid) if state is None else state
+    return replace(grid, measured=probe.run(grid, start).readings), start
+
+
+def forecast(known: Basis, grid: Grid, state: Array | None = None) -> Forecast:
+    """What inputs like the grid's could show.
+
+    Args:
+        grid: its readings are not looked at. state: initial temperatures (k,); from the grid's readings by default.
+    """
+    own, start = planned(known.probe, grid, state)
+    run = known.probe.run(own, start)
+    found, candidates = known.book.laws(own, run), known.book.candidates
+    contest = known.contest(own, start, run, found)
+    vectors = np.stack([contest.vector(law) for law in found])
+    flat = vectors.reshape(len(found), -1)
+    gram = flat @ contest.gram @ flat.T
+    norm = np.sqrt(np.maximum(np.diag(gram), 0.0))
+    bare = np.sqrt(np.maximum(contest.bare(flat), 1e-30))
+    threshold = null_scores(contest, found).raised(known.wider).quantile(FALSE_ALARMS)
+    here = {law.candidate.id for law in found}
+    seen, unseen = [], [c for c in candidates if c.id not in here]
+    for law, n, b in zip(found, norm, bare, strict=True):
+        c = law.candidate
+        least = threshold / n if n > 0.0 else np.inf
+        if least > max(abs(c.lower), abs(c.upper)):
+            unseen.append(c)
+        else:
+            seen.append(Seen(c, float(least), float(n / b)))
+    seen.sort(key=lambda s: s.least / s.candidate.typical)
+    confused = []
+    for i in range(len(found)):
+        for j in range(i + 1, len(found)):
+            if norm[i] > 0.0 and norm[j] > 0.0:
+                rho = float(gram[i, j] / (norm[i] * norm[j]))
+                a, b = found[i].candidate, found[j].candidate
+                if abs(rho) > CONFUSED and (a.kind, a.where, a.driver) != (b.kind, b.where, b.driver):
+                    confused.append((a, b, rho))
+    confused.sort(key=lambda x: -abs(x[2]))
+    return Forecast(tuple(seen), tuple(unseen), tuple(confused))
+
+
+def too_little(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
+    """Kinds that a record that shows nothing could not have shown; none where they are few."""
+    share = hidden(contest, found, candidates)
+    if sum(share.values()) < MOST_HIDDEN * len(share):
+        return ()
+    return tuple(kind.replace("_", " ") for kind, missing in share.items() if missing > 0.5)
+
+
+def too_still(contest: Contest, kinds: tuple[str, ...]) -> str:
+    """Why a record could not have shown these kinds, as one sentence."""
+    network, inputs = contest.probe.network, contest.grid.inputs
+    still = [
+        f"{column} stays at {inputs[0, j]:.4g}"
+        for j, column in enumerate(network.input_columns)
+        if np.ptp(inputs[:, j]) < STILL * max(abs(float(inputs[0, j])), 1.0)
+    ]
+    why = f" ({', '.join(still)})" if still else ""
+    return (
+        f"the record has too little excitation to say anything{why}: it shows no effect, and could not have shown "
+        f"{either(kinds)}; run a load profile with steps in {_driven(network)}"
+    )
+
+
+def _driven(network: Network) -> str:
+    """What can be stepped on a rig, as a sentence names it."""
+    columns = [c for c in network.input_columns if not c.endswith("_C") and not c.startswith("time_of_day")]
+    short = {"heater_power_W": "load", "pump_speed_pct": "pump", "fan_speed_pct": "fan"}
+    words = [short.get(c, c) for c in columns] or ["what drives it"]
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def either(kinds: tuple[str, ...]) -> str:
+    """Kinds as a sentence names them."""
+    return " or ".join(filter(None, (", ".join(kinds[:-1]), kinds[-1])))
+
+
+def unseen_kinds(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
+    """Kinds of effect of which a record could have shown none, however large."""
+    share = hidden(contest, found, candidates)
+    return tuple(kind.replace("_", " ") for kind, missing in share.items() if missing > 0.99)
+
+
+def hidden(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> dict[str, float]:
+    """Share of each kind's entries, place by place, that would have to be very large to show from the beginning."""
+    found = [law for law in found if not law.candidate.begins]
+    visible = {
+        (law.candidate.kind, law.candidate.where)
+        for law, norm in zip(found, _norms(contest, found), strict=True)
+        if norm * LARGE * law.candidate.typical > CLEAR
+    }
+    every: dict[str, set[str]] = {}
+    for c in candidates:
+        every.setdefault(c.kind, set()).add(c.where)
+    return {kind: 1.0 - sum((kind, w) in visible for w in places) / len(places) for kind, places in every.items()}
+
+
+def _norms(contest: Contest, found: list[Law]) -> Array:
+    flat = np.stack([contest.vector(law) for law in found]).reshape(len(found), -1)
+    norms: Array = np.sqrt(np.maximum(((flat @ contest.gram) * flat).sum(axis=1), 0.0))
+    return norms

@@ -1,0 +1,181 @@
+"""Effects and tunables fitted together, in the network that has the effects as real elements.
+
+Damped Gauss-Newton on the whitened block means, with what commissioning knows of the tunables as their prior. It begins
+at the commissioned values: beginning at values that have already absorbed an effect ends in other minima.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.discovery.effects.probe import Run
+from twin.discovery.effects.shapes import Shape
+from twin.discovery.refit.model import Model
+from twin.discovery.refit.stepping import Squares, minimise
+from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.search import Entry
+from twin.discovery.scoring.sweep import LAST_SHARE
+from twin.network import Array
+from twin.stretches import each_alone
+
+ROUNDS, AGAIN = 12, 4
+"""Rounds of a fit, and of one that begins where another of the same effects ended."""
+REACH = 1.0
+"""Longest step of a tunable, in standard deviations of a weak prior: its derivative is not to be trusted beyond, but
+where it held so far."""
+_STEP = 1.0e-4
+_STATE_STEP = 1.0e-2
+_SIZE_STEP = 1.0e-2
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Effects and tunables together.
+
+    Attributes:
+        entries: with their sizes and standard deviations. moved: (q + s * k,) of [tunables z, initial state] from
+            commissioning. values: (p,) of the original network. state: (s * k,) at the first bin of each stretch.
+        total: weighted squares, of residual and of tunables against their prior. chi: residual's per block and sensor.
+        away: those of the tunables; what no effect explains may push them far.
+    """
+
+    entries: tuple[Entry, ...]
+    moved: Array
+    values: Array
+    state: Array
+    total: float
+    chi: float
+    away: float
+
+
+def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None, rounds: int = ROUNDS) -> Fit:
+    """Minimise the contest's squares over tunables, initial state and sizes; the contest then looks at the result.
+
+    Args:
+        state: temperatures (s * k,) at the beginnings, about which the contest was linearised.
+        moved: (q + s * k,) of [tunables z, initial state] where another fit of the same effects ended, to begin there.
+        rounds: steps that it may take.
+    """
+    probe, grid, entries = contest.probe, contest.grid, model.entries
+    scaling, q, k, e = probe.scaling, probe.q, len(grid.begins) * probe.k, len(entries)
+    timed = [i for i, x in enumerate(entries) if x.shape.onset_s > 0.0]
+    grown = [i for i, x in enumerate(entries) if x.shape.free(grid.span_s)]
+    first_time, first_growth = q + k + e, q + k + e + len(timed)
+    count = first_growth + len(grown)
+    z0 = scaling.to_z(probe.network.values[scaling.index])
+    hours, last_h = grid.step_s / 3600.0, grid.span_s / 3600.0
+    low, high = np.full(count, -20.0), np.full(count, 20.0)
+    low[:q], high[:q] = scaling.to_z(scaling.lower) - z0, scaling.to_z(scaling.upper) - z0
+    low[q + k : first_time] = [x.candidate.lower for x in entries]
+    high[q + k : first_time] = [x.candidate.upper for x in entries]
+    # Onsets are in hours, growth times in the logarithm of hours.
+    low[first_time:first_growth], high[first_time:first_growth] = 0.0, LAST_SHARE * last_h
+    low[first_growth:], high[first_growth:] = np.log(0.05), np.log(10.0 * last_h)
+    reach = np.full(count, np.inf)
+    reach[:q], reach[q : q + k] = REACH * scaling.prior_sd(), 5.0
+    reach[first_time:first_growth], reach[first_growth:] = 1.0, 0.7
+    precision = np.zeros((count, count))
+    precision[: q + k, : q + k] = contest.prior.precision
+    steps = np.full(count, _STEP)
+    steps[q : q + k] = _STATE_STEP
+    steps[q + k : first_time] = [_SIZE_STEP * x.candidate.typical for x in entries]
+    steps[first_time:first_growth], steps[first_growth:] = 6.0 * hours, 0.05
+
+    def shapes_at(v: Array) -> tuple[Shape, ...]:
+        found = [x.shape for x in entries]
+        for place, i in enumerate(timed):
+            found[i] = replace(found[i], onset_s=float(max(v[first_time + place], 0.0) * 3600.0))
+        for place, i in enumerate(grown):
+            found[i] = replace(found[i], growth_s=float(np.exp(v[first_growth + place]) * 3600.0))
+        return tuple(found)
+
+    def run(v: Array) -> Array:
+        """Readings of runs at v (P, count)."""
+        values = np.tile(probe.network.values, (len(v), 1))
+        values[:, scaling.index] = scaling.to_values(z0 + v[:, :q])
+        shapes = tuple(shapes_at(row) for row in v)
+        start, sizes = state[:k] + v[:, q : q + k], v[:, q + k : first_time]
+        return _between(model.run(grid.time, grid.inputs, start, values, sizes, shapes, grid.begins))
+
+    def look(rows: Array) -> tuple[Array, Array]:
+        """Whitened residuals (P, rows) and readings (P, n, m) of runs at `rows` (P, count)."""
+        readings = run(rows)
+        return contest.residuals_of(readings), readings
+
+    def slopes_at(v: Array) -> tuple[Array, Array]:
+        """Whitened slopes (rows, count), and those (rows, onsets) that onsets have towards earlier times."""
+        sign = np.where(v + steps > high, -steps, steps)
+        alone = np.diag(sign)
+        # A beginning is felt in its own stretch alone, so that all of them are moved at once.
+        at_once = alone[q : q + k].reshape(-1, probe.k, count).sum(axis=0)
+        moves = np.vstack([np.zeros(count), alone[:q], at_once, alone[q + k :], -np.diag(steps)[onsets]])
+        # A run is cut where any of those beside it is: only with these is the difference that of the move.
+        seen = contest.seen(run(v + moves))
+        change = np.moveaxis(seen[1:] - seen[0], 0, 2)
+        states = each_alone(change[..., q : q + probe.k], contest.begins)
+        each = np.concatenate([change[..., :q], states, change[..., q + probe.k :]], axis=2)
+        both = contest.features(each / np.append(sign, -steps[onsets]))
+        return both[:, :count], both[:, count:]
+
+    onsets = np.arange(first_time, first_growth)
+    v = np.zeros(count)
+    v[: q + k] = 0.0 if moved is None else moved
+    v[q + k : first_time] = [x.size for x in entries]
+    v[onsets] = [entries[i].shape.onset_s / 3600.0 for i in timed]
+    v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
+    v = np.clip(v, low, high)
+    squares = Squares(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0)
+    found, slopes = minimise(squares, v, rounds)
+    v = found.v
+    covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    shapes = shapes_at(v)
+    onset_sd, size_sd = np.zeros(e), sd[q + k : first_time].copy()
+    onset_sd[timed] = sd[first_time:first_growth] * 3600.0
+    for i in (i for i, x in enumerate(entries) if x.shape.grows):
+        # Size, onset and growth of what has not ended growing are not told from one another; what they come to is.
+        reached = np.array([_reached(shapes_at(row)[i], grid.span_s) for row in (v, *(v + np.diag(steps)))])
+        slope = v[q + k + i] * (reached[1:] - reached[0]) / steps
+        slope[q + k + i] = reached[0]
+        size_sd[i] = math.sqrt(max(float(slope @ covariance @ slope), 0.0)) / max(reached[0], 1e-9)
+    fitted = tuple(
+        replace(x, size=float(v[q + k + i]), sd=float(size_sd[i]), shape=shapes[i], onset_sd_s=float(onset_sd[i]))
+        for i, x in enumerate(entries)
+    )
+    fitted = tuple(_going_on(x, grid.span_s) for x in fitted)
+    contest.look_at(Run(found.seen, found.seen), v[: q + k])
+    values = probe.network.values.copy()
+    values[scaling.index] = scaling.to_values(z0 + v[:q])
+    chi = float(found.residual @ found.residual) / max(contest.count, 1)
+    away = float(v[: q + k] @ contest.prior.precision @ v[: q + k])
+    return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi, away)
+
+
+def look_at(contest: Contest, model: Model, found: Fit) -> None:
+    """Have the contest look at what a fit has found; the model is of its effects."""
+    sizes = np.array([[e.size for e in model.entries]])
+    grid = contest.grid
+    run = model.run(grid.time, grid.inputs, found.state[None], found.values[None], sizes, begins=grid.begins)
+    readings = _between(run)[0]
+    contest.look_at(Run(readings, readings), found.moved)
+
+
+def _reached(shape: Shape, span_s: float) -> float:
+    """Amplitude at the end of a record."""
+    return shape.mean(span_s - 1.0, span_s)
+
+
+def _between(readings: Array) -> Array:
+    """Readings (P, n, m) in the middle of their bins, from those at the beginnings."""
+    readings[:, :-1] += 0.5 * np.diff(readings, axis=1)
+    return readings
+
+
+def _going_on(entry: Entry, span_s: float) -> Entry:
+    """The entry, where it still rises at the record's end, as one that does not end with it."""
+    shape = entry.shape.going_on(span_s)
+    times = shape.growth_s / entry.shape.growth_s if shape != entry.shape else 1.0
+    return replace(entry, shape=shape, size=times * entry.size, sd=times * entry.sd)

@@ -1,0 +1,220 @@
+"""A twin with effects added as real elements, run freely with each effect coming in as its shape says."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from twin.assembly import System
+from twin.codegen import FEW_LANES
+from twin.discovery.effects.catalogue import extended
+from twin.discovery.effects.probe import Probe
+from twin.discovery.effects.shapes import Shape
+from twin.discovery.scoring.search import Entry
+from twin.elements.base import Candidate
+from twin.kernel import Kernel
+from twin.network import Array, Network
+from twin.stretches import begun_anew, parts
+
+SETTLE_S, FIRST_ROWS, STATE_STEP_K = 900.0, 6, 1.0e-2
+"""Readings at a beginning that tell its temperatures, those that give a first guess, and how far it is moved."""
+PIECE_S, READ_PIECE_S = 600.0, 300.0
+"""A growing effect is held constant for so long; an error of reading, which nothing evens out, for less."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """`original` with the elements of `entries`, neutral, as `network`, and the kernel that simulates it.
+
+    The network may hold other effects besides, which stay neutral.
+    """
+
+    original: Network
+    network: Network
+    entries: tuple[Entry, ...]
+    kernel: Kernel
+
+    @classmethod
+    def of(cls, probe: Probe, entries: tuple[Entry, ...]) -> Model:
+        """The network of a probe with these effects, its tunables free; compiled once for most of what there is.
+
+        Raises:
+            TwinFileError: an element does not fit.
+        """
+        shared = probe.kernels.holding(tuple(e.candidate for e in entries))
+        if shared is None:
+            return cls.alone(probe, entries)
+        return cls(probe.network, shared.network, entries, shared.kernel)
+
+    @classmethod
+    def alone(cls, probe: Probe, entries: tuple[Entry, ...]) -> Model:
+        """The same with these effects and no others in it.
+
+        Raises:
+            TwinFileError: an element does not fit.
+        """
+        bigger = probe.network
+        # In one order, so that a pair named the other way round is the same kernel.
+        ordered = sorted(entries, key=lambda e: e.candidate.id)
+        for entry in ordered:
+            if not any(name in {e.name for e in bigger.elements} for name in entry.candidate.adds):
+                bigger = extended(bigger, entry.candidate)
+        ids = dict.fromkeys((*probe.scaling.ids, *(name for e in ordered for name in e.candidate.changes)))
+        return cls(probe.network, bigger, entries, Kernel(bigger, tuple(ids), whole_memory=True))
+
+    @cached_property
+    def _here(self) -> np.ndarray:
+        """Positions of the original network's parameters."""
+        return self.network.index(self.original.ids)
+
+    @cached_property
+    def _masses(self) -> list[tuple[int, int, int, str]]:
+        """Effects that bring a temperature of their own: effect, its place in a full state, the node beside it, and the
+        input that it begins at instead, if any."""
+        names = System(self.network, self.kernel.lane_ids).states
+        found = []
+        for i, entry in enumerate(self.entries):
+            for element in self.network.elements:
+                own = [k for k, name in enumerate(names) if name.startswith(f"{element.name}.")]
+                if element.name in entry.candidate.adds and own:
+                    node = self.network.nodes.index(element.nodes()[0])
+                    found.append((i, own[0], node, entry.candidate.begins))
+        return found
+
+    @cached_property
+    def _shared(self) -> list[tuple[int, int]]:
+        """Parameters that are the same as another."""
+        return [(self._places[p.id], self._places[p.same_as]) for p in self.network.parameters.values() if p.same_as]
+
+    def parameters(self, values: Array, sizes: Array) -> Array:
+        """Full parameter vectors (P, p) of the bigger network.
+
+        Args:
+            values: (P, p) of the original network. sizes: (P, e).
+        """
+        out = np.tile(self.network.values, (len(values), 1))
+        out[:, self._here] = values
+        for j, entry in enumerate(self.entries):
+            self._enter(entry.candidate, out, sizes[:, j])
+        for k, other in self._shared:
+            out[:, k] = out[:, other]
+        return out
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        """Position of each parameter of the bigger network."""
+        return {name: i for i, name in enumerate(self.network.ids)}
+
+    def _enter(self, candidate: Candidate, rows: Array, sizes: Array) -> None:
+        """Enter a candidate's sizes (P,) into full parameter vectors (P, p), within the parameters' bounds."""
+        for name, weight in candidate.changes.items():
+            p, k = self.network.parameters[name], self._places[name]
+            if candidate.inverse:
+                value = np.where(sizes > weight / p.upper, weight / np.maximum(sizes, weight / p.upper), p.upper)
+            else:
+                value = rows[:, k] + weight * sizes
+            rows[:, k] = np.clip(value, p.lower, p.upper)
+
+    def run(
+        self,
+        time: Array,
+        inputs: Array,
+        state: Array,
+        values: Array,
+        sizes: Array,
+        shapes: tuple[tuple[Shape, ...], ...] | None = None,
+        begins: tuple[int, ...] = (0,),
+    ) -> Array:
+        """Readings (P, n, m) in degC of free runs.
+
+        Args:
+            state: (P, s * k) at the first sample of each stretch. values: (P, p) of the original network.
+            sizes: (P, e). shapes: (P, e) how the effects come in, as the entries say by default.
+            begins: (s,) rows at which stretches begin.
+        """
+        since = time - time[0]
+        each = shapes or tuple(tuple(e.shape for e in self.entries) for _ in range(len(values)))
+        all_shapes = {s for row in each for s in row}
+        read = any(e.candidate.kind == "sensor" for e in self.entries)
+        cuts = np.union1d(_cuts(since, all_shapes, READ_PIECE_S if read else PIECE_S), begins)
+        edges = np.append(since[cuts[:-1]], since[-1])
+        edges[-1] = max(edges[-1], edges[-2] + 1e-3)
+        course = {s: s.entered.block_means(edges) for s in all_shapes}
+        sized = np.array([[course[s] for s in row] for row in each]).reshape(
+            len(values), len(self.entries), len(cuts) - 1
+        )
+        there = np.ascontiguousarray(np.moveaxis(sized, 2, 0))
+        full = self.parameters(np.tile(values, (len(there), 1)), np.concatenate(sizes * there))
+        full = full.reshape(len(there), len(values), -1)
+        comes = np.diff(there >= 0.5, axis=0, prepend=there[:1] >= 0.5) & (there >= 0.5)
+        anew = {int(p) for effect, *_ in self._masses for p in np.flatnonzero(comes[:, :, effect].any(axis=1))}
+        legs = [p for p, first in enumerate(cuts[:-1].tolist()) if p in anew or first in begins]
+        readings = np.empty((len(values), len(time), len(self.network.sensors)))
+        begun = state.reshape(len(state), len(begins), -1)
+        for leg, then in itertools.pairwise([*legs, len(there)]):
+            first, last = int(cuts[leg]), int(cuts[then])
+            if first == 0:
+                state = np.ascontiguousarray(begun[:, 0])
+            elif first in begins:
+                state = begun_anew(state, begun[:, begins.index(first)])
+            for effect, mass, node, column in self._masses if first else ():
+                # A mass that comes in now has had the time to be as warm as what it stands beside, or is cold. A little
+                # of it is there before, where it comes in between two samples.
+                new = (there[leg - 1, :, effect] < 0.5) & (there[leg, :, effect] >= 0.5)
+                room = inputs[first, self.network.input_columns.index(column)] if column else None
+                state[new, mass] = state[new, node] if room is None else room
+            part = slice(first, last + 1)
+            cut = (cuts[leg:then] - first).tolist()
+            found, state = self.kernel.trace_pieces(full[leg:then], state, time[part], inputs[part], cut, FEW_LANES)
+            readings[:, first:last] = found[:, : last - first]
+        return readings
+
+    def begun(
+        self,
+        time: Array,
+        inputs: Array,
+        measured: Array,
+        state: Array,
+        values: Array,
+        begins: tuple[int, ...],
+    ) -> Array:
+        """State (s * k,) at all beginnings of a record, where a fit has seen the first ones.
+
+        What a fit has not seen is told by the readings of the first quarter of an hour, parameters and sizes as they
+        are: the rig is followed from there as from the record's beginning.
+
+        Args:
+            measured: (n, m) degC. state: (t * k,) of the first t stretches. values: (p,) of the original network.
+        """
+        k, sizes = len(self.original.nodes), np.array([[e.size for e in self.entries]])
+        if len(state) >= len(begins) * k:
+            return state[: len(begins) * k]
+        later = parts(begins, len(time))[len(state) // k :]
+        settling = [slice(r.start, int(np.searchsorted(time[r], time[r.start] + SETTLE_S)) + r.start) for r in later]
+        guess = np.concatenate([self.original.initial_state(measured[r][:FIRST_ROWS]) for r in settling])
+        rows = np.tile(np.concatenate([state, guess]), (1 + k, 1))
+        rows[1:, len(state) :] += STATE_STEP_K * np.tile(np.eye(k), len(later))
+        count = len(rows)
+        readings = self.run(time, inputs, rows, np.tile(values, (count, 1)), np.tile(sizes, (count, 1)), begins=begins)
+        for i, r in enumerate(settling):
+            good = np.isfinite(measured[r])
+            off = np.where(good, (measured[r] - readings[0, r]) / self.original.sigma, 0.0).ravel()
+            slopes = np.moveaxis(readings[1:, r] - readings[0, r], 0, 2) / STATE_STEP_K
+            slopes = np.where(good[..., None], slopes / self.original.sigma[:, None], 0.0).reshape(-1, k)
+            step = np.linalg.solve(slopes.T @ slopes + np.eye(k), slopes.T @ off)
+            guess[i * k : (i + 1) * k] += step
+        return np.concatenate([state, guess])
+
+
+def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
+    """Rows (c,) at which sizes change, and the end; what grows does so every `piece` s."""
+    borders = {0.0}
+    for shape in shapes:
+        borders.add(min(shape.onset_s, float(since[-1])))
+        if shape.grows:
+            borders.update(np.arange(piece * np.ceil(shape.onset_s / piece), since[-1], piece).tolist())
+    cuts = np.unique(np.searchsorted(since, sorted(borders)))
+    return np.concatenate([cuts[cuts < len(since)], [len(since)]])

@@ -1,0 +1,295 @@
+"""All hypotheses against one residual, as one quadratic form.
+
+The record is cut into blocks. The response of every sensor to heat in every node during every block, whitened and with
+the tunables and the initial state projected out (with what commissioning knows of them as their prior), makes a Gram
+matrix G; its product with the residual a vector g. A candidate of any law, time shape and onset is then a vector p of
+heat (or of offset of a sensor) per place and block, its score z = p'g / sqrt(p'Gp), its size p'g / p'Gp, and any number
+of them is tried without another simulation.
+
+Source: score (Lagrange multiplier) test of Rao, Proc. Camb. Phil. Soc. 44 (1948) 50; projecting the tunables out is
+what keeps a term from being credited with what re-tuning does (Plumlee, J. Am. Stat. Assoc. 112 (2017) 1274).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from twin.discovery.effects.laws import Law
+from twin.discovery.effects.probe import Probe, Run
+from twin.discovery.records.grid import Grid, filled
+from twin.discovery.records.noise import CAUTION, Noise, bands
+from twin.gauss_newton import Prior
+from twin.network import Array
+
+if TYPE_CHECKING:
+    from twin.discovery.scoring.structure import Structure
+
+MOST_BLOCKS = 240
+LEAST_BLOCK_BINS = 6
+FORGOTTEN = 0.05
+ANCHOR = 6
+"""Blocks on either side of a gap that the line across it rests on."""
+NARROW = 0.03
+"""Standard deviations of noise along a direction below which what a structure leaves open there is nothing."""
+
+
+def block_edges(bins: int, most: int = MOST_BLOCKS) -> np.ndarray:
+    """(b + 1,) bins at which blocks begin, of equal length to a bin."""
+    blocks = max(min(most, bins // LEAST_BLOCK_BINS), 2)
+    edges: np.ndarray = np.linspace(0, bins, blocks + 1).round().astype(np.intp)
+    return edges
+
+
+def narrowed(whitened: Array, opened: tuple[Array, Array]) -> Array:
+    """Whitened (r, ...), whitened for what is open along orthonormal directions (r, d) too, which count less (d,)."""
+    directions, less = opened
+    flat = whitened.reshape(len(whitened), -1)
+    out: Array = (flat - directions @ (less[:, None] * (directions.T @ flat))).reshape(whitened.shape)
+    return out
+
+
+def repeated(prior: Prior, q: int, stretches: int) -> Prior:
+    """A prior of [tunables z (q,), state] with the state's part for each of several stretches."""
+    if stretches == 1:
+        return prior
+    state = prior.precision[q:, q:]
+    precision = block_diag(prior.precision[:q, :q], *[state] * stretches)
+    return Prior(np.concatenate([prior.mean[:q], np.tile(prior.mean[q:], stretches)]), precision)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Several effects at once.
+
+    Attributes:
+        sizes: (e,) in the candidates' units. covariance: (e, e). gain: fall of the weighted squares.
+    """
+
+    sizes: Array
+    covariance: Array
+    gain: float
+
+
+class Contest:
+    """The quadratic form of one record.
+
+    Args:
+        noise: what a healthy residual looks like; it is scaled to how much this run moves.
+        prior: of [tunables z, initial state].
+        structure: what the twin's structure leaves all along, in the terms of the `laws` of this record; by what it
+            amounts to the residual is less, and how far it is open is noise. None where nothing tells.
+
+    Attributes:
+        edges, hours: block borders, bins, and their beginnings, h from the record's. b, sites: numbers of blocks and of
+            places, which are the k nodes and then the m sensors. begins: first whole block of each stretch.
+        total: weighted squares of the run last looked at, and of how far its tunables have moved.
+        expected: misfit per block and sensor where there is nothing but noise.
+        slopes: (b * m, q + s * k) whitened, of tunables and the state at the beginning of each stretch.
+        residual: (b * m,) whitened, of that run.
+        memory: blocks until what a block of heat did to the readings has gone by nineteen parts in twenty.
+        gram: (sites * b, sites * b), the same for every run. score: (sites * b,). misfit: those squares less what
+            tunables and initial state can still take up, to first order.
+        memo: what a search has worked out from `gram` and will want again.
+    """
+
+    def __init__(
+        self, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: Prior,
+        structure: Structure | None = None, laws: Sequence[Law] = (),
+    ) -> None:  # fmt: skip
+        self.probe, self.grid, self.prior = probe, grid, repeated(prior, probe.q, len(grid.begins))
+        self.noise = noise.where_moved(run.readings, grid.step_s)
+        self.edges = block_edges(len(grid.time))
+        self.b, self.k, self.m = len(self.edges) - 1, probe.k, probe.m
+        self.sites = self.k + self.m
+        self.step_s = grid.span_s / self.b
+        self.present = np.isfinite(grid.measured)
+        self.known = np.add.reduceat(self.present, self.edges[:-1], axis=0) >= 0.3 * np.diff(self.edges)[:, None]
+        # A block that is begun anew in its midst has a mean of two stretches.
+        amid = [b for b in grid.begins[1:] if b not in self.edges]
+        self.known[np.searchsorted(self.edges, amid) - 1] = False
+        self.begins = tuple(int(b) for b in np.searchsorted(self.edges[:-1], grid.begins))
+        self._seen = np.maximum(np.add.reduceat(self.present, self.edges[:-1], axis=0, dtype=np.intp), 1)
+        self._measured = self.seen(grid.measured)
+        heat = probe.blocks(grid, state, self.edges)
+        # From the beginning of the longest stretch, since nothing is remembered beyond a stretch's end.
+        longest = max(grid.stretches, key=lambda rows: rows.stop - rows.start)
+        begun = int(np.searchsorted(self.edges[:-1], longest.start))
+        after = np.abs(heat[begun:, :, min(begun, self.b - 1), :]).sum(axis=(1, 2))
+        self.memory = int(np.flatnonzero(after > FORGOTTEN * after.max())[-1]) + 1
+        onto = np.eye(self.b * self.m).reshape(self.b, self.m, self.b, self.m)
+        # Columns go place by place, blocks within a place.
+        columns = np.concatenate([heat, onto], axis=3).transpose(0, 1, 3, 2).reshape(self.b, self.m, -1)
+        self._columns = self._white(filled(columns, self.known, ANCHOR)).reshape(self.b * self.m, -1)
+        self._open, self._less = self._left_by(structure, laws)
+        self._columns = self._narrowed(self._columns)
+        sensitivities = self.seen(np.moveaxis(probe.sensitivities(grid, state), 2, 0))
+        self.slopes = self.features(np.moveaxis(sensitivities, 0, 2))
+        self._normal = self.slopes.T @ self.slopes + self.prior.precision
+        cross = self.slopes.T @ self._columns
+        self._taken = np.linalg.solve(self._normal, cross)
+        self.gram = self._columns.T @ self._columns - cross.T @ self._taken
+        self.memo: dict[Hashable, Any] = {}
+        self.count = int(self.known.sum())
+        self.expected = float(np.mean(1.0 / np.array(CAUTION)[bands(self.b, self.step_s)]))
+        self.look_at(run)
+
+    def _means(self, values: Array) -> Array:
+        """(n, ...) to block means (b, ...)."""
+        lengths = np.diff(self.edges).reshape(-1, *([1] * (values.ndim - 1)))
+        means: Array = np.add.reduceat(values, self.edges[:-1], axis=0) / lengths
+        return means
+
+    def seen(self, values: Array) -> Array:
+        """(..., n, m) to means (..., b, m) over bins with a reading; 0 for a block without."""
+        there = values if self.present.all() else np.where(self.present, values, 0.0)
+        means: Array = np.add.reduceat(there, self.edges[:-1], axis=-2) / self._seen
+        return means
+
+    def _white(self, values: Array) -> Array:
+        return self.noise.whiten(values, self.step_s)
+
+    def block_means(self, values: Array) -> Array:
+        """Block means (b, ...) of a series (n, ...) with NaN; NaN for a block without any value."""
+        good = np.isfinite(values)
+        count = np.add.reduceat(good, self.edges[:-1], axis=0)
+        total = np.add.reduceat(np.where(good, values, 0.0), self.edges[:-1], axis=0)
+        means: Array = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        return means
+
+    def left_over(self, vectors: Array, sizes: Array, moved: Array) -> Array:
+        """Block means (b, m) of the residual after effects of these sizes and a move of the tunables, in K."""
+        left = self.residual - self.slopes @ moved
+        for vector, size in zip(vectors, sizes, strict=True):
+            left = left - self._columns @ vector.ravel() * size
+        return self.noise.colour(left.reshape(self.b, self.m), self.step_s)
+
+    def features(self, means: Array) -> Array:
+        """Whitened (b * m, ...) of what was `seen` (b, m, ...) of a residual or of signatures; blocks without a reading
+        are bridged by straight lines."""
+        white = self._white(filled(means, self.known, ANCHOR))
+        return self._narrowed(white.reshape(self.b * self.m, *means.shape[2:]))
+
+    def residuals_of(self, readings: Array) -> Array:
+        """Whitened (P, b * m): measured less `readings` (P, n, m), and less what the twin's structure leaves."""
+        left = self.features(np.moveaxis(self._measured - self.seen(readings), 0, 2))
+        return np.ascontiguousarray(left.T) - self._less
+
+    def _left_by(self, structure: Structure | None, laws: Sequence[Law]) -> tuple[tuple[Array, Array] | None, Array]:
+        """Orthonormal whitened directions (b * m, r) that a structure leaves open, with the shares (r,) by which they
+        count less, and what it amounts to (b * m,), so narrowed."""
+        known = {law.candidate.id: law for law in laws}
+        here = [] if structure is None else [i for i, c in enumerate(structure.candidates) if c.id in known]
+        if structure is None or not here:
+            return None, np.zeros(self.b * self.m)
+        vectors = np.stack([self.vector(known[structure.candidates[i].id]) for i in here])
+        signatures = self.signatures(vectors)
+        values, axes = np.linalg.eigh(structure.covariance[np.ix_(here, here)])
+        spread = signatures @ (axes * np.sqrt(np.maximum(values, 0.0)))
+        directions, singular, _ = np.linalg.svd(spread, full_matrices=False)
+        kept = singular > NARROW
+        opened = directions[:, kept], 1.0 - 1.0 / np.sqrt(1.0 + singular[kept] ** 2)
+        return opened, narrowed(signatures @ structure.sizes[here], opened)
+
+    def _narrowed(self, whitened: Array) -> Array:
+        return whitened if self._open is None else narrowed(whitened, self._open)
+
+    def look_at(self, run: Run, moved: Array | None = None) -> None:
+        """Take the residual of a run, whose tunables and state stand `moved` (q + s * k,) off the prior's mean."""
+        residual = self.residuals_of(run.readings[None])[0]
+        self.residual = residual
+        pull = self.slopes.T @ residual
+        if moved is not None:
+            pull = pull - self.prior.precision @ moved
+        self._shift = np.linalg.solve(self._normal, pull)
+        self.score = self._columns.T @ residual - self._taken.T @ pull
+        self.misfit = float(residual @ residual - pull @ self._shift)
+        away = 0.0 if moved is None else float(moved @ self.prior.precision @ moved)
+        self.total = float(residual @ residual) + away
+
+    @property
+    def chi(self) -> float:
+        """Misfit per block and sensor; about 1 or less for a twin as good as when it was commissioned."""
+        return self.misfit / max(self.count, 1)
+
+    @property
+    def hours(self) -> Array:
+        starts: Array = self.edges[:-1] * self.grid.step_s / 3600.0
+        return starts
+
+    def vector(self, law: Law) -> Array:
+        """The law at size 1: (sites, b)."""
+        p = np.zeros((self.sites, self.b))
+        if law.heat is not None:
+            p[: self.k] = self._means(law.heat).T
+        if law.reading is not None:
+            p[self.k :] = self._means(law.reading).T
+        return p
+
+    def noise_scores(self, rng: np.random.Generator, draws: int) -> Array:
+        """Scores (sites * b, draws) of records that hold nothing but the noise assumed."""
+        white = rng.normal(0.0, 1.0, (self.b * self.m, draws))
+        scores: Array = self._columns.T @ white - self._taken.T @ (self.slopes.T @ white)
+        return scores
+
+    def small(self, p: Array, scores: Array | None = None) -> tuple[Array, Array]:
+        """Gram matrix (b, b) and score (b,) of one law's blocks, p (sites, b); of `scores` (sites * b, d): (b, d)."""
+        active = np.flatnonzero(np.abs(p).max(axis=1) > 0.0)
+        columns = (active[:, None] * self.b + np.arange(self.b)).ravel()
+        weight = p[active].ravel()
+        inner = self.gram[np.ix_(columns, columns)] * np.outer(weight, weight)
+        gram = inner.reshape(len(active), self.b, len(active), self.b).sum(axis=(0, 2))
+        if scores is None:
+            return gram, self.scored(p)
+        return gram, (scores[columns] * weight[:, None]).reshape(len(active), self.b, -1).sum(axis=0)
+
+    def scored(self, p: Array) -> Array:
+        """Score (b,) of one law's blocks, p (sites, b)."""
+        score: Array = (self.score.reshape(self.sites, self.b) * p).sum(axis=0)
+        return score
+
+    def joint(self, vectors: Array) -> tuple[Array, Array]:
+        """Gram matrix (e, e) and score (e,) of e effects, `vectors` (e, sites, b)."""
+        flat = vectors.reshape(len(vectors), -1)
+        return flat @ self.gram @ flat.T, flat @ self.score
+
+    def estimate(self, vectors: Array) -> Estimate:
+        """Sizes of e effects together."""
+        if not len(vectors):
+            return Estimate(np.empty(0), np.empty((0, 0)), 0.0)
+        gram, score = self.joint(vectors)
+        covariance: Array = np.asarray(np.linalg.pinv(gram, rcond=1e-10, hermitian=True), dtype=np.float64)
+        sizes = covariance @ score
+        return Estimate(sizes, covariance, float(sizes @ score))
+
+    def bare(self, flat: Array) -> Array:
+        """Squared norms (e,) of signatures `flat` (e, sites * b) before the tunables have taken their part."""
+        squared: Array = ((self._columns @ flat.T) ** 2).sum(axis=0)
+        return squared
+
+    def signatures(self, vectors: Array) -> Array:
+        """Whitened (b * m, e) of effects at size 1, `vectors` (e, sites, b), tunables not projected out."""
+        found: Array = self._columns @ vectors.reshape(len(vectors), -1).T
+        return found
+
+    def across(self, signatures: Array) -> Array:
+        """Gram matrix (e, e) of whitened signatures (b * m, e), tunables and initial state projected out."""
+        pull = self.slopes.T @ signatures
+        gram: Array = signatures.T @ signatures - pull.T @ np.linalg.solve(self._normal, pull)
+        return gram
+
+    def moved(self, vectors: Array, sizes: Array) -> Array:
+        """Change of [tunables z, initial state] (q + s * k,) that goes with effects of these sizes."""
+        shift = np.array(self._shift, dtype=np.float64)
+        for vector, size in zip(vectors, sizes, strict=True):
+            shift -= self._taken @ vector.ravel() * size
+        return shift
+
+    def tunables_sd(self) -> Array:
+        """Posterior standard deviation (q + s * k,) of [tunables z, initial state] after this record."""
+        sd: Array = np.sqrt(np.diag(np.linalg.inv(self._normal)))
+        return sd

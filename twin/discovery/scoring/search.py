@@ -1,0 +1,199 @@
+"""The search: every law in every time shape from every onset, then one, two or three of them together."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.discovery.effects.laws import Law
+from twin.discovery.effects.shapes import Shape
+from twin.discovery.scoring.contest import Contest, Estimate
+from twin.discovery.scoring.sweep import LAST_SHARE, Courses, Given, Squares
+from twin.elements.base import Candidate
+from twin.gauss_newton import SE90
+from twin.network import Array
+
+WORTH_GROWING = 4.0
+"""Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
+CAME_IN = 25.0
+"""Gain over being there all along, from which what a lumped twin may seem to lack is something that came in."""
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One hypothesis, its size fitted alone: `vector` (sites, b) at size 1.
+
+    `sd` of what grows is that of what it comes to at the record's end, as a size.
+    """
+
+    law: Law
+    shape: Shape
+    vector: Array
+    size: float
+    sd: float
+    gain: float
+    onset_sd_s: float = 0.0
+
+    @property
+    def candidate(self) -> Candidate:
+        return self.law.candidate
+
+    @property
+    def z(self) -> float:
+        return float(np.sqrt(max(self.gain, 0.0)))
+
+    def placed(self, contest: Contest) -> Array:
+        """The vector at the entry's present shape."""
+        placed: Array = contest.vector(self.law) * self.shape.block_means(contest.edges * contest.grid.step_s)
+        return placed
+
+    def refreshed(self, contest: Contest) -> Entry:
+        """The entry with the vector of its present shape in another contest."""
+        return replace(self, vector=self.placed(contest))
+
+    @property
+    def driver(self) -> str:
+        """What the effect follows: time where it grows, else what its law says."""
+        return "elapsed_time" if self.shape.grows else self.candidate.driver
+
+    @property
+    def change(self) -> str:
+        """A parameter that drifts is a missing law of time; one that jumped is a moved parameter."""
+        return "new" if self.shape.grows else self.candidate.change
+
+    @property
+    def label(self) -> tuple[str, str, str]:
+        return self.candidate.kind, self.candidate.where, self.driver
+
+
+def allowed(candidate: Candidate, size: float) -> bool:
+    return candidate.lower <= size <= candidate.upper
+
+
+def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[Entry]:
+    """Best onset of each law in each of its shapes, by falling gain.
+
+    Args:
+        given: vectors (e, sites, b) of effects that are already known; their sizes are fitted along.
+    """
+    known = Courses.of(contest)
+    onsets, steps = known.onsets, known.steps
+    beside = Given(contest, given) if given is not None and len(given) else None
+    found: list[Entry] = []
+    for law in laws:
+        others, courses = known.beyond(law.candidate)
+        p, score, bottom, growing = _beside(contest, law, beside)
+        size, gain = _gains(law, score @ steps, bottom)
+        if law.candidate.lumped and gain.max() - gain[0] < CAME_IN:
+            gain[np.abs(size) < law.candidate.lumped] = 0.0
+        best = int(np.argmax(gain))
+        put_in = bool(law.candidate.begins)
+        if gain[best] > 0.0 and not put_in:
+            vector = p * steps[:, best]
+            shape = Shape("step", float(onsets[best]))
+            found.append(_entry(law, shape, vector, size[best], bottom[best], gain[best]))
+        if law.candidate.shapes == ("step",) or (gain[best] < WORTH_GROWING and not put_in):
+            continue
+        bottom = growing
+        size, gain = _gains(law, score @ courses, bottom)
+        each = max(len(others), 1) if put_in else len(onsets[::3])
+        for first in range(0, len(others), each):
+            best = first + int(np.argmax(gain[first : first + each]))
+            if gain[best] > 0.0:
+                found.append(_entry(law, others[best], p * courses[:, best], size[best], bottom[best], gain[best]))
+    found.sort(key=lambda e: -e.gain)
+    return found
+
+
+def able_to_begin(contest: Contest, entry: Entry, given: Array) -> tuple[float, float]:
+    """The earliest and the latest onset, s, with which an effect wins as much as its best, but for what chance takes
+    from one in ten.
+
+    Args:
+        given: vectors (e, sites, b) of the effects beside it.
+    """
+    known = Courses.of(contest)
+    beside = Given(contest, given) if len(given) else None
+    _, score, bottom, growing = _beside(contest, entry.law, beside)
+    if entry.shape.name == "step":
+        onsets, gain = known.onsets, _gains(entry.law, score @ known.steps, bottom)[1]
+    else:
+        shapes, courses = known.beyond(entry.candidate)
+        of_it = np.array([shape.name == entry.shape.name for shape in shapes], dtype=bool)
+        onsets = np.array([shape.onset_s for shape in shapes])[of_it]
+        gain = _gains(entry.law, score @ courses, growing)[1][of_it]
+    able = onsets[gain > gain.max(initial=0.0) - SE90**2]
+    return (float(able.min()), float(able.max())) if len(able) else (entry.shape.onset_s, entry.shape.onset_s)
+
+
+def _beside(contest: Contest, law: Law, beside: Given | None) -> tuple[Array, Array, Array, Array]:
+    """A law's blocks (sites, b) and score (b,), and the squares of its steps and of what else it may be, less what
+    those beside it stand for."""
+    squares = Squares.of(contest, law)
+    p, score, bottom, growing = squares.blocks, contest.scored(squares.blocks), squares.steps, squares.growths
+    if beside is not None:
+        share = beside.share(p)
+        score = score - beside.score(share)
+        bottom = bottom - (share[::-1].cumsum(axis=0)[::-1][: len(bottom)] ** 2).sum(axis=1)
+        growing = growing - ((share.T @ Courses.of(contest).beyond(law.candidate)[1]) ** 2).sum(axis=0)
+    least = _TINY * max(float(squares.steps.max()), _TINY)
+    return p, score, np.maximum(bottom, least), np.maximum(growing, least)
+
+
+def _gains(law: Law, top: Array, bottom: Array) -> tuple[Array, Array]:
+    """Sizes and gains of courses with scores `top` and squares `bottom`; none where the size is impossible."""
+    size = top / bottom
+    inside = (size >= law.candidate.lower) & (size <= law.candidate.upper)
+    gain: Array = np.where(inside, top * size, 0.0)
+    return size, gain
+
+
+def _entry(law: Law, shape: Shape, vector: Array, size: float, bottom: float, gain: float) -> Entry:
+    return Entry(law, shape, vector, float(size), float(bottom) ** -0.5, float(gain))
+
+
+def refine(contest: Contest, entry: Entry) -> Entry:
+    """The entry with its onset (and growth) moved to where its gain is greatest."""
+    edges_s = contest.edges * contest.grid.step_s
+    p = contest.vector(entry.law)
+    gram, score = contest.small(p)
+    best = entry
+    reach = contest.step_s
+    while reach >= 30.0:
+        for shift, stretch in itertools.product((-reach, 0.0, reach), (0.7, 1.0, 1.4)):
+            growth = best.shape.growth_s * stretch
+            if stretch != 1.0 and not best.shape.free(float(edges_s[-1])):
+                continue
+            onset = best.shape.onset_s + shift
+            if onset < 0.0 or onset > edges_s[-1] * LAST_SHARE:
+                continue
+            shape = Shape(best.shape.name, onset, growth).going_on(float(edges_s[-1]))
+            best = _better(contest, best, shape, p, gram, score)
+        reach *= 0.5
+    return best
+
+
+def _better(contest: Contest, entry: Entry, shape: Shape, p: Array, gram: Array, score: Array) -> Entry:
+    course = shape.block_means(contest.edges * contest.grid.step_s)
+    bottom = max(float(course @ gram @ course), _TINY)
+    top = float(score @ course)
+    if top**2 / bottom <= entry.gain or not allowed(entry.candidate, top / bottom):
+        return entry
+    return Entry(entry.law, shape, p * course, top / bottom, bottom**-0.5, top**2 / bottom)
+
+
+def together(contest: Contest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry, ...], Estimate]:
+    """The entries with sizes fitted together, and that fit."""
+    if not entries:
+        return entries, contest.estimate(np.empty((0, contest.sites, contest.b)))
+    fit = contest.estimate(np.stack([e.vector for e in entries]))
+    sizes, sd = fit.sizes.tolist(), np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)).tolist()
+    return tuple(replace(e, size=s, sd=d) for e, s, d in zip(entries, sizes, sd, strict=True)), fit
+
+
+def possible(entries: tuple[Entry, ...]) -> bool:
+    """Whether all sizes are of a possible sign and magnitude."""
+    return all(allowed(e.candidate, e.size) for e in entries)

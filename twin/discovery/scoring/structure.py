@@ -1,0 +1,112 @@
+"""What a twin's structure leaves of a rig, in the words of the catalogue, as far as a healthy record says.
+
+A twin is lumped and its rig is not: water on its way through a tank of three zones reads like two litres of hose, a
+heater's element like a late heater. All of that is there in health, so it is no finding; left out, it would be found in
+the next record under those names, or bend what is there. So before anything is looked for, every law of the catalogue
+that does not follow time is given an amplitude all along: a priori normal about none, with one and the same multiple of
+the laws' typical sizes as standard deviation, which the healthy record chooses by its evidence. What that record leaves
+them at, jointly, is taken from the next one, and how far it leaves them open is part of that record's noise.
+
+Source: Kennedy & O'Hagan, J. R. Stat. Soc. B 63 (2001) 425 (a discrepancy beside a calibrated simulator), with a basis
+of physical laws; the width by type II maximum likelihood (Rasmussen & Williams, Gaussian Processes, 2006, sec. 5.4.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag, cho_factor, cho_solve
+
+from twin.discovery.effects.laws import Law
+from twin.discovery.effects.phrases import said
+from twin.discovery.scoring.contest import Contest
+from twin.elements.base import Candidate
+from twin.network import Array
+
+WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+"""Typical sizes that are tried as the standard deviation of amplitudes."""
+NAMED, PLAIN = 3, 3.0
+"""Laws that are named to an operator at most, and the score from which one is."""
+SPEAKS = 5.0
+"""Logarithm of the odds from which a record speaks for offsets at operating points."""
+_OF_TIME = ("elapsed_time", "time_of_day")
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Amplitudes of laws all along.
+
+    Attributes:
+        candidates: l of them. sizes: (l,) in their units. covariance: (l, l).
+        width: standard deviation of offsets at operating points before the record was seen, in typical sizes; 0 where
+            it speaks for none. evidence: logarithm of the record's probability.
+    """
+
+    candidates: tuple[Candidate, ...]
+    sizes: Array
+    covariance: Array
+    width: float = 0.0
+    evidence: float = -np.inf
+
+    def beyond(self, offsets: Sequence[Law]) -> Structure:
+        """The same with offsets at points of another record that the healthy one could say nothing of."""
+        if not self.width:
+            return self
+        known = {c.id for c in self.candidates}
+        new = tuple(law.candidate for law in offsets if law.candidate.id not in known)
+        alone = np.array([self.width * c.typical for c in new]) ** 2
+        covariance = block_diag(self.covariance, np.diag(alone)) if new else self.covariance
+        return Structure((*self.candidates, *new), np.append(self.sizes, np.zeros(len(new))), covariance, self.width)
+
+    @property
+    def sentence(self) -> str:
+        """What is plainest of it, for an operator; "" where nothing is."""
+        z = np.abs(self.sizes) / np.sqrt(np.diag(self.covariance))
+        plain: dict[tuple[str, str, str], str] = {}
+        for i in np.argsort(-z)[: int((z > PLAIN).sum())]:
+            c = self.candidates[i]
+            plain.setdefault((c.kind, c.where, c.driver), said(c, float(self.sizes[i])))
+        told = "; ".join(list(plain.values())[:NAMED])
+        return (
+            f"in health this twin already leaves what reads like this, and it is taken as known: {told}" if told else ""
+        )
+
+
+def structure_of(contest: Contest, laws: list[Law], offsets: Sequence[Law]) -> Structure:
+    """What each law amounts to in the healthy record that the contest holds, all of them together.
+
+    With offsets at operating points where the record speaks for them: a twin that is its rig has none.
+    """
+    plain = _fitted(contest, laws)
+    both = _fitted(contest, [*laws, *offsets]) if offsets else plain
+    return both if both.evidence > plain.evidence + SPEAKS else replace(plain, width=0.0)
+
+
+def _fitted(contest: Contest, laws: list[Law]) -> Structure:
+    used = [law for law in laws if belongs(law.candidate, contest)]
+    gram, score = contest.joint(np.stack([contest.vector(law) for law in used]))
+    # The noise was learned from the same record and holds the structure: it is not taken for more than it is.
+    closer = max(contest.expected / max(contest.chi, 1e-9), 1.0)
+    gram, score = closer * gram, closer * score
+    typical = np.array([law.candidate.typical for law in used])
+    scaled, pull = gram * np.outer(typical, typical), score * typical
+    best: tuple[float, Array, Array, float] | None = None
+    for width in WIDTHS:
+        precision = np.eye(len(used)) + width**2 * scaled
+        factor = cho_factor(precision, lower=True)
+        sizes = width**2 * cho_solve(factor, pull)
+        evidence = 0.5 * float(pull @ sizes) - float(np.log(np.diag(factor[0])).sum())
+        if best is None or evidence > best[0]:
+            covariance = width**2 * cho_solve(factor, np.eye(len(used)))
+            best = evidence, sizes, covariance, width
+    assert best is not None
+    evidence, sizes, covariance, width = best
+    candidates = tuple(law.candidate for law in used)
+    return Structure(candidates, sizes * typical, covariance * np.outer(typical, typical), width, evidence)
+
+
+def belongs(candidate: Candidate, contest: Contest) -> bool:
+    """Whether a law may be part of a twin's structure: it does not follow time, and nothing tunes it anyway."""
+    return candidate.driver not in _OF_TIME and not set(candidate.changes) <= set(contest.probe.scaling.ids)

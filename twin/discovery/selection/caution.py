@@ -1,0 +1,104 @@
+"""What may be claimed where little tells an effect from the twin's own error: less.
+
+A weak effect, true or not, is claimed where it foretells what no fit saw: blocks left out, or the record's end.
+
+A lumped twin of a rig that is not leaves a residual that looks like effects, and only a healthy record tells how much
+of it is usual. Without one, the twin file itself says what the twin left on data that its commissioning had not seen.
+Where re-tuning brings it back to that, nothing is claimed; and of several effects only those that win a fair share of
+what the first one wins are more than the first one's form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from twin.discovery.diagnosis import SensorError
+from twin.discovery.refit.fitting import Fit, fit
+from twin.discovery.refit.model import Model
+from twin.discovery.refit.validation import validate
+from twin.discovery.scoring.search import Entry
+from twin.discovery.selection.part import Part
+from twin.discovery.selection.ranking import Finding, rank
+from twin.gauss_newton import SE90
+from twin.network import Network
+
+AS_GOOD = 1.1
+"""Times the error when commissioned that a re-tuned twin may have and still count as good as then."""
+NEVER = 1.5
+"""The same of a twin that was never commissioned, in times its thermometers' noise."""
+SHARE = 0.25
+"""Of what the first effect wins that a further one must win."""
+FITTED = 6
+"""Effects that are fitted again, each alone."""
+WEAK = 8.0
+"""Score up to which an effect has to foretell something."""
+FORETOLD, GAINED = 0.4, 0.3
+"""Share of its gain that it wins on blocks left out, or what it takes from the squares of the last part, all sensors
+together, in squares of their noise: true weak effects of blind trials win 0.48 or 0.32 and more, false alarms 0.35 and
+0.28 at most."""
+
+
+def as_commissioned(network: Network, errors: Mapping[str, SensorError]) -> bool:
+    """Whether the re-tuned twin is as good, where no fit saw it, as the twin file says of its commissioning.
+
+    Of a twin that was never commissioned the thermometers' noise is asked for.
+    """
+    known = network.revision.error_after_K
+    times = AS_GOOD if known else NEVER
+    return bool(errors) and all(e.before <= times * max(known.get(name, 0.0), e.noise) for name, e in errors.items())
+
+
+def weak(finding: Finding) -> bool:
+    """Whether the first effect wins so little that it has to foretell something."""
+    while finding.shorter is not None:
+        finding = finding.shorter
+    return finding.fit is not None and finding.start - finding.fit.total < WEAK**2
+
+
+def unconfirmed(finding: Finding, errors: Mapping[str, SensorError]) -> bool:
+    """Whether weak effects foretell neither the blocks that were left out nor the part that no fit saw, or are not told
+    from nothing by a twin that does not know what its structure leaves."""
+    if not weak(finding):
+        return False
+    assert finding.fit is not None
+    if any(abs(e.size) < SE90 * e.sd for e in finding.fit.entries):
+        return True
+    gain = finding.start - finding.fit.total
+    left_out = sum(f.gain for f in finding.folds)
+    late = sum((e.before**2 - e.after**2) / e.noise**2 for e in errors.values())
+    return left_out < FORETOLD * gain and late < GAINED
+
+
+def nothing(finding: Finding) -> Finding:
+    """The finding without what was found."""
+    return replace(finding, entries=(), fit=None, ranked=(), folds=(), ladder=finding.ladder[:1], beside=None)
+
+
+def first_alone(finding: Finding, part: Part) -> Finding:
+    """The finding with its first effect alone, where the others win too little beside it."""
+    if len(finding.entries) < 2 or _fair(finding):
+        return finding
+    singles: dict[str, Entry] = {finding.entries[0].candidate.id: finding.entries[0]}
+    for entry in part.entries:
+        if len(singles) < FITTED:
+            singles.setdefault(entry.candidate.id, entry)
+    trials: list[tuple[Fit, tuple[Entry, ...]]] = []
+    for entry in singles.values():
+        part.reset()
+        trials.append((fit(part.contest, Model.of(part.basis.probe, (entry,)), part.state), (entry,)))
+    order = rank(trials, part.contest, finding.start)
+    best = order[0].fit
+    part.reset()
+    folds = validate(part.contest, Model.of(part.basis.probe, best.entries), best)
+    part.reset()
+    return replace(
+        finding, entries=best.entries, fit=best, ranked=order, folds=folds, ladder=finding.ladder[:2],
+        beside=replace(finding.entries[1], gain=finding.ladder[1].best_z ** 2),
+    )  # fmt: skip
+
+
+def _fair(finding: Finding) -> bool:
+    """Whether each further rung wins its share."""
+    chi = [rung.chi for rung in finding.ladder]
+    return all(b - c >= SHARE * (chi[0] - chi[1]) for b, c in zip(chi[1:], chi[2:], strict=False))

@@ -1,0 +1,146 @@
+"""Errors over the part of a record that no fit saw."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from twin.discovery.diagnosis import SensorError
+from twin.discovery.healthy.basis import Columns
+from twin.discovery.records.grid import Grid, bridged
+from twin.discovery.records.noise import Noise
+from twin.discovery.refit.model import Model
+from twin.discovery.scoring.search import Entry
+from twin.discovery.selection.ranking import Finding
+from twin.network import Array, Network
+from twin.stretches import stretches
+
+FAR_OFF, UNUSUAL, FAR_SHARE = 3.0, 1.5, 0.25
+"""Times a thermometer's noise, and what is usual there, that block means may be off where a fit was not shown them, and
+the share of the squares that re-tuning alone leaves: beyond all of them an answer is contradicted."""
+KEPT = 4
+"""Free runs that are kept."""
+
+
+def contradicted(found: Mapping[str, SensorError], network: Network, share: float = FAR_SHARE) -> bool:
+    """Whether an answer is far off, and leaves more than a share of the squares that re-tuning alone does: its form, or
+    what it follows, is another."""
+    before, after = (sum((e.means[k] / e.noise) ** 2 for e in found.values()) for k in (1, 2))
+    far = any(_far(network, name, e.means[2], e.usual) for name, e in found.items())
+    return far and after > share * before
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A record of which the fit of a finding saw no more than the beginning.
+
+    Attributes:
+        network: as commissioned. healthy: noise with all that its structure leaves, as a healthy record tells it.
+    """
+
+    network: Network
+    record: Columns
+    grid: Grid
+    healthy: Noise | None = None
+    _runs: dict[tuple[object, ...], Array] = field(default_factory=dict, repr=False)
+
+    def errors(self, finding: Finding, split: int) -> dict[str, SensorError]:
+        """RMSE per sensor from bin `split` on, of free runs from the beginning of a stretch."""
+        found = finding.retuned, finding.fit or finding.retuned
+        runs = [self._run(finding, self.network.values, finding.state)]
+        runs += [self._run(finding, f.values, f.state, f.entries) for f in found]
+        usual = self._usual(finding, split)
+        out = {}
+        for j, name in enumerate(self.network.sensor_names):
+            off = [self._off(run, split, j) for run in runs]
+            raw = [_rms(x) for x in off]
+            means = [self._mean(x) for x in off]
+            if np.isfinite(raw[0]):
+                of_means = (means[0], means[1], means[2])
+                noise = float(self.network.sigma[j])
+                out[name] = SensorError(raw[0], raw[1], raw[2], noise, of_means, float(usual[j]))
+        return out
+
+    def far_off(self, finding: Finding, split: int) -> bool:
+        """Whether an answer is off by more than is usual from bin `split` on."""
+        run, usual = self._answered(finding), self._usual(finding, split)
+        return any(
+            _far(self.network, name, self._mean(self._off(run, split, j)), float(usual[j]))
+            for j, name in enumerate(self.network.sensor_names)
+        )
+
+    def left(self, finding: Finding, split: int) -> float:
+        """Squares that an answer leaves from bin `split` on, all sensors together, in what is usual there."""
+        run = self._answered(finding)
+        off = np.array([_rms(self._off(run, split, j)) for j in range(len(self.network.sensors))])
+        return float(np.nansum((off / np.maximum(self.network.sigma, self._usual(finding, split))) ** 2))
+
+    def _answered(self, finding: Finding) -> Array:
+        found = finding.fit or finding.retuned
+        return self._run(finding, found.values, found.state, found.entries)
+
+    def _run(self, finding: Finding, values: Array, state: Array, entries: tuple[Entry, ...] = ()) -> Array:
+        """Readings (N, m) of a free run; the latest are kept, as an answer is looked at more than once."""
+        key = (values.tobytes(), state.tobytes(), *((e.candidate.id, e.shape, e.size) for e in entries))
+        if key not in self._runs:
+            inputs = bridged(self.network, self.record.time_s, self.record.inputs)
+            model, time = Model.of(finding.contest.probe, entries), self.record.time_s
+            begins = tuple(int(np.searchsorted(time, self.grid.time[b])) for b in self.grid.begins)
+            state = model.begun(time, inputs, self._measured, state, values, begins)
+            sizes = np.array([[e.size for e in entries]])
+            while len(self._runs) >= KEPT:
+                del self._runs[next(iter(self._runs))]
+            self._runs[key] = model.run(time, inputs, state[None], values[None, :], sizes, begins=begins)[0]
+        return self._runs[key]
+
+    def _off(self, run: Array, split: int, sensor: int) -> Array:
+        """Measured less run (N,) of a sensor, NaN before bin `split`."""
+        late = self.record.time_s >= self.grid.time[split]
+        return np.where(late, self._measured[:, sensor] - run[:, sensor], np.nan)
+
+    @cached_property
+    def _measured(self) -> Array:
+        """Readings (N, m) with NaN in gaps in which nothing tells what drove the rig."""
+        lost = stretches(self.network, self.record.time_s, self.record.inputs).lost
+        return np.where(lost[:, None], np.nan, self.record.measured)
+
+    def _mean(self, off: Array) -> float:
+        """Root mean square of means over a bin."""
+        return _rms(binned(off, self.record.time_s, self.grid))
+
+    def _begun(self, finding: Finding) -> Array:
+        """The state of a finding, with those of stretches that it has not seen."""
+        if len(finding.contest.grid.begins) == len(self.grid.begins):
+            return finding.state
+        return np.concatenate([finding.state, finding.contest.probe.first_state(self.grid)[len(finding.state) :]])
+
+    def _usual(self, finding: Finding, split: int) -> Array:
+        """What a healthy record lets expect of means over a bin (m,), K; 0 without one."""
+        if self.healthy is None:
+            return np.zeros(len(self.network.sensors))
+        here = finding.contest.probe.run(self.grid, self._begun(finding)).readings[split:]
+        return self.healthy.where_moved(here, self.grid.step_s).rms(len(here))
+
+
+def _far(network: Network, sensor: str, means: float, usual: float) -> bool:
+    """Whether means over a bin are off by more than is usual where no fit was shown the record, K.
+
+    The mean of several thermometers is off by more of its noise than one is: what a twin leaves does not average out.
+    """
+    return means > max(FAR_OFF * network.parameters[f"{sensor}.sigma"].value, UNUSUAL * usual)
+
+
+def binned(values: Array, time: Array, grid: Grid) -> Array:
+    where = np.minimum(((time - grid.time[0]) / grid.step_s + 1e-9).astype(np.intp), len(grid.time) - 1)
+    good = np.isfinite(values)
+    count = np.bincount(where[good], minlength=len(grid.time))
+    total = np.bincount(where[good], values[good], len(grid.time))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _rms(values: Array) -> float:
+    good = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(good**2))) if good.size else float("nan")

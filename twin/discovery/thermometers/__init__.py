@@ -1,0 +1,1 @@
+"""One thermometer of several: its error, its lateness, or the heat at its place."""

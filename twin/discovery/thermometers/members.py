@@ -1,0 +1,385 @@
+"""Which one of several: a sensor that is the mean of thermometers also tells how they differ.
+
+In a healthy rig the differences between thermometers in a row follow from the heat that the water gives off on its
+way. That is learned from a healthy record; what differs later belongs to one thermometer, to one of the places that
+they read, or to all alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from twin.discovery.effects.shapes import Shape, family
+from twin.discovery.records.grid import Grid
+from twin.discovery.scoring.equivalence import width
+from twin.gauss_newton import SE90
+from twin.network import Array, Network
+
+LEAST_MEMBERS = 3
+LATE_WINDOW_S, RATE_S, LEAST_RATE = 7200.0, 60.0, 1.5e-4
+"""Windows in which lags are estimated, over what time rates are taken, whose noise would make a lag look shorter, and
+the scatter of rates, K/s, without which a window tells nothing."""
+PRESENT = 0.7
+"""Share of a sensor's bins in which a thermometer has to have a reading, to be compared with the others."""
+MARGIN_K = 0.06
+"""Differences below this are not looked at: contact and placement shift by as much."""
+STANDS_OUT = 6.0
+"""Times the healthy scatter of a block that one thermometer must differ by."""
+LATE_WINDOWS, LEAST_LAG_S, ALONE, NEARLY = 3, 25.0, 0.4, 0.8
+"""Windows since which one has to follow late, by how much, the share of it by which any other may, or it before, and of
+the best moment's gain that the earliest has to have."""
+LAG_SHARE = 0.5
+"""Share of what one differs by from minute to minute that a lag has to explain; what comes and goes looks like one."""
+LAGS_S = tuple(20.0 * 1.08**k for k in range(45))
+"""Time constants that are tried."""
+SHARE = 0.7
+"""Share of the differences that one member must carry to be named alone."""
+CORRELATED = 6.0
+"""Blocks that say as much as one of its own would: what thermometers in a row differ by comes and goes slowly."""
+OFTEN = 3
+"""Blocks in which one member must stand out by itself to be called restless (decision 0021)."""
+
+
+@dataclass(frozen=True)
+class Members:
+    """Differences between the thermometers of one sensor.
+
+    Attributes:
+        columns: in the order of the flow. residual: (b, c) K, of block means, less what is healthy. sd: (c,) K.
+        edges_s: (b + 1,) s from the record's beginning. most: K, that any of them stood out by in a healthy block: a
+            row that is crossed by something warmer differs for a while.
+        fine: (n, c) K, the same as `residual` of bins of `step_s`. mean: (n,) degC, of the thermometers there are.
+        late_s: (w, c) s, by how much each follows the others late in windows of the healthy record.
+        follows: driver -> (b,), what their differences may be in proportion to, in blocks.
+    """
+
+    sensor: str
+    columns: tuple[str, ...]
+    residual: Array
+    sd: Array
+    edges_s: Array
+    most: float = 0.0
+    fine: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
+    mean: Array = field(default_factory=lambda: np.empty(0), repr=False)
+    step_s: float = 0.0
+    late_s: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
+    follows: dict[str, Array] = field(default_factory=dict, repr=False)
+
+    @property
+    def good(self) -> np.ndarray:
+        """Blocks in which every thermometer has a reading."""
+        return np.flatnonzero(np.isfinite(self.residual).all(axis=1))
+
+    def column_of(self, where: str) -> str | None:
+        """The column of a thermometer, or of the place that it reads; None for any other."""
+        return next((c for c in self.columns if where in (c, place_of(c))), None)
+
+    def by_itself(self, i: int, residual: Array) -> Array:
+        """What member i alone is off by, K, in each row of such differences (r, c)."""
+        weight = _pattern(i, residual.shape[1]) / self.sd
+        off: Array = (residual / self.sd) @ weight / (weight @ weight)
+        return off
+
+
+@dataclass(frozen=True)
+class Odd:
+    """One member that differs: `column`, by `size` K times its `shape`, `final` K where it was last read, carrying
+    `share` of all differences."""
+
+    column: str
+    size: float
+    sd: float
+    shape: Shape
+    share: float
+    z: float
+    final: float
+
+    @property
+    def place(self) -> str:
+        """The place that the thermometer reads."""
+        return place_of(self.column)
+
+
+def place_of(column: str) -> str:
+    """The place that a thermometer reads, by the name of its column."""
+    return column.removeprefix("T_").removesuffix("_C")
+
+
+def members(
+    network: Network,
+    record: dict[str, Array],
+    grid: Grid,
+    healthy: dict[str, Array],
+    healthy_grid: Grid,
+    edges: np.ndarray,
+) -> tuple[Members, ...]:
+    """Differences of every sensor with at least three thermometers.
+
+    Args:
+        record, healthy: sensor -> means on the grid's bins (n, c), degC, NaN where missing.
+        edges: (b + 1,) bins of the record's blocks.
+    """
+    found = []
+    for sensor in network.sensors:
+        if sensor.name not in record or sensor.name not in healthy:
+            continue
+        # One that is not there most of the time is not compared; the others are, with each other.
+        there = _present(record[sensor.name]) & _present(healthy[sensor.name])
+        if there.sum() < LEAST_MEMBERS:
+            continue
+        bins = int(np.diff(edges).mean().round())
+        known = _blocks(healthy[sensor.name][:, there], np.arange(0, len(healthy_grid.time) + 1, bins))
+        basis = _basis(network, healthy_grid, known[0], np.arange(0, len(healthy_grid.time) + 1, bins))
+        good = np.isfinite(basis).all(axis=1) & np.isfinite(known[1]).all(axis=1)
+        if good.sum() < 3 * basis.shape[1]:
+            continue
+        law, *_ = np.linalg.lstsq(basis[good], known[1][good], rcond=None)
+        left = known[1][good] - basis[good] @ law
+        scatter = left.std(axis=0)
+        mean, difference = _blocks(record[sensor.name][:, there], edges)
+        residual = difference - _basis(network, grid, mean, edges) @ law
+        sd = np.maximum(scatter, MARGIN_K / STANDS_OUT)
+        columns = tuple(c for c, t in zip(sensor.measured, there, strict=True) if t)
+        bin_mean, fine = _finely(network, grid, record[sensor.name][:, there], law)
+        in_health = lateness(*_finely(network, healthy_grid, healthy[sensor.name][:, there], law), healthy_grid.step_s)
+        here = Members(
+            sensor.name, columns, residual, sd, edges * grid.step_s, fine=fine, mean=bin_mean, step_s=grid.step_s,
+            late_s=in_health, follows=_follows(network, grid, mean, edges),
+        )  # fmt: skip
+        most = max(float(np.abs(here.by_itself(i, left)).max()) for i in range(left.shape[1]))
+        found.append(replace(here, most=most))
+    return tuple(found)
+
+
+def _present(values: Array) -> np.ndarray:
+    """Which of several (n, c) have a reading most of the time that any has one: (c,) bool."""
+    good = np.isfinite(values)
+    present: np.ndarray = good.mean(axis=0) > PRESENT * good.any(axis=1).mean()
+    return present
+
+
+def _blocks(values: Array, edges: np.ndarray) -> tuple[Array, Array]:
+    """Block means of the mean thermometer (b,) and of each one's difference from it (b, c)."""
+    good = np.isfinite(values)
+    count = np.add.reduceat(good, edges[:-1], axis=0)[: len(edges) - 1]
+    total = np.add.reduceat(np.where(good, values, 0.0), edges[:-1], axis=0)[: len(edges) - 1]
+    each = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    present = np.isfinite(each)
+    number = np.maximum(present.sum(axis=1), 1)
+    mean = np.where(present.any(axis=1), np.where(present, each, 0.0).sum(axis=1) / number, np.nan)
+    return mean, each - mean[:, None]
+
+
+def _basis(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> Array:
+    """What healthy differences follow: an offset, and the excess over the room, alone and over the flow."""
+    rows = np.add.reduceat(grid.inputs, edges[:-1], axis=0)[: len(edges) - 1] / np.diff(edges)[:, None]
+    columns = list(network.input_columns)
+    room = next((rows[:, j] for j, c in enumerate(columns) if c.startswith("T_amb")), np.zeros(len(rows)))
+    pump = next((rows[:, j] for j, c in enumerate(columns) if c.startswith("pump")), np.full(len(rows), 100.0))
+    excess = mean - room
+    return np.column_stack([np.ones(len(rows)), excess, excess * 100.0 / np.maximum(pump, 5.0)])
+
+
+def _finely(network: Network, grid: Grid, values: Array, law: NDArray[np.floating]) -> tuple[Array, Array]:
+    """Of every bin, the mean of thermometers (n, c) and what each differs from it by, less what is healthy."""
+    every = np.arange(len(grid.time) + 1)
+    mean, difference = _blocks(values, every)
+    return mean, difference - _basis(network, grid, mean, every) @ law
+
+
+def lateness(mean: Array, difference: Array, step_s: float) -> Array:
+    """By how much, s, each of several thermometers follows their mean (n,) late in windows: (w, c); NaN where a window
+    does not move enough to tell.
+
+    A late thermometer differs (n, c) by minus its lag times the rate at which all of them move, as far as that is slow
+    beside the lag.
+    """
+    joined = max(round(RATE_S / step_s), 1)
+    rows = len(mean) // joined
+    mean = mean[: rows * joined].reshape(rows, joined).mean(axis=1)
+    difference = difference[: rows * joined].reshape(rows, joined, -1).mean(axis=1)
+    rate = -np.gradient(mean, joined * step_s) if rows > 1 else np.full(rows, np.nan)
+    per = max(round(LATE_WINDOW_S / (joined * step_s)), 1)
+    found = np.full((rows // per, difference.shape[1]), np.nan)
+    for w in range(len(found)):
+        part = slice(w * per, (w + 1) * per)
+        known = np.isfinite(rate[part]) & np.isfinite(difference[part]).all(axis=1)
+        if known.sum() < 0.5 * per:
+            continue
+        x = rate[part][known] - rate[part][known].mean()
+        spread = float(x @ x)
+        if spread > known.sum() * LEAST_RATE**2:
+            found[w] = (x @ difference[part][known]) / spread / _pattern(0, difference.shape[1])[0]
+    return found
+
+
+def _follows(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> dict[str, Array]:
+    """What a place of its own may follow in blocks: how warm it is beside the room, and what is heated with."""
+    rows = np.add.reduceat(grid.inputs, edges[:-1], axis=0)[: len(edges) - 1] / np.diff(edges)[:, None]
+    columns = dict(zip(network.input_columns, rows.T, strict=True))
+    room = next((values for name, values in columns.items() if name.startswith("T_amb")), None)
+    power = next((values for name, values in columns.items() if name.startswith("heater_power")), None)
+    found = {"temperature": mean}
+    if room is not None:
+        found["temperature_difference"] = mean - room
+    if power is not None:
+        found["heater_power"] = power
+    return found
+
+
+def odd_one(found: Members, shapes: tuple[Shape, ...] = ()) -> Odd | None:
+    """The member that stands out, if one does.
+
+    Args:
+        shapes: how it may have come in; steps at every other block and drifts by default, a drift only where it is
+            better than any step by more than can be told.
+    """
+    good = found.good
+    if len(good) < 6:
+        return None
+    best = _oddest(found, good, shapes or _steps(found))
+    drift = None if shapes else _oddest(found, good, _drifts(found))
+    if drift is not None and (best is None or drift.z**2 > best.z**2 + width(best.z**2)):
+        best = drift
+    if best is None or best.share < SHARE:
+        return None
+    stands_out = abs(best.final) * (1.0 - 1.0 / len(found.columns)) / found.sd[found.columns.index(best.column)]
+    return best if stands_out >= STANDS_OUT else None
+
+
+def _steps(found: Members) -> tuple[Shape, ...]:
+    last = max(int(len(found.residual) * 0.95), 1)
+    return tuple(Shape("step", float(t)) for t in found.edges_s[:last:2])
+
+
+def _drifts(found: Members) -> tuple[Shape, ...]:
+    end_s = float(found.edges_s[-1])
+    onsets = found.edges_s[: max(int(len(found.residual) * 0.85), 1) : 4]
+    return tuple(Shape("ramp", float(t), g).going_on(end_s) for t in onsets for g in family("ramp", end_s))
+
+
+def _oddest(found: Members, good: np.ndarray, shapes: tuple[Shape, ...]) -> Odd | None:
+    """Which member, in which of these shapes, takes most of the squares of `good` blocks."""
+    number = len(found.columns)
+    best: Odd | None = None
+    for shape in shapes:
+        course = shape.block_means(found.edges_s)[good]
+        power = float(course @ course)
+        if power <= 3.0 * course.max(initial=0.0) ** 2:
+            continue
+        amplitude = course @ found.residual[good] / power
+        total = float(((amplitude / found.sd) ** 2).sum())
+        for i in range(number):
+            weight = _pattern(i, number) / found.sd
+            size = float((amplitude / found.sd) @ weight / (weight @ weight))
+            carried = size**2 * float(weight @ weight)
+            gain = carried * power
+            if best is None or gain > best.z**2:
+                sd = float(found.sd[i]) / np.sqrt(max(power / CORRELATED, 1.0))
+                last_s = float(found.edges_s[good[-1] + 1])
+                final = shape.mean(last_s - 1.0, last_s)
+                share = carried / max(total, 1e-12)
+                best = Odd(found.columns[i], size, sd, shape, share, float(np.sqrt(gain)), size * final)
+    return best
+
+
+def began_between(found: Members, odd: Odd) -> tuple[float, float]:
+    """90 % interval, s from the record's beginning, of when a member came to be off as `odd` says."""
+    good = found.good
+    i, edges, end_s = found.columns.index(odd.column), found.edges_s, float(found.edges_s[-1])
+    off = found.by_itself(i, found.residual[good])
+
+    def gain(onset_s: float) -> float:
+        shapes = [replace(odd.shape, onset_s=onset_s)]
+        if odd.shape.name == "ramp":
+            ended_s = odd.shape.onset_s + odd.shape.growth_s
+            shapes += [Shape("ramp", onset_s, g) for g in (ended_s - onset_s, *family("ramp", end_s)) if g > 0.0]
+        courses = [shape.block_means(edges)[good] for shape in shapes]
+        return max(float(c @ off) ** 2 / max(float(c @ c), 1e-12) for c in courses)
+
+    onsets = np.append(edges[: max(int(0.95 * len(found.residual)), 1)], odd.shape.onset_s)
+    gains = np.array([gain(float(t)) for t in onsets])
+    weight = _pattern(i, len(found.columns)) / found.sd
+    able = onsets[gains >= gains.max() - CORRELATED * SE90**2 / float(weight @ weight)]
+    block = float(edges[1] - edges[0])
+    return max(float(able.min()) - block, 0.0), min(float(able.max()) + block, end_s)
+
+
+def restless_one(found: Members) -> Odd | None:
+    """The member that is off now and then and right on average, as one with a loose contact is; None if there is none.
+
+    Its `size` is the most that it is off by in a block, its `shape` begins with the first of these blocks, its `share`
+    is theirs of all blocks.
+    """
+    good = np.isfinite(found.residual).all(axis=1)
+    residual, number = found.residual[good] / found.sd, found.residual.shape[1]
+    total = (residual**2).sum(axis=1)
+    best: Odd | None = None
+    for i in range(number):
+        weight = _pattern(i, number) / found.sd
+        size = found.by_itself(i, found.residual[good])
+        stands_out = np.abs(size) > max(STANDS_OUT * found.sd[i] / (1.0 - 1.0 / number), found.most)
+        off = stands_out & (size**2 * (weight @ weight) > SHARE * total)
+        if off.sum() < OFTEN or (best is not None and off.mean() < best.share):
+            continue
+        most, first = float(np.abs(size[off]).max()), float(found.edges_s[:-1][good][off][0])
+        score = float(np.sqrt((size[off] ** 2).sum() * (weight @ weight)))
+        shape = Shape("step", first)
+        best = Odd(found.columns[i], most, float(found.sd[i]), shape, float(off.mean()), score, most)
+    return best
+
+
+def _pattern(i: int, number: int) -> Array:
+    """How one of so many thermometers that is off by 1 K moves the differences from their mean: its own and others'."""
+    return np.where(np.arange(number) == i, 1.0 - 1.0 / number, -1.0 / number)
+
+
+def lagging_one(found: Members) -> Odd | None:
+    """The member that follows the others late since some moment, as one that has come loose does; None if none does.
+
+    Its `size` and `final` are the time constant, s, its `sd` is of it.
+    """
+    late = lateness(found.mean, found.fine, found.step_s)
+    known = np.flatnonzero(np.isfinite(late).all(axis=1))
+    if len(known) < LATE_WINDOWS or not np.isfinite(found.late_s).any():
+        return None
+    late = late[known] - np.nanmedian(found.late_s, axis=0)
+    i = int(np.argmax(np.median(late[-(len(late) // 2) :], axis=0)))
+    gains = np.array([late[k:, i].sum() ** 2 / len(late[k:]) for k in range(len(late) - LATE_WINDOWS + 1)])
+    at = int(np.flatnonzero(gains >= NEARLY * gains.max())[0])
+    after = np.median(late[at:], axis=0)
+    before = abs(float(np.median(late[:at, i]))) if at else 0.0
+    alone = max(float(np.abs(np.delete(after, i)).max()), before) < ALONE * after[i]
+    if not alone or (late[at:, i] > LEAST_LAG_S).mean() < SHARE:
+        return None
+    scatter = max(float(np.nanstd(found.late_s[:, i])), 1.0)
+    odd = _lag(found, i, float(known[at]) * LATE_WINDOW_S if at else 0.0, float(after[i]) / scatter)
+    return odd if odd.share > LAG_SHARE else None
+
+
+def _lag(found: Members, i: int, since_s: float, z: float) -> Odd:
+    """Member i as one that follows the others late since about then: its time constant, and since when."""
+    seen = np.isfinite(found.fine).all(axis=1) & np.isfinite(found.mean)
+    time_s = np.arange(len(seen)) * found.step_s
+    own = found.by_itself(i, found.fine)
+    others = np.interp(time_s, time_s[seen], (found.mean - own / len(found.columns))[seen])
+
+    def off(lag_s: float) -> Array:
+        keep = float(np.exp(-found.step_s / lag_s))
+        late = lfilter([1.0 - keep], [1.0, -keep], others - others[0]) + others[0]
+        return own - (late - others)
+
+    after = seen & (time_s >= since_s)
+    left = [float(np.var(off(lag_s)[after])) for lag_s in LAGS_S]
+    k = int(np.argmin(left))
+    if since_s > 0.0:
+        # Up to its beginning it was as the others.
+        gained = np.where(seen, own**2 - off(LAGS_S[k]) ** 2, 0.0)
+        since_s = float(time_s[int(np.argmax(gained[::-1].cumsum()[::-1]))])
+    spread = LAGS_S[min(k + 1, len(LAGS_S) - 1)] - LAGS_S[max(k - 1, 0)]
+    share = 1.0 - left[k] / max(float(np.var(own[after])), 1e-12)
+    return Odd(found.columns[i], LAGS_S[k], 0.5 * spread / SE90, Shape("step", since_s), share, z, LAGS_S[k])
