@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.answer.verdict import slight
+from twin.discovery.answer.judging import slight
 from twin.discovery.diagnosis import Fold, SensorError
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns, basis

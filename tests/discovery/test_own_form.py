@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.answer.verdict import REFUTED_LEFT
+from twin.discovery.answer.judging import REFUTED_LEFT
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose

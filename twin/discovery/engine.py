@@ -7,9 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from twin.discovery.answer.case import Case
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis, SensorError
 from twin.discovery.healthy.basis import Basis, Columns, basis
+from twin.discovery.places.localise import courses
+from twin.discovery.places.sites import sites_of
 from twin.discovery.planning.experiment import Limits
 from twin.discovery.planning.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
 from twin.discovery.records.grid import Grid, on_grid
@@ -102,9 +105,8 @@ def diagnose(
         unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
         notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
     say("judging")
-    found = conclude(
-        finding,
-        network=network,
+    case = Case(
+        finding=finding,
         known=known,
         whole=whole.contest,
         laws=whole.laws,
@@ -112,14 +114,15 @@ def diagnose(
         grid=grid,
         split=split,
         errors=off,
-        notes=tuple(notes),
+        free=courses(whole.contest, sites_of(network, whole.contest, whole.laws)),
+        usual=good_as_ever,
+        doubted=doubted,
         single=single,
         still=still,
         limits=limits,
-        usual=good_as_ever,
-        doubted=doubted,
         later=tuple(part.grid for part in further),
     )
+    found = conclude(case, tuple(notes))
     return explained_by_one(found, network, record, single, again)
 
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from twin.discovery.answer.verdict import SURE
+from twin.discovery.answer.telling import SURE
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
 from twin.discovery.effects.phrases import amount, said
 from twin.discovery.growing.beam import BEAM

@@ -1,0 +1,135 @@
+"""A finding's effects as a diagnosis has them: size, onset, how sure; and the others, with why they were ruled out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from twin.discovery.answer.words import sentence
+from twin.discovery.diagnosis import Alternative, Effect, Verdict
+from twin.discovery.records.grid import Grid
+from twin.discovery.scoring.equivalence import instead, remaining
+from twin.discovery.scoring.search import Entry, able_to_begin
+from twin.discovery.selection.ranking import Finding, Ranked
+from twin.gauss_newton import SE90
+
+SURE = 0.85
+"""Share of the weight that one kind at one place must have to be named alone."""
+
+
+def told(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effect, ...]]:
+    """Each effect of the best fit, and whether the last is sure enough to be named alone."""
+    assert finding.fit is not None
+    sure = _groups(finding.ranked)
+    last = finding.ranked[0].entries[-1].candidate
+    clear = sure.get((last.kind, last.where), 0.0) >= SURE or len(finding.entries) > 1
+    shares = [_with_and_without(e, finding) for e in finding.entries[:-1]]
+    entries = zip(finding.fit.entries, [*shares, sure], strict=True)
+    return "effect found" if clear else "ambiguous", tuple(_effect(e, finding, s, grid) for e, s in entries)
+
+
+def rivals(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...], tuple[Alternative, ...]]:
+    """What cannot be told from the winner (of an ambiguous finding with the winner itself), and what was ruled out."""
+    first = finding.ranked[0]
+    left = remaining(finding)[0 if verdict == "ambiguous" else 1 :]
+    labels = [instead(r, first).label for r in left]
+    same = {label: Alternative(*label, confidence=r.weight) for label, r in zip(labels, left, strict=True)}
+    out: dict[tuple[str, str, str], Alternative] = {}
+    taken = {e.label for e in first.entries}
+    best = max(finding.start - first.fit.total, 0.0) / max(finding.start, 1e-9)
+    for r in finding.ranked[1:]:
+        label = instead(r, first).label
+        if label not in taken and label not in same and label not in out:
+            why = f"leaves {r.fit.chi:.2f} of misfit where the answer leaves {first.fit.chi:.2f}"
+            if r.fit.chi < first.fit.chi:
+                why += ", too little less for what it has to assume"
+            if abs(r.fit.chi - first.fit.chi) < 0.02 * first.fit.chi:
+                why = f"fits worse by {r.cost - first.cost:.0f} in weighted squares"
+            out[label] = Alternative(*label, confidence=r.weight, why_not=why)
+    for e in finding.scanned:
+        if e.label in taken or e.label in same or e.label in out or len(out) >= 12:
+            continue
+        share = e.gain / max(finding.start, 1e-9)
+        why = f"explains {100.0 * share:.0f} % of the mismatch, the answer {100.0 * best:.0f} %"
+        out[e.label] = Alternative(*e.label, confidence=0.0, why_not=why)
+    return tuple(same.values()), tuple(out.values())
+
+
+def near_misses(finding: Finding) -> tuple[Alternative, ...]:
+    """What came nearest where nothing explains the record, and how far."""
+    out: dict[tuple[str, str, str], Alternative] = {}
+    for e in finding.scanned[:24]:
+        if e.label not in out and len(out) < 8:
+            share = e.gain / max(finding.start, 1e-9)
+            out[e.label] = Alternative(*e.label, 0.0, f"explains {100.0 * share:.0f} % of the mismatch, too little")
+    return tuple(out.values())
+
+
+def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], grid: Grid) -> Effect:
+    c, start = entry.candidate, float(grid.time[0])
+    spread = SE90 * entry.sd * math.sqrt(max(finding.fit.chi, 1.0)) if finding.fit else 0.0
+    onset_spread = SE90 * entry.onset_sd_s
+    first_s, last_s = _onsets(entry, finding)
+    grown = grown_by_end(entry, grid)
+    spread *= grown
+    gain = max(finding.start - (finding.fit.total if finding.fit else 0.0), 0.0)
+    share = gain / max(finding.start, 1e-9)
+    says = sentence(entry, start, grown, spread)
+    return Effect(
+        kind=c.kind,
+        where=c.where,
+        driver=entry.driver,
+        change=entry.change,
+        value=entry.size * grown,
+        unit=c.unit,
+        interval90=(entry.size * grown - spread, entry.size * grown + spread),
+        onset_s=start + entry.shape.onset_s,
+        onset_interval90_s=(
+            start + max(min(entry.shape.onset_s - onset_spread, first_s), 0.0),
+            start + max(entry.shape.onset_s + onset_spread, last_s),
+        ),
+        shape=entry.shape.entered.name,
+        confidence=sure.get((c.kind, c.where), 1.0),
+        z=math.sqrt(gain),
+        family_wise=finding.null.family_wise(math.sqrt(gain)),
+        evidence=f"{says}; with it {100.0 * share:.1f} % of the mismatch is gone",
+        growth_s=entry.shape.growth_s,
+        says=says,
+    )
+
+
+def _groups(ranked: tuple[Ranked, ...]) -> dict[tuple[str, str], float]:
+    """Share of each kind and place, of the effect added last: of the likeliest thing that it could follow, since to be
+    able to follow many things makes a cause no likelier."""
+    best: dict[tuple[str, str], float] = {}
+    for r in ranked:
+        last = r.entries[-1].candidate
+        best[last.kind, last.where] = max(best.get((last.kind, last.where), 0.0), r.weight)
+    total = sum(best.values())
+    return {place: weight / total for place, weight in best.items()}
+
+
+def _with_and_without(entry: Entry, finding: Finding) -> dict[tuple[str, str], float]:
+    """Share of the weight of the likeliest explanation with such a kind at such a place, against one without."""
+    place = (entry.candidate.kind, entry.candidate.where)
+    best = {True: 0.0, False: 0.0}
+    for r in finding.ranked:
+        has = any((e.candidate.kind, e.candidate.where) == place for e in r.entries)
+        best[has] = max(best[has], r.weight)
+    return {place: best[True] / (best[True] + best[False])}
+
+
+def _onsets(entry: Entry, finding: Finding) -> tuple[float, float]:
+    """Between which onsets, s, the scan cannot tell: slopes about a fit see no further than the next edge."""
+    if entry.shape.onset_s <= 0.0:
+        return 0.0, 0.0
+    assert finding.fit is not None
+    others = [e.placed(finding.contest) for e in finding.fit.entries if e is not entry]
+    return able_to_begin(finding.contest, entry, np.stack(others) if others else np.zeros((0,)))
+
+
+def grown_by_end(entry: Entry, grid: Grid) -> float:
+    """Share of its size that an effect has reached when the record ends."""
+    end = grid.span_s
+    return entry.shape.mean(end - 1.0, end) if entry.shape.grows else 1.0
