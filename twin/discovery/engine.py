@@ -18,7 +18,7 @@ from twin.discovery.planning.forecast import Forecast, either, forecast, plan_of
 from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.readings import Stuck, stuck
 from twin.discovery.scoring.contest import Contest, block_edges
-from twin.discovery.selection.caution import as_commissioned, first_alone, nothing, unconfirmed
+from twin.discovery.selection.caution import as_commissioned, first_alone, nothing, retuned_alone, unconfirmed
 from twin.discovery.selection.held_out import binned
 from twin.discovery.selection.inquiry import Inquiry
 from twin.discovery.selection.ladder import weighed
@@ -96,7 +96,7 @@ def diagnose(
     good_as_ever = healthy is None and as_commissioned(network, off)
     if good_as_ever or (finding.fit is not None and not more and unconfirmed(finding, off)):
         finding = nothing(finding)
-        off = {name: replace(e, after=e.before, means=(*e.means[:2], e.means[1])) for name, e in off.items()}
+        off = retuned_alone(off)
     elif healthy is None and finding.fit is not None and not more:
         finding = first_alone(finding, answer.train)
         off = on_unseen(finding)

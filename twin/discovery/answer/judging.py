@@ -40,15 +40,16 @@ def good(case: Case) -> bool:
 
 
 def adequate(case: Case) -> bool:
-    """Whether the twin needs nothing: no effect was found, and what it leaves is noise or what it always leaves."""
+    """Whether the twin needs nothing, where no effect is claimed: what it leaves is noise or what it always leaves."""
     finding, lasting = case.finding, case.lasting
-    if finding.fit is not None:
+    silent = bool(case.free) and case.free[0].log_evidence <= 0.0
+    if finding.fit is not None and not silent:
         return False
     if case.usual:
         return True
     calm = finding.ladder[0].best_z < CALM * finding.threshold
     late = bool(lasting) and lasting[0].z >= finding.threshold
-    late = late and contradicted(case.errors, case.known.probe.network)
+    late = late and contradicted(case.errors, case.known.probe.network) and not silent
     return enough(finding.start / finding.count, 0.0, finding.contest, quiet=calm) and not late
 
 

@@ -26,8 +26,10 @@ from twin.discovery.planning.experiment import plan
 from twin.discovery.records.grid import Grid, centred
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
+from twin.discovery.selection.caution import nothing, retuned_alone
 from twin.discovery.selection.ranking import Finding
 from twin.discovery.thermometers.at_fault import single, standing
+from twin.discovery.thermometers.members import apart
 from twin.network import Array, Network
 
 _USUAL = (
@@ -54,7 +56,13 @@ def conclude(case: Case, notes: tuple[str, ...]) -> Diagnosis:
     """The verdict with everything that supports it; `notes` are what is to be said beside it."""
     finding, known, grid, whole = case.finding, case.known, case.grid, case.whole
     network, start = known.probe.network, float(grid.time[0])
-    answer = _with_thermometers(_answer(case), case)
+    claimed = finding.fit is not None and good(case)
+    if not claimed and adequate(case):
+        finding = nothing(finding)
+        case = replace(case, finding=finding, errors=retuned_alone(case.errors))
+        answer = _with_thermometers(_fine(case), case)
+    else:
+        answer = _with_thermometers(_answer(case, claimed), case)
     verdict = answer.verdict
     open_plan = None
     if answer.network is not None:
@@ -88,12 +96,13 @@ def conclude(case: Case, notes: tuple[str, ...]) -> Diagnosis:
     )
 
 
-def _answer(case: Case) -> Answer:
+def _fine(case: Case) -> Answer:
+    loud = case.usual and case.finding.ladder[0].best_z >= case.finding.threshold
+    return Answer("adequate", notes=(_USUAL,) if loud else ())
+
+
+def _answer(case: Case, claimed: bool) -> Answer:
     finding, free = case.finding, case.free
-    if adequate(case):
-        loud = case.usual and finding.ladder[0].best_z >= finding.threshold
-        return Answer("adequate", notes=(_USUAL,) if loud else ())
-    claimed = finding.fit is not None and good(case)
     spell = came_and_went(case.whole, case.laws, case.lasting, finding.entries if claimed else ())
     if spell is not None and (claimed or explains(spell, free[0])):
         return _for_a_spell(case, spell)
@@ -158,7 +167,7 @@ def _with_thermometers(answer: Answer, case: Case) -> Answer:
     """The answer, where one thermometer of several differs or one stands still, with which, and what is the matter."""
     network, start = case.known.probe.network, float(case.grid.time[0])
     verdict, effects, others = answer.verdict, answer.effects, answer.others
-    for one in case.single:
+    for one in (each for group in case.single for each in apart(group)):
         before = effects
         verdict, effects, same = single(one, network, verdict, effects, case.finding, start)
         # What could not be told from the mean's error is no question where one of several errs.

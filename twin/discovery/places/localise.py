@@ -7,6 +7,7 @@ marginal likelihood says how well an unknown at this site explains the record; t
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,8 @@ def courses(contest: Contest, sites: dict[str, Site]) -> tuple[Course, ...]:
                 sd = np.sqrt((inverse**2).sum(axis=0))
                 best = Course(name, site.unit, contest.hours, mean, sd, evidence, site.signature, site.where)
         if best is not None:
-            found.append(best)
+            counted = min(site.counts * best.log_evidence, best.log_evidence)
+            found.append(replace(best, log_evidence=counted))
     found.sort(key=lambda c: -c.log_evidence)
     return tuple(found)
 

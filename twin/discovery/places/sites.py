@@ -24,18 +24,25 @@ SPOKEN = {
     "energy": "heat that enters or leaves", "transport": "water that flows otherwise", "sensor": "a reading in error",
 }  # fmt: skip
 TYPICAL_W, TYPICAL_K = 20.0, 0.2
+ROOM = 0.95
+"""An error of the room's thermometer, free from block to block, does nearly all that a radiator can do in a way that no
+catalogue knows, and is rarer."""
 _DRIVERS = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
 
 
 @dataclass(frozen=True)
 class Site:
-    """A place of an unknown: `vector` (sites, b) of one unit, a typical size, where it is in a diagnosis's words."""
+    """A place of an unknown: `vector` (sites, b) of one unit, a typical size, where it is in a diagnosis's words.
+
+    `counts` is the share of its evidence that counts, as what is likelier beforehand is told if it is nearly as good.
+    """
 
     vector: Array
     typical: float
     unit: str
     signature: Signature
     where: str
+    counts: float = 1.0
 
 
 def sites_of(network: Network, contest: Contest, laws: list[Law]) -> dict[str, Site]:
@@ -61,7 +68,8 @@ def sites_of(network: Network, contest: Contest, laws: list[Law]) -> dict[str, S
         elif c.kind == "sensor" and c.where in network.input_columns:
             kind = (c.where, "sensor")
         if kind is not None and kind[0] not in out:
-            out[kind[0]] = Site(contest.vector(law), c.typical, c.unit, kind[1], c.where)
+            counts = ROOM if kind[1] == "sensor" else 1.0
+            out[kind[0]] = Site(contest.vector(law), c.typical, c.unit, kind[1], c.where, counts)
     return out
 
 

@@ -75,6 +75,11 @@ def nothing(finding: Finding) -> Finding:
     return replace(finding, entries=(), fit=None, ranked=(), folds=(), ladder=finding.ladder[:1], beside=None)
 
 
+def retuned_alone(off: Mapping[str, SensorError]) -> dict[str, SensorError]:
+    """Errors on what no fit saw, with nothing added to the re-tuned twin."""
+    return {name: replace(e, after=e.before, means=(*e.means[:2], e.means[1])) for name, e in off.items()}
+
+
 def first_alone(finding: Finding, part: Part) -> Finding:
     """The finding with its first effect alone, where the others win too little beside it."""
     if len(finding.entries) < 2 or _fair(finding):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Verdict
 from twin.discovery.effects.phrases import amount, clock, when
+from twin.discovery.effects.shapes import Shape
 from twin.discovery.records.readings import Stuck
 from twin.discovery.scoring.equivalence import width
 from twin.discovery.thermometers.members import (
@@ -107,13 +109,19 @@ def single(
             return verdict, (*effects, _fault(one, own, natures(one, own), start)), ()
         old = effects[at]
         changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
-        return verdict, tuple(changed if i == at else e for i, e in enumerate(effects)), ()
+        own_ones = (changed if i == at else _its_own(one, e, start) if i in here else e for i, e in enumerate(effects))
+        return verdict, tuple(own_ones), ()
     if at is not None and effects[at].kind == "sensor":
         odd = _in_its_own_shape(one, odd)
     told = natures(one, odd)
     if not told and (verdict == "adequate" or (verdict == "unexplained" and came_slowly(one, odd))):
         # No error of one thermometer, nor heat of one place, that is there from one moment on.
         return (*_now_and_then(one, verdict, effects, start), ())
+    restless = restless_one(one) if not told and at is not None else None
+    if restless is not None:
+        # What came and went at one thermometer shows in the mean as an error of another form.
+        rest = (e for i, e in enumerate(effects) if i != at)
+        return "unexplained", (_restless(one, restless, start), *rest), ()
     fault, same = _fault(one, odd, told, start), _instead(odd, told)
     if verdict == "unexplained":
         return verdict, (*effects, fault), same
@@ -125,6 +133,16 @@ def single(
     if same:
         fault = replace(fault, says=f"{fault.says} (or so it is with {_either(same, fault)}: this record cannot tell)")
     return verdict, (*effects, fault), same
+
+
+def _its_own(one: Members, effect: Effect, start: float) -> Effect:
+    """An error of the mean that came at one moment, as that of the thermometer which changed then, if one did."""
+    if effect.kind != "sensor" or effect.shape != "step" or effect.onset_s <= start:
+        return effect
+    shape = Shape("step", effect.onset_s - start)
+    near = one.around(shape.onset_s)
+    odd = odd_one(near, (shape,))
+    return effect if odd is None else _fault(near, odd, natures(near, odd), start)
 
 
 def _now_and_then(
@@ -160,9 +178,10 @@ def _in_its_own_shape(one: Members, odd: Odd) -> Odd:
     return own if own is not None and plainer else odd
 
 
-def _either(same: tuple[Alternative, ...], fault: Effect) -> str:
+def _either(same: tuple[Alternative, ...], *faults: Effect) -> str:
     """What else it may be, in words."""
-    named = dict.fromkeys((a.kind, a.where) for a in same if (a.kind, a.where) != (fault.kind, fault.where))
+    said = {(e.kind, e.where) for e in faults}
+    named = dict.fromkeys((a.kind, a.where) for a in same if (a.kind, a.where) not in said)
     return " or ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in named)
 
 
@@ -217,33 +236,34 @@ def explained_by_one(
     if found.verdict != "unexplained":
         return found
     for group in groups:
-        faults = ((e, group.column_of(e.where)) for e in found.effects if e.kind != "unknown")
-        fault, column = next(((e, c) for e, c in faults if c is not None), (None, None))
-        if fault is None or column is None:
+        faults = {c: e for e in found.effects if e.kind != "unknown" and (c := group.column_of(e.where)) is not None}
+        if not faults:
             continue
         j = network.sensor_names.index(group.sensor)
         measured = record.measured.copy()
-        measured[:, j] -= _share_of(group, column, record.time_s)
+        measured[:, j] -= sum(_share_of(group, c, faults.keys(), record.time_s) for c in faults)
         rest = {name: each for name, each in record.members.items() if name != group.sensor}
         left = again(replace(record, measured=measured, members=rest))
         if left.verdict != "adequate" and left.ladder[0].best_z > SMEARED * left.threshold:
             return found
-        stuck_ones = tuple(e for e in found.effects if e.kind == "sensor" and e is not fault)
-        same = tuple(a for a in found.indistinguishable if group.column_of(a.where) == column)
-        but = f"; but this record cannot tell that from {_either(same, fault)}" if same else ""
-        said = f"{fault.says}{but}. Without that the twin is adequate: {_leaves(left)}."
+        errors = tuple(faults.values())
+        stuck_ones = tuple(e for e in found.effects if e.kind == "sensor" and e not in errors)
+        same = tuple(a for a in found.indistinguishable if group.column_of(a.where) in faults)
+        but = f"; but this record cannot tell that from {_either(same, *errors)}" if same else ""
+        said = f"{'. '.join(e.says for e in errors)}{but}. Without that the twin is adequate: {_leaves(left)}."
         return replace(
-            left, verdict="ambiguous" if same else "effect found", effects=(*stuck_ones, fault), summary=said,
+            left, verdict="ambiguous" if same else "effect found", effects=(*stuck_ones, *errors), summary=said,
             network=None, next_experiment=None, indistinguishable=same, empirical=None,
         )  # fmt: skip
     return found
 
 
-def _share_of(group: Members, column: str, time_s: Array) -> Array:
+def _share_of(group: Members, column: str, faults: AbstractSet[str], time_s: Array) -> Array:
     """What one thermometer's error puts on the mean of its group (N,), K: block means, held."""
-    i, count = group.columns.index(column), len(group.columns)
-    # An error s moves the thermometer's own difference to the mean by s (1 - 1/c), and the mean by s/c.
-    off = np.nan_to_num(group.residual[:, i]) / (count - 1)
+    alone = group
+    for other in faults - {column}:
+        alone = alone.without(other)
+    off = np.nan_to_num(alone.by_itself(alone.columns.index(column), alone.residual)) / len(group.columns)
     block = np.searchsorted(group.edges_s, time_s - time_s[0], side="right") - 1
     found: Array = off[np.clip(block, 0, len(off) - 1)]
     return found

@@ -44,6 +44,12 @@ OFTEN = 3
 """Blocks in which one member must stand out by itself to be called restless (decision 0021)."""
 
 
+NEAR_S = 10800.0
+"""How long before and after a moment is looked at, to see who changed then."""
+LEAST_OF = 0.2
+"""Share of what one of two members is off by that the other must be: a place warms its neighbours a little."""
+
+
 @dataclass(frozen=True)
 class Members:
     """Differences between the thermometers of one sensor.
@@ -83,6 +89,27 @@ class Members:
         weight = _pattern(i, residual.shape[1]) / self.sd
         off: Array = (residual / self.sd) @ weight / (weight @ weight)
         return off
+
+    def without(self, column: str) -> Members:
+        """The others, compared with one another."""
+        keep = [i for i, c in enumerate(self.columns) if c != column]
+
+        def rest(values: Array) -> Array:
+            kept = values[:, keep] if len(values) else values
+            return kept - kept.mean(axis=1, keepdims=True)
+
+        return replace(
+            self, columns=tuple(self.columns[i] for i in keep), residual=rest(self.residual), sd=self.sd[keep],
+            fine=rest(self.fine), late_s=rest(self.late_s),
+        )  # fmt: skip
+
+    def around(self, moment_s: float) -> Members:
+        """The same within some hours of a moment, as they differ from before it."""
+        before = (self.edges_s[1:] <= moment_s) & (self.edges_s[1:] > moment_s - NEAR_S)
+        after = (self.edges_s[:-1] > moment_s - NEAR_S) & (self.edges_s[:-1] < moment_s + NEAR_S)
+        known = self.residual[before & np.isfinite(self.residual).all(axis=1)]
+        usual = known.mean(axis=0) if len(known) else np.full(len(self.columns), np.nan)
+        return replace(self, residual=np.where(after[:, None], self.residual - usual, np.nan))
 
 
 @dataclass(frozen=True)
@@ -249,6 +276,26 @@ def odd_one(found: Members, shapes: tuple[Shape, ...] = ()) -> Odd | None:
         return None
     stands_out = abs(best.final) * (1.0 - 1.0 / len(found.columns)) / found.sd[found.columns.index(best.column)]
     return best if stands_out >= STANDS_OUT else None
+
+
+def apart(found: Members) -> tuple[Members, ...]:
+    """Where two members stand out, each of them without the other; else all of them together."""
+    if len(found.columns) <= LEAST_MEMBERS:
+        return (found,)
+    whole = odd_one(found)
+    pairs = []
+    for column in found.columns if whole is None else (whole.column,):
+        second = odd_one(found.without(column))
+        first = None if second is None else odd_one(found.without(second.column))
+        if first is None or second is None or first.column != column:
+            continue
+        small, large = sorted((abs(first.final), abs(second.final)))
+        if small > LEAST_OF * large:
+            pairs.append((min(first.z, second.z), first.column, second.column))
+    if not pairs:
+        return (found,)
+    _, one, other = max(pairs)
+    return found.without(other), found.without(one)
 
 
 def _steps(found: Members) -> tuple[Shape, ...]:

@@ -23,7 +23,7 @@ AROUND_S, SOONER_S, EVERY_S = 2700.0, 1500.0, 5.0
 RARER = 2.0 * np.log(10.0)
 """Places that differ in a way that no loop shows are rarer than thermometers that err, so are thermometers that err by
 a share, and so is what takes heat away, but by being warm, than what gives some; in weighted squares."""
-LEFT = 0.3
+LEFT = 0.1
 """Share of its squares that an error may leave of what one thermometer differs by."""
 
 
