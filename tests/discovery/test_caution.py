@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.answer.judging import slight
-from twin.discovery.diagnosis import Fold, SensorError
+from twin.discovery.answer.case import Case
+from twin.discovery.answer.judging import adequate, slight
+from twin.discovery.diagnosis import Course, Fold, SensorError
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
@@ -65,6 +67,21 @@ def test_what_is_slight_beside_an_effect_is_of_its_form(weak: Finding) -> None:
 
 def test_what_is_strong_needs_no_such_confirmation(weak: Finding) -> None:
     assert not unconfirmed(replace(weak, start=weak.start + 64.0, folds=()), SAME)
+
+
+def test_what_is_withdrawn_and_shows_nowhere_leaves_the_twin_adequate(
+    bench: Bench, healthy: Columns, weak_record: Columns, weak: Finding
+) -> None:
+    """Nothing is unexplained where no unknown, free from block to block, says anything at any place."""
+    grid = on_grid(bench.network, weak_record.time_s, weak_record.inputs, weak_record.measured)
+    whole, none = weak.contest, np.zeros(weak.contest.b)
+    silent = Course("tank", "W", whole.hours, none, none, -3.0, "energy", "tank")
+    case = Case(
+        finding=weak, known=basis(bench.network, healthy, grid), whole=whole, laws=[], lasting=[], grid=grid, split=0,
+        errors=SAME, free=(silent,), doubted=True,
+    )  # fmt: skip
+    assert adequate(case)
+    assert not adequate(replace(case, free=(replace(silent, log_evidence=12.0),)))
 
 
 def test_a_true_weak_effect_foretells(bench: Bench, healthy: Columns, weak_record: Columns) -> None:

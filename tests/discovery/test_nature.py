@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -67,6 +69,48 @@ def test_heat_that_a_clock_switches_at_one_place_is_no_error_of_reading(bench: B
     found = diagnosed(bench, healthy, record, on)
     assert found.verdict == "unexplained"
     assert "T_pm3_C" in {e.where for e in found.effects}
+
+
+def test_two_that_differ_are_told_each_by_itself(bench: Bench, healthy: Columns) -> None:
+    """Neither is odd among all, as the other is; each is without it."""
+    record = bench.record(16.0)
+    record = with_six(bench, record, 6, lambda t: np.where(t > 5.0 * 3600.0, 0.6, 0.0))
+    each, j = record.members[SENSOR].copy(), bench.network.sensor_names.index(SENSOR)
+    each[:, 4] += np.where(record.time_s > 9.0 * 3600.0, -0.5, 0.0)
+    measured = record.measured.copy()
+    measured[:, j] = each.mean(axis=1)
+    both = replace(record, measured=measured, members={SENSOR: each})
+    found = diagnose(bench.network, both, with_six(bench, healthy, 5))
+    told = {e.where: e for e in found.effects}
+    assert set(told) == {"T_pm3_C", "T_pm5_C"} and {e.kind for e in found.effects} == {"sensor"}
+    assert told["T_pm3_C"].value == pytest.approx(0.6, abs=0.05)
+    assert told["T_pm5_C"].value == pytest.approx(-0.5, abs=0.05)
+    assert told["T_pm5_C"].onset_s == pytest.approx(9.0 * 3600.0, abs=900.0)
+
+
+def test_an_error_and_heat_at_the_same_place_are_two(bench: Bench, healthy: Columns) -> None:
+    heated = bench.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 60.0})
+    record = with_six(bench, bench.record(16.0, changed=heated, onset_h=4.0), 6)
+    each, j = record.members[SENSOR].copy(), bench.network.sensor_names.index(SENSOR)
+    warmer = slowly(np.where(record.time_s > 4.0 * 3600.0, 1.0, 0.0), 40.0)
+    each += warmer[:, None] * np.array([-0.2, -0.2, 1.0, -0.2, -0.2, -0.2])
+    each[:, 2] -= np.where(record.time_s > 10.0 * 3600.0, 0.7, 0.0)
+    measured = record.measured.copy()
+    measured[:, j] = each.mean(axis=1)
+    both = replace(record, measured=measured, members={SENSOR: each})
+    found = diagnose(bench.network, both, with_six(bench, healthy, 5))
+    told = {(e.kind, e.where): e for e in found.effects}
+    assert set(told) == {("heat_source", "pm3"), ("sensor", "T_pm3_C")}
+    assert told["sensor", "T_pm3_C"].value == pytest.approx(-0.7, abs=0.1)
+    assert told["sensor", "T_pm3_C"].onset_s == pytest.approx(10.0 * 3600.0, abs=900.0)
+
+
+def test_one_that_leans_on_a_wall_now_and_then_errs_in_no_known_way(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(16.0)
+    leans = slowly(excess(bench, record), 1800.0) > np.median(excess(bench, record))
+    found = diagnosed(bench, healthy, record, -0.15 * leans * excess(bench, record))
+    assert found.verdict == "unexplained" and found.network is None
+    assert (found.effects[0].kind, found.effects[0].where) == ("unknown", "T_pm3_C")
 
 
 @pytest.mark.parametrize("onset_h", [0.0, 5.0])

@@ -12,6 +12,7 @@ from twin.discovery.diagnosis import SensorError
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.selection.held_out import contradicted
+from twin.kernel import Kernel
 
 
 def test_water_that_flows_less_for_a_time_is_told_from_heat_and_from_readings(bench: Bench, healthy: Columns) -> None:
@@ -109,3 +110,24 @@ def test_a_curve_is_offered_for_heat_that_follows_something_in_an_odd_way(bench:
         assert after < 0.5 * before
     assert curve.network.parameters["unexplained_at_tank.q_3"].value == curve.heats[2]
     assert found.document()["empirical"]["follows"] == "fan_speed_pct"
+
+
+def test_a_radiator_is_named_before_the_rooms_thermometer_where_nothing_known_fits(
+    bench: Bench, healthy: Columns
+) -> None:
+    """Somebody's sprinkler cools the air at the radiator, now and then: as if the room's thermometer read too high."""
+    record, network = bench.record(20.0), bench.network
+    room, hours = network.input_columns.index("T_ambient_C"), record.time_s / 3600.0
+    wet = sum(
+        np.where((hours > a) & (hours < b), k, 0.0) for a, b, k in ((3, 4, 2), (6, 8.5, 4), (10, 10.8, 1), (13, 17, 3))
+    )
+    cooled = record.inputs.copy()
+    cooled[:, room] -= wet
+    runs = [
+        Kernel(network, ()).trace(network.values, record.measured[0], record.time_s, u)[0][0]
+        for u in (cooled, record.inputs)
+    ]
+    raised = replace(record, measured=record.measured + runs[0] - runs[1])
+    found = diagnose(network, raised, healthy)
+    assert found.verdict == "unexplained" and found.effects[0].where == "radiator"
+    assert found.description["there"]["sensor"] == "T_ambient_C"
