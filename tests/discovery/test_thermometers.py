@@ -35,11 +35,13 @@ def comes_and_goes(time_s: Array) -> Array:
     return np.where(((hours > 2) & (hours < 3.5)) | ((hours > 5) & (hours < 6)) | ((hours > 7) & (hours < 9)), 3.0, 0.0)
 
 
-def test_a_thermometer_that_explains_everything_is_the_answer(bench: Bench, healthy: Columns) -> None:
+def test_a_thermometer_that_explains_everything_is_all_that_is_told(bench: Bench, healthy: Columns) -> None:
+    """No error of the catalogue comes and goes, but where it is, and that nothing else is missing, is known."""
     record = with_six(bench, bench.record(10.0), 6, comes_and_goes)
     found = diagnose(bench.network, record, with_six(bench, healthy, 5))
-    assert found.verdict == "effect found"
-    assert [(e.kind, e.where) for e in found.effects] == [("sensor", "T_pm3_C")]
+    assert found.verdict == "unexplained" and found.network is None
+    assert [(e.kind, e.where) for e in found.effects] == [("unknown", "T_pm3_C")]
+    assert found.effects[0].value == pytest.approx(3.0, rel=0.1)
     assert "Without that the twin is adequate" in found.summary
 
 

@@ -236,7 +236,7 @@ def explained_by_one(
     if found.verdict != "unexplained":
         return found
     for group in groups:
-        faults = {c: e for e in found.effects if e.kind != "unknown" and (c := group.column_of(e.where)) is not None}
+        faults = {c: e for e in found.effects if (c := group.column_of(e.where)) is not None}
         if not faults:
             continue
         j = network.sensor_names.index(group.sensor)
@@ -251,8 +251,11 @@ def explained_by_one(
         same = tuple(a for a in found.indistinguishable if group.column_of(a.where) in faults)
         but = f"; but this record cannot tell that from {_either(same, *errors)}" if same else ""
         said = f"{'. '.join(e.says for e in errors)}{but}. Without that the twin is adequate: {_leaves(left)}."
+        # What is off now and then is of no catalogue, though the twin needs nothing more.
+        odd = any(e.kind == "unknown" for e in errors)
+        verdict: Verdict = "unexplained" if odd else "ambiguous" if same else "effect found"
         return replace(
-            left, verdict="ambiguous" if same else "effect found", effects=(*stuck_ones, *errors), summary=said,
+            left, verdict=verdict, effects=(*stuck_ones, *errors), summary=said,
             network=None, next_experiment=None, indistinguishable=same, empirical=None,
         )  # fmt: skip
     return found
