@@ -247,7 +247,7 @@ def explained_by_one(
         if left.verdict != "adequate" and left.ladder[0].best_z > SMEARED * left.threshold:
             return found
         errors = tuple(faults.values())
-        stuck_ones = tuple(e for e in found.effects if e.kind == "sensor" and e not in errors)
+        stuck_ones = tuple(e for e in found.effects if e.shape == "stuck" and e not in errors)
         same = tuple(a for a in found.indistinguishable if group.column_of(a.where) in faults)
         but = f"; but this record cannot tell that from {_either(same, *errors)}" if same else ""
         said = f"{'. '.join(e.says for e in errors)}{but}. Without that the twin is adequate: {_leaves(left)}."
