@@ -18,7 +18,8 @@ from pydantic import ValidationError
 from drivers.points import ConfigurationError
 from drivers.rig_checks import cross_checks
 from drivers.rig_model import Rig
-from drivers.rig_places import line_of, sentence
+from drivers.rig_places import sentence
+from drivers.toml_lines import line_of
 
 
 class RigFileError(ConfigurationError):

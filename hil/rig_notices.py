@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from drivers.rig_model import Point, Rig
-from drivers.rig_places import line_of
 from drivers.roles import HEATER, ROLES, nearest_role
+from drivers.toml_lines import line_of
 from hil.soaking import has_memory, role_of, unled
 
 

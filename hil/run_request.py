@@ -68,7 +68,7 @@ class Prepared:
 
 
 def prepare(request: RunRequest) -> Prepared:
-    """Read and validate all files of a run; raises RigFileError, ProfileError, TwinFileError or ConfigurationError."""
+    """Read and validate all files of a run; raises the error of the file, or ConfigurationError."""
     rig = load_rig(request.rig)
     profile = read_profile(request.profile)
     twin = (request.twin or rig.twin) if request.use_twin else None
@@ -107,9 +107,22 @@ def prepare(request: RunRequest) -> Prepared:
         raise ConfigurationError(
             "--with switches on effects in the virtual rig; give --virtual too, or take --with out"
         )
+    if request.effects is not None:
+        notes = [*notes, *_check_effects(request.effects, profile)]
     if request.diagnose_s is not None:
         notes = [*notes, *_check_diagnosis(request, network)]
     return Prepared(rig, profile, twin, network, tuple(notes))
+
+
+def _check_effects(file: Path, profile: Profile) -> list[str]:
+    """Remarks on the effects of the virtual rig; raises EffectFileError."""
+    from drivers.virtual.effects import load_effects
+
+    return [
+        f"{file}: effect {number} begins at {effect.onset_s:g} s, after the profile's end at {profile.duration_s:g} s"
+        for number, effect in enumerate(load_effects(file), 1)
+        if effect.onset_s >= profile.duration_s
+    ]
 
 
 def _check_residuals(request: RunRequest, rig: Rig, network: Network | None) -> None:

@@ -5,15 +5,15 @@ A file is a list of `[[effect]]` tables in the vocabulary of `diagnosis.json`: k
 validates; `effect_physics` and `sensor_faults` apply.
 """
 
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import inf, isfinite
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from drivers.virtual.geometry import CHANNELS, PLACES
+from drivers.toml_lines import line_of, tables_of
+from drivers.virtual.geometry import CHANNELS, PLACES, section_cells
 
 READINGS = ("T_ambient_C", "heater_power_W", "flow_L_per_min", "pump_speed_pct", "fan_speed_pct")
 """Measured on the Modbus side; the thermocouples of `CHANNELS` are on CAN."""
@@ -23,7 +23,7 @@ _BYPASSABLE = ("heater", "modules", "radiator")
 
 
 class EffectFileError(ValueError):
-    """An effect file that cannot be used: one sentence with file, key and remedy."""
+    """An effect file that cannot be used: one sentence with file, line, key and remedy."""
 
 
 class Form(NamedTuple):
@@ -67,9 +67,19 @@ FORMS = (
     Form("sensor", CHANNELS, "periodic", "jump_K", -1000.0, 1000.0, (("period_s", None), ("duty", 0.5))),
     Form("actuator", ACTUATORS, "constant", "gain", 0.0, 2.0),
 )
-_COMMON = ("kind", "where", "driver", "onset_s", "ramp_s", "end_s", "note")
-_NO_RAMP = ("stuck", "open_circuit", "lag_s", "capacity_J_per_K")
-_POSITIVE = ("tau_s", "width_h", "period_s", "duty", "exponent", "conductance_W_per_K", "hysteresis_K")
+COMMON = ("kind", "where", "driver", "onset_s", "ramp_s", "end_s", "note")
+NO_RAMP = ("stuck", "open_circuit", "lag_s", "capacity_J_per_K")
+SWITCHES = ("stuck", "open_circuit")
+"""Magnitudes that are true, not a number."""
+_KEYS = {*COMMON, *(form.magnitude for form in FORMS), *(name for form in FORMS for name, _ in form.shape)}
+SHAPES = {
+    "tau_s": (0.0, inf), "peak_hour": (0.0, 24.0), "width_h": (0.0, 24.0), "exponent": (0.0, 3.0),
+    "period_s": (0.0, inf), "duty": (0.0, 1.0), "threshold_C": (-inf, inf), "hysteresis_K": (0.0, inf),
+    "conductance_W_per_K": (0.0, 1000.0),
+}  # fmt: skip
+"""Shape keys: above the first, at most the second; `peak_hour` may be the first, too. Some keep the plant stable."""
+_ALONE = ("bypass_fraction", "recirculated_fraction", "capacity_J_per_K")
+"""The plant has one of each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,52 +105,96 @@ class Effect:
         return 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """The effect that is `number`, from 1, in a file; `text` is the file's, empty where its lines are not known."""
+
+    path: Path
+    number: int
+    text: str = ""
+
+    def mistake(self, key: str, what: str) -> EffectFileError:
+        """The error with its line: the key's, or the table's where the key is not there."""
+        line = f", line {line_of(self.text, ('effect', self.number - 1, key))}" if self.text else ""
+        return EffectFileError(f"{self.path}{line}: effect {self.number}: {what}.")
+
+
 def load_effects(path: Path) -> tuple[Effect, ...]:
     """Effects of a file, in its order. Raises `EffectFileError`."""
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        text, document = tables_of(path.read_bytes())
     except OSError as error:
         raise EffectFileError(
             f"{path}: cannot be read ({error.strerror or error}); give the path of an effect file."
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise EffectFileError(f"{path}: is not TOML ({error}); correct the file there.") from error
+    except ValueError as error:
+        raise EffectFileError(f"{path}: {error}.") from None
     for key in document:
+        if key in _KEYS:
+            raise EffectFileError(
+                f"{path}, line {line_of(text, (key,))}: key '{key}' belongs to no effect; write [[effect]] above it."
+            )
         if key != "effect":
-            raise EffectFileError(f"{path}: key '{key}' is unknown; write only [[effect]] tables.")
+            raise EffectFileError(
+                f"{path}, line {line_of(text, (key,))}: key '{key}' is unknown; write only [[effect]] tables."
+            )
     tables = document.get("effect")
+    if isinstance(tables, dict):
+        line = line_of(text, ("effect",))
+        raise EffectFileError(f"{path}, line {line}: [effect] is one table; write [[effect]], with two brackets.")
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
         raise EffectFileError(f"{path}: key 'effect' holds no list of tables; write at least one [[effect]].")
-    return tuple(_parse(table, f"{path}: effect {number}") for number, table in enumerate(tables, 1))
+    headers = sum(line.split("#")[0].strip() == "[[effect]]" for line in text.splitlines())
+    places = [_Place(path, n, text if headers == len(tables) else "") for n in range(1, len(tables) + 1)]
+    effects = tuple(_parse(table, place) for table, place in zip(tables, places, strict=True))
+    for number, effect in enumerate(effects):
+        for before in range(number):
+            clash = _clash(effects[before], effect)
+            if clash is not None:
+                key, why = clash
+                what = f"key '{key}' {why} effect {before + 1}; let one end before the other begins"
+                raise places[number].mistake(key, what)
+    return effects
 
 
-def _parse(table: dict[str, Any], place: str) -> Effect:
+def _clash(first: Effect, second: Effect) -> tuple[str, str] | None:
+    """Key, and why the plant cannot do both at once; None where it can."""
+    if first.onset_s >= second.end_s or second.onset_s >= first.end_s:
+        return None
+    if first.magnitude == second.magnitude and first.magnitude in _ALONE:
+        return first.magnitude, "is at work already, and the rig can have only one at a time: see"
+    if first.kind == second.kind == "heat_loss" and first.shape["exponent"] != second.shape["exponent"]:
+        one, other = section_cells(first.where), section_cells(second.where)
+        if one.start < other.stop and other.start < one.stop:
+            return "exponent", "must be, at one place and time, that of"
+    return None
+
+
+def _parse(table: dict[str, Any], place: _Place) -> Effect:
     form = _find_form(table, place)
     value = _magnitude(table, form, place)
-    known = (*_COMMON, form.magnitude, *(name for name, _ in form.shape))
+    known = (*COMMON, form.magnitude, *(name for name, _ in form.shape))
     for key in table:
         if key not in known:
-            raise EffectFileError(f"{place}: key '{key}' is unknown here; use one of {', '.join(known)}.")
-    shape = {}
-    for name, default in form.shape:
-        if name not in table and default is None:
-            raise EffectFileError(f"{place}: key '{name}' is missing; give it as a number.")
-        shape[name] = _number(table, name, place, default or 0.0)
-        if name in _POSITIVE and shape[name] <= 0.0:
-            raise EffectFileError(f"{place}: key '{name}' is {shape[name]:g}; give a number above 0.")
-    if shape.get("duty", 0.0) > 1.0:
-        raise EffectFileError(f"{place}: key 'duty' is {shape['duty']:g}; give the share of the period, up to 1.")
+            raise place.mistake(key, f"key '{key}' is unknown here; use one of {', '.join(known)}")
+    if not isinstance(table.get("note", ""), str):
+        raise place.mistake("note", f"key 'note' is {table['note']!r}; give text")
+    shape = {name: _shape(table, name, default, place) for name, default in form.shape}
     onset = _number(table, "onset_s", place, 0.0)
     ramp = _number(table, "ramp_s", place, 0.0)
     end = _number(table, "end_s", place, inf)
     if onset < 0.0:
-        raise EffectFileError(f"{place}: key 'onset_s' is {onset:g}; give seconds of rig time, 0 or later.")
-    if ramp < 0.0 or (ramp > 0.0 and form.magnitude in _NO_RAMP):
-        raise EffectFileError(f"{place}: key 'ramp_s' is {ramp:g}; '{form.magnitude}' needs it left out or 0.")
-    if form.driver == "elapsed_time" and form.magnitude == "lost_fraction" and ramp == 0.0:
-        raise EffectFileError(f"{place}: key 'ramp_s' is missing; driver 'elapsed_time' grows over it.")
+        raise place.mistake("onset_s", f"key 'onset_s' is {onset:g}; give seconds of rig time, 0 or later")
+    if ramp < 0.0:
+        raise place.mistake("ramp_s", f"key 'ramp_s' is {ramp:g}; give seconds, 0 or more")
+    if ramp > 0.0 and form.magnitude in NO_RAMP:
+        raise place.mistake("ramp_s", f"key 'ramp_s' is {ramp:g}; '{form.magnitude}' needs it left out or 0")
+    if needs_ramp(form) and ramp == 0.0:
+        raise place.mistake(
+            "ramp_s", "key 'ramp_s' is missing or 0; driver 'elapsed_time' grows over it, give seconds above 0"
+        )
     if end <= onset:
-        raise EffectFileError(f"{place}: key 'end_s' is {end:g}; give a time after onset_s = {onset:g}.")
+        raise place.mistake("end_s", f"key 'end_s' is {end:g}; give a time after onset_s = {onset:g}")
     return Effect(
         kind=form.kind,
         where=table["where"],
@@ -154,7 +208,12 @@ def _parse(table: dict[str, Any], place: str) -> Effect:
     )
 
 
-def _find_form(table: dict[str, Any], place: str) -> Form:
+def needs_ramp(form: Form) -> bool:
+    """Whether what is declared grows with time by its ramp alone."""
+    return form.driver == "elapsed_time" and form.magnitude == "lost_fraction"
+
+
+def _find_form(table: dict[str, Any], place: _Place) -> Form:
     """The one form that the table's kind, where, driver and magnitude select."""
     forms = list(FORMS)
     for key, of in (
@@ -162,44 +221,67 @@ def _find_form(table: dict[str, Any], place: str) -> Form:
         ("where", lambda form: form.places),
         ("driver", lambda form: (form.driver,)),
     ):
-        choices = list(dict.fromkeys(name for form in forms for name in of(form)))
-        if key not in table:
-            if key == "driver" and sum(form.magnitude in table for form in forms) == 1:
-                continue  # the magnitude alone says which driver is meant
-            raise EffectFileError(f"{place}: key '{key}' is missing; give one of {', '.join(choices)}.")
-        forms_left = [form for form in forms if table[key] in of(form)]
-        if not forms_left:
-            raise EffectFileError(f"{place}: key '{key}' is {table[key]!r}; use one of {', '.join(choices)}.")
-        forms = forms_left
+        choices = _choice(name for form in forms for name in of(form))
+        if key in table:
+            forms = [form for form in forms if table[key] in of(form)]
+            if not forms:
+                raise place.mistake(key, f"key '{key}' is {table[key]!r}; use {choices}")
+        elif key != "driver":
+            raise place.mistake(key, f"key '{key}' is missing; give {choices}")
     named = [form for form in forms if form.magnitude in table]
-    if len(named) != 1:
-        names = ", ".join(dict.fromkeys(form.magnitude for form in forms))
-        fault = "is missing its magnitude" if not named else "has more than one magnitude"
-        raise EffectFileError(f"{place}: the effect {fault}; give exactly one of {names}.")
+    if len({form.magnitude for form in named}) != 1:
+        fault = "has no magnitude" if not named else "has more than one magnitude"
+        goes = f" that goes with driver '{table['driver']}'" if "driver" in table and not named else ""
+        raise place.mistake("", f"the effect {fault}{goes}; give {_choice(form.magnitude for form in forms)}")
+    if len(named) > 1:
+        raise place.mistake("driver", f"key 'driver' is missing; give {_choice(form.driver for form in named)}")
     return named[0]
 
 
-def _magnitude(table: dict[str, Any], form: Form, place: str) -> float:
-    if form.magnitude in ("stuck", "open_circuit"):
-        if table[form.magnitude] is not True:
-            raise EffectFileError(f"{place}: key '{form.magnitude}' must be true; leave the effect out otherwise.")
+def _choice(names: Iterable[str]) -> str:
+    different = list(dict.fromkeys(names))
+    return different[0] if len(different) == 1 else f"one of {', '.join(different)}"
+
+
+def _magnitude(table: dict[str, Any], form: Form, place: _Place) -> float:
+    key = form.magnitude
+    if key in SWITCHES:
+        if table[key] is not True:
+            raise place.mistake(key, f"key '{key}' must be true; leave the effect out otherwise")
         return 1.0
-    value = _number(table, form.magnitude, place, 0.0)
+    value = _number(table, key, place, 0.0)
     if not form.lowest <= value <= form.highest:
-        raise EffectFileError(
-            f"{place}: key '{form.magnitude}' is {value:g}; give a number from {form.lowest:g} to {form.highest:g}."
-        )
+        raise place.mistake(key, f"key '{key}' is {value:g}; give a number from {form.lowest:g} to {form.highest:g}")
     return value
 
 
-def _number(table: dict[str, Any], key: str, place: str, default: float) -> float:
+def _shape(table: dict[str, Any], key: str, default: float | None, place: _Place) -> float:
+    if key not in table and default is None:
+        raise place.mistake(key, f"key '{key}' is missing; give it as a number")
+    value = _number(table, key, place, default or 0.0)
+    lowest, highest = SHAPES[key]
+    if not lowest <= value <= highest or (value == lowest and key != "peak_hour"):
+        raise place.mistake(key, f"key '{key}' is {value:g}; give a number {bounds_of(key)}")
+    return value
+
+
+def bounds_of(key: str) -> str:
+    """What a shape key may be, in words; empty where any number will do."""
+    lowest, highest = SHAPES[key]
+    if key == "peak_hour":
+        return f"from 0 to {highest:g}"
+    return "" if lowest == -inf else "above 0" + (f", at most {highest:g}" if highest < inf else "")
+
+
+def _number(table: dict[str, Any], key: str, place: _Place, default: float) -> float:
     value = table.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise EffectFileError(f"{place}: key '{key}' is {value!r}; give a number.")
+        shown = repr(value) if isinstance(value, str) else value
+        raise place.mistake(key, f"key '{key}' is {shown}; give a number")
     try:
         number = float(value)
     except OverflowError:
         number = inf
     if key in table and not isfinite(number):
-        raise EffectFileError(f"{place}: key '{key}' is {number}; give a finite number.")
+        raise place.mistake(key, f"key '{key}' is {number}; give a finite number")
     return number

@@ -100,7 +100,7 @@ def lasting(number: int, seed: int, hours: float) -> tuple[Truth, Truth]:
     found: list[Drawn] = []
     while len(found) < 2:
         drawn = _inside(rng, hours * 3600.0)
-        if drawn[2][2] != "elapsed_time" and drawn[2][:2] not in [old[2][:2] for old in found]:
+        if drawn[2][2] != "elapsed_time" and all(_apart(old, drawn) for old in found):
             found.append(drawn)
     first, second = (Truth("one", what, (table,), (label,)) for what, table, label in found)
     return first, second
@@ -113,8 +113,13 @@ def _two(rng: np.random.Generator, end: float, first: Drawn) -> Truth:
     """The first effect and another one, of another kind or at another place."""
     while True:
         second = _inside(rng, end)
-        if second[2][:2] != first[2][:2]:
+        if _apart(first, second):
             return Truth("two", f"{first[0]} + {second[0]}", (first[1], second[1]), (first[2], second[2]))
+
+
+def _apart(first: Drawn, second: Drawn) -> bool:
+    """Whether two effects differ in kind or place; the rig has one bypass alone."""
+    return first[2][:2] != second[2][:2] and not ("bypass_fraction" in first[1] and "bypass_fraction" in second[1])
 
 
 Outside = tuple[str, tuple[dict[str, Any], ...], tuple[str, str, str]]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Callable
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -100,11 +100,19 @@ def command(
 
 def _checker(file: Path) -> Callable[[Path, Path, Console], None]:
     if file.suffix == ".toml":
+        from drivers.points import ConfigurationError
+        from drivers.toml_lines import tables_of
+
         try:
-            keys = set(tomllib.loads(file.read_text(encoding="utf-8")))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise click.UsageError(f"{file}: is not valid TOML: {error}") from error
-        for key, checker in (("elements", _twin), ("effect", _effects), ("system", _scenario), ("systems", _scenario)):
+            keys = set(tables_of(file.read_bytes())[1])
+        except ValueError as error:
+            raise ConfigurationError(f"{file}: {error}") from error
+        if not keys:
+            raise ConfigurationError(
+                f"{file}: holds no key; a rig file has [rig], a twin [elements.NAME], an effects file [[effect]], a "
+                "scenario [[system]]"
+            )
+        for key, checker in _TELLING.items():
             if key in keys:
                 return checker
         return _rig
@@ -186,8 +194,12 @@ def _catalogue(file: Path, out: Console) -> None:
 def _effects(file: Path, _: Path, out: Console) -> None:
     from drivers.virtual.effects import load_effects
 
-    for effect in load_effects(file):
-        out.print(str(effect))
+    for number, effect in enumerate(load_effects(file), 1):
+        sizes = {effect.magnitude: effect.value, **effect.shape}
+        sized = ", ".join(f"{key} = {value:g}" for key, value in sizes.items())
+        when = f"from {effect.onset_s:g} s" + (f" to {effect.end_s:g} s" if isfinite(effect.end_s) else " on")
+        grown = f", growing for {effect.ramp_s:g} s" if effect.ramp_s else ""
+        out.print(f"effect {number}: {effect.kind} at {effect.where}, {effect.driver}: {sized}; {when}{grown}")
     out.print(f"{file}: no mistakes found", style="green")
 
 
@@ -234,3 +246,10 @@ def _record(file: Path, _: Path, out: Console) -> None:
         missing = f", {len(values) - finite.size} missing" if finite.size < len(values) else ""
         out.print(f"  {name}: {spread}{missing}")
     out.print(f"{file}: {len(record.time_s)} samples over {record.time_s[-1] / 3600:.2f} h", style="green")
+
+
+_TELLING: dict[str, Callable[[Path, Path, Console], None]] = {
+    "elements": _twin, "effect": _effects, "effects": _effects, "where": _effects, "system": _scenario,
+    "systems": _scenario,
+}  # fmt: skip
+"""Key at the top of a TOML file -> what it makes of the file; without any of them it is a rig file."""

@@ -136,6 +136,52 @@ def test_wrong_use_is_explained(tmp_path, arguments, words):
     assert "Traceback" not in printed
 
 
+EFFECT = '[[effect]]\nkind = "heat_source"\nwhere = "tank"\ndriver = "constant"\npower_W = 5.0\n'
+
+
+@pytest.mark.parametrize("more", [["--check-only"], ["--no-viewer"]])
+def test_a_bad_effects_file_is_refused_before_anything_is_written(tmp_path, more):
+    effects, runs = tmp_path / "effects.toml", tmp_path / "runs"
+    effects.write_text(EFFECT.replace("tank", "T_tank_C"), encoding="utf-8")
+    command = ["run", load(tmp_path, GOOD_LOAD), "--virtual", "--lockstep", "--no-twin", "--with", effects]
+    code, printed = hil(*command, "--runs", runs, *more)
+    assert code == 2 and printed.startswith(f"hil: {effects}, line 3: effect 1: key 'where' is 'T_tank_C'; use one of")
+    assert len(printed.splitlines()) == 1 and not runs.exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "holds no key; a rig file has [rig]"),
+        (
+            EFFECT.replace("[[effect]]\n", "").encode(),
+            "line 1: key 'kind' belongs to no effect; write [[effect]] above it",
+        ),
+        (
+            EFFECT.replace("effect", "effects").encode(),
+            "line 1: key 'effects' is unknown; write only [[effect]] tables",
+        ),
+        (b"\xef\xbb\xbf" + EFFECT.encode(), "begins with a byte order mark (line 1); save it as UTF-8 without one"),
+        (EFFECT.replace("tank", "t\u00e4nk").encode("latin-1"), "is not UTF-8 text (line 3); save it as UTF-8"),
+        (EFFECT.replace('"tank"', "tank").encode(), "(at line 3, column 9); correct it there"),
+    ],
+)
+def test_check_refuses_what_is_no_effects_file_in_one_sentence(tmp_path, content, words):
+    effects = tmp_path / "effects.toml"
+    effects.write_bytes(content)
+    code, printed = hil("check", effects)
+    assert code == 2 and words in printed and len(printed.splitlines()) == 1
+    assert printed.startswith(f"hil: {effects}")
+
+
+def test_check_tells_effects_in_plain_words(tmp_path):
+    effects = tmp_path / "effects.toml"
+    effects.write_text(EFFECT + "onset_s = 60\nramp_s = 30\nend_s = 600\n", encoding="utf-8")
+    code, printed = hil("check", effects)
+    said = "effect 1: heat_source at tank, constant: power_W = 5; from 60 s to 600 s, growing for 30 s"
+    assert code == 0 and printed.splitlines()[0] == said
+
+
 def test_a_run_on_a_wire_that_the_virtual_rig_does_not_serve_is_refused(tmp_path):
     rig = tmp_path / "rig.toml"
     text = RIG.read_text(encoding="utf-8")

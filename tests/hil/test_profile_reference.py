@@ -13,6 +13,7 @@ from hil.scenario import Scenario, System, build, read_scenario
 from tests.hil.reference_pages import FOLDER, page
 
 PAGE = page("profile-file")
+PAGES = ("rig-file", "twin-file", "profile-file", "effects-file")
 NO_KEYS = {"path"}
 """Set by the reader: where the file lies."""
 
@@ -60,11 +61,11 @@ def test_what_the_page_does_not_allow_of_a_profile_is_refused(tmp_path, old, new
         read_profile(path)
 
 
-@pytest.mark.parametrize("name", ["rig-file", "twin-file", "profile-file"])
+@pytest.mark.parametrize("name", PAGES)
 def test_links_lead_to_a_heading(name):
     text = (FOLDER / f"{name}.md").read_text(encoding="utf-8")
     links = re.findall(r"\]\((?:([a-z-]+)\.md)?(?:#([^)]*))?\)", text)
-    assert {other for other, _ in links} == {"rig-file", "twin-file", "profile-file", ""} - {name}
+    assert {other for other, _ in links} == {*PAGES, ""} - {name}
     for other, anchor in links:
         slugs = {re.sub(r"[^\w -]", "", title).lower().replace(" ", "-") for title in page(other or name).rows}
         assert not anchor or anchor in slugs, f"{name}: {other}#{anchor}"

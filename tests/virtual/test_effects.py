@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.virtual.effects import FORMS, Effect, EffectFileError, Form, _parse, load_effects
+from drivers.virtual.effects import FORMS, Effect, EffectFileError, Form, _parse, _Place, load_effects
 from drivers.virtual.geometry import CHANNELS
 from drivers.virtual.instruments import Instruments
 from drivers.virtual.plant import Plant
@@ -207,13 +207,13 @@ GOOD = '[[effect]]\nkind = "heat_source"\nwhere = "tank"\ndriver = "constant"\np
     [
         ("", "at least one [[effect]]"),
         ("effect = 3", "at least one [[effect]]"),
-        ("[[effect]", "is not TOML"),
+        ("[[effect]", "is not valid TOML"),
         (GOOD + "[other]\n", "key 'other' is unknown"),
         (GOOD.replace("heat_source", "magic"), "use one of heat_source, heat_loss"),
         (GOOD.replace("tank", "attic"), "use one of heater, modules, radiator, tank, pm1"),
         (GOOD.replace('where = "tank"\n', ""), "key 'where' is missing"),
         (GOOD.replace("constant", "moon"), "use one of constant, elapsed_time"),
-        (GOOD.replace("power_W = 5.0", ""), "give exactly one of power_W"),
+        (GOOD.replace("power_W = 5.0", ""), "no magnitude that goes with driver 'constant'; give power_W"),
         (GOOD.replace("5.0", '"5"'), "give a number"),
         (GOOD.replace("5.0", "nan"), "finite"),
         (GOOD.replace("5.0", "1e6"), "from -3000 to 3000"),
@@ -224,8 +224,17 @@ GOOD = '[[effect]]\nkind = "heat_source"\nwhere = "tank"\ndriver = "constant"\np
         (GOOD + "ramp_s = -1\n", "ramp_s"),
         (GOOD.replace("constant", "periodic"), "key 'period_s' is missing"),
         (GOOD.replace("constant", "periodic") + "period_s = 0\n", "above 0"),
-        (GOOD.replace("constant", "periodic") + "period_s = 9\nduty = 2\n", "up to 1"),
-        ('[[effect]]\nkind="sensor"\nwhere="T_tank_C"\nbias=1\nlag_s=3\n', "key 'driver' is missing"),
+        (GOOD.replace("constant", "periodic") + "period_s = 9\nduty = 2\n", "at most 1"),
+        ('[[effect]]\nkind="sensor"\nwhere="T_tank_C"\nbias=1\nlag_s=3\n', "more than one magnitude"),
+        (GOOD.replace('driver = "constant"\n', ""), "line 1: effect 1: key 'driver' is missing"),
+        (GOOD.replace("[[effect]]\n", ""), "line 1: key 'kind' belongs to no effect; write [[effect]] above it"),
+        (GOOD.replace("[[effect]]", "[effect]"), "line 1: [effect] is one table; write [[effect]]"),
+        (GOOD.replace("[[effect]]", "[[effects]]"), "line 1: key 'effects' is unknown"),
+        ("\ufeff" + GOOD, "byte order mark"),
+        (GOOD + "note = 3\n", "line 6: effect 1: key 'note' is 3; give text"),
+        (GOOD + GOOD + "onset_s = 2020-01-01\n", "line 11: effect 2: key 'onset_s' is 2020-01-01; give a number"),
+        (GOOD.replace("constant", "time_of_day") + "peak_hour = 26\n", "from 0 to 24"),
+        (GOOD.replace("constant", "time_of_day") + "width_h = 48\n", "at most 24"),
         ('[[effect]]\nkind="sensor"\nwhere="T_tank_C"\nstuck=false\n', "must be true"),
         ('[[effect]]\nkind="sensor"\nwhere="T_ambient_C"\nopen_circuit=true\n', "give"),
         ('[[effect]]\nkind="heat_rejection"\nwhere="radiator"\ndriver="elapsed_time"\nlost_fraction=0.2\n', "ramp_s"),
@@ -234,7 +243,7 @@ GOOD = '[[effect]]\nkind = "heat_source"\nwhere = "tank"\ndriver = "constant"\np
 )
 def test_bad_files_are_refused_in_one_sentence(text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.toml"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(EffectFileError) as caught:
         load_effects(path)
     message = str(caught.value)
@@ -254,7 +263,7 @@ def test_any_table_is_an_effect_or_a_plain_refusal(table: dict[str, object], for
     good = {"kind": form.kind, "where": form.places[0], "driver": form.driver, form.magnitude: 1.0}
     for candidate in (table, {**good, **table}):
         try:
-            effect = _parse(candidate, "file: effect 1")
+            effect = _parse(candidate, _Place(Path("file"), 1))
         except EffectFileError as error:
             assert str(error).startswith("file: effect 1: ")
         else:
@@ -264,3 +273,10 @@ def test_any_table_is_an_effect_or_a_plain_refusal(table: dict[str, object], for
 def test_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(EffectFileError, match="cannot be read"):
         load_effects(tmp_path / "none.toml")
+
+
+def test_a_file_in_another_encoding_is_refused_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_bytes(GOOD.replace("tank", "t\u00e4nk").encode("latin-1"))
+    with pytest.raises(EffectFileError, match=r"is not UTF-8 text \(line 3\); save it as UTF-8"):
+        load_effects(path)
