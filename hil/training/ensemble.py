@@ -1,6 +1,7 @@
 """The members of a folder as one calibrator: intervals that hold, and how good it is on windows that nothing has seen.
 
-`<name>.json` names the members with their checksums, the conformal factors, and what they do on the test split.
+`<name>.json` names the members with their checksums, the conformal factors, and what they do on the test split, beside
+what can be had there without them.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def assemble(data: Data, folder: Path, name: str) -> Path | None:
     if not members:
         return None
     networks = [m.network for m in members.values()]
-    rng = np.random.default_rng(0)
+    rng, blind = np.random.default_rng(0), None
     document: dict[str, Any] = {
         "format": FORMAT,
         "name": name,
@@ -57,6 +58,7 @@ def assemble(data: Data, folder: Path, name: str) -> Path | None:
         told = np.isfinite(score).sum(axis=0) >= conformal.LEAST
         factors = [conformal.quantile(score[:, k], conformal.CONFIDENCE) if told[k] else None for k in range(len(told))]
         test = _outputs(networks, data.test, physics, causal, hidden)
+        blind = test if mode == "blind" else blind
         width = outputs.of(data.test.regime[:, -1])[:, None, :] * test.scale
         theta_width = np.array([np.nan if f is None else f for f in factors]) * test.theta_sd
         document["modes"][mode] = {
@@ -66,9 +68,34 @@ def assemble(data: Data, folder: Path, name: str) -> Path | None:
             | {"interval90": _coverage(test.error, width, data.test.regime[:, -1])}
             | {"parameter_interval90": _inside(test.theta_error[:, None], theta_width[:, None])},
         }
+    document["rivals"] = _rivals(networks, data, physics, blind)
     card = folder / f"{name}.json"
     card.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     return card
+
+
+def _rivals(networks: list[Any], data: Data, physics: Any, blind: Any) -> dict[str, Any]:
+    """Parameters and outputs of the evidence, of what can be made of it, and of the networks with and without channels.
+
+    On the test split, target hidden; outputs: mean absolute error, K.
+    """
+    from hil.training.rivals import estimates, judged, noisy, shuffled
+    from twin.calibrators.hiera_unet.score import missed
+
+    test, config = data.test, networks[0].config
+    true = test.theta.astype(np.float64)
+    found: dict[str, Any] = {}
+    for name, (theta, sd) in estimates(config, data.train, test).items() if config.evidence else ():
+        error = missed(physics.simulate, theta, test)
+        found[name] = judged(theta, sd, true, test.known) | {"outputs": float(np.nanmean(np.abs(error)))}
+    other = {
+        f"channels {name}": _outputs(networks, change(test), physics, *MODES["blind"])
+        for name, change in (("shuffled", shuffled), ("noise", noisy))
+    }
+    for name, said in {"network": blind, **other}.items():
+        least = np.maximum(said.theta_sd, 1e-6)
+        found[name] = judged(said.theta, least, true, test.known) | {"outputs": float(np.nanmean(np.abs(said.error)))}
+    return found
 
 
 def _outputs(networks: list[Any], windows: Any, physics: Any, causal: bool, hidden: bool) -> Any:

@@ -81,6 +81,9 @@ def test_a_training_in_pieces_ends_with_card_picture_and_ensemble(data: Data, tm
     told = ensemble["modes"]["online"]
     assert len(told["outputs"]["overall"]) == 2 and 0.5 < told["test"]["interval90"]["share"] <= 1.0
     assert told["parameters"] == [None, None]  # fewer scores than an interval needs
+    rivals = ensemble["rivals"]
+    assert {"commissioned", "Gauss-Newton, shrunk", "network", "channels noise"} <= rivals.keys()
+    assert all(r["outputs"] > 0.0 and r["parameters"] >= 0.0 for r in rivals.values())
 
 
 def test_an_interrupt_in_the_first_step_keeps_that_step(data: Data, tmp_path: Path) -> None:

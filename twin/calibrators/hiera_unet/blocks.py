@@ -44,8 +44,7 @@ def masking(valid: Tensor, causal: bool) -> Tensor:
     w = valid.shape[-1]
     score = torch.where(valid > 0, 0.0, INVALID)[..., None, None, :].expand(*valid.shape[:-1], 1, w, w)
     if causal:
-        later = torch.ones(w, w, dtype=torch.bool, device=valid.device).triu(1)
-        score = torch.where(later, FUTURE, score)
+        score = torch.minimum(score, torch.full((w, w), FUTURE, device=valid.device).triu(1))
     return score
 
 

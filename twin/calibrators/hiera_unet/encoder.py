@@ -90,7 +90,10 @@ class Stage(nn.Module):
         self.norm = nn.LayerNorm(dim)
 
     def forward(self, x: Tensor, valid: Tensor, time: Tensor, causal: bool, read: Tensor | None = None) -> Tensor:
-        """x (B, n, d), valid (B, n), time (B or 1, n) in steps, read (B, r, d) -> (B, n, d), normalised."""
+        """x (B, n, d), valid (B, n), time (B or 1, n) in steps, read (B, r, d) -> (B, n, d), normalised.
+
+        Where all windows have the same lags, `time` of one of them is enough.
+        """
         bias = self.bias(time.unflatten(1, (-1, self.window)))
         score = masking(valid.unflatten(1, (-1, self.window)), causal) + bias
         for block in self.blocks:
@@ -138,13 +141,15 @@ class Encoder(nn.Module):
                 time, valid = when(time, valid, factor), merged
             last = index == len(self.stages) - 1
             read = self.meta(meta).unflatten(-1, (self.config.meta_tokens, -1)) if last else None
-            h = stage(h, valid, time, causal, read)
-            out.append(Scale(h, valid, raw, shares.unflatten(1, (-1, stride)).mean(2)))
+            h = stage(h, valid, time if index else time[:, : self.config.windows[0]], causal, read)
+            out.append(Scale(h, valid, raw, shares if stride == 1 else shares.unflatten(1, (-1, stride)).mean(2)))
         return tuple(out)
 
 
 def averaged(x: Tensor, m: Tensor, stride: int) -> Tensor:
     """Mask-weighted means of the channels over `stride` steps, then their availability: (B, n / stride, 2 C)."""
+    if stride == 1:
+        return torch.cat([x * m, m], -1)
     there = m.unflatten(1, (-1, stride)).sum(2)
     total = (x * m).unflatten(1, (-1, stride)).sum(2)
     return torch.cat([total / there.clamp(min=1.0), there / stride], -1)

@@ -119,6 +119,14 @@ def outcome(
     return Outcome(**{name: np.concatenate(values) for name, values in parts.items()})
 
 
+def missed(simulate: Simulate, theta: Array, windows: Windows) -> Array:
+    """What the twin with deviations (N, P) misses of the goal, (N, 120, Y); NaN where it is not known."""
+    with torch.inference_mode():
+        twin = simulate(torch.from_numpy(np.ascontiguousarray(theta)), windows).numpy()
+    error: Array = twin - np.where(np.isfinite(windows.truth), windows.truth, windows.target)
+    return error
+
+
 def average(values: Sequence[float | None]) -> float:
     """Mean of the values that are known; NaN without any."""
     known = [v for v in values if v is not None]
