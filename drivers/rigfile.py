@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from drivers.points import ConfigurationError
 from drivers.rig_checks import cross_checks
 from drivers.rig_model import Rig
 from drivers.rig_places import sentence
-from drivers.toml_lines import line_of
+from drivers.toml_lines import line_of, tables_of
 
 
 class RigFileError(ConfigurationError):
@@ -32,15 +31,13 @@ _FILES = ("dbc", "ca", "certificate", "key")
 def load_rig(path: Path) -> Rig:
     """Read and validate a rig file; raises RigFileError with every mistake in it."""
     try:
-        raw = path.read_bytes()
-        text = raw.decode("utf-8")
-        document = tomllib.loads(text)
+        text, document = tables_of(path.read_bytes())
     except FileNotFoundError:
         raise RigFileError(f"{path}: there is no such file; give the path of a rig file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise RigFileError(f"{path}: cannot be read ({error}); save it as UTF-8 text") from error
-    except tomllib.TOMLDecodeError as error:
-        raise RigFileError(f"{path}: is not valid TOML: {error}") from error
+    except OSError as error:
+        raise RigFileError(f"{path}: cannot be read ({error.strerror or error}); give the path of a rig file") from None
+    except ValueError as error:
+        raise RigFileError(f"{path}: {error}") from None
     for section in document.get("bus", {}).values():
         for key in _FILES:
             if isinstance(section, dict) and isinstance(section.get(key), str):

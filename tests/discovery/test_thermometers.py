@@ -45,6 +45,14 @@ def test_a_thermometer_that_explains_everything_is_all_that_is_told(bench: Bench
     assert "Without that the twin is adequate" in found.summary
 
 
+def test_what_is_unknown_beside_one_that_comes_and_goes_is_told_too(bench: Bench, healthy: Columns) -> None:
+    heated = bench.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 60.0})
+    record = with_six(bench, bench.record(16.0, changed=heated, onset_h=4.0), 6, comes_and_goes)
+    found = diagnose(bench.network, record, with_six(bench, healthy, 5))
+    assert found.verdict == "unexplained"
+    assert "T_pm3_C" in {e.where for e in found.effects} and len(found.effects) == 2
+
+
 @pytest.mark.parametrize(("from_h", "for_h"), [(5.0, 5.0), (1.0, 6.0)])
 def test_one_that_drifts_is_told_with_what_it_comes_to(
     bench: Bench, healthy: Columns, from_h: float, for_h: float

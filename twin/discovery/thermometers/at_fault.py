@@ -119,8 +119,9 @@ def single(
         return (*_now_and_then(one, verdict, effects, start), ())
     restless = restless_one(one) if not told and at is not None else None
     if restless is not None:
-        # What came and went at one thermometer shows in the mean as an error of another form.
-        rest = (e for i, e in enumerate(effects) if i != at)
+        # What came and went at one thermometer shows in the mean as an error of another form; what else is unknown at
+        # the place stays, until the record is looked at without that thermometer.
+        rest = (e for i, e in enumerate(effects) if i != at or e.kind == "unknown")
         return "unexplained", (_restless(one, restless, start), *rest), ()
     fault, same = _fault(one, odd, told, start), _instead(odd, told)
     if verdict == "unexplained":

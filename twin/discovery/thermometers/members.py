@@ -106,10 +106,10 @@ class Members:
     def around(self, moment_s: float) -> Members:
         """The same within some hours of a moment, as they differ from before it."""
         before = (self.edges_s[1:] <= moment_s) & (self.edges_s[1:] > moment_s - NEAR_S)
-        after = (self.edges_s[:-1] > moment_s - NEAR_S) & (self.edges_s[:-1] < moment_s + NEAR_S)
+        near = (self.edges_s[:-1] > moment_s - NEAR_S) & (self.edges_s[:-1] < moment_s + NEAR_S)
         known = self.residual[before & np.isfinite(self.residual).all(axis=1)]
         usual = known.mean(axis=0) if len(known) else np.full(len(self.columns), np.nan)
-        return replace(self, residual=np.where(after[:, None], self.residual - usual, np.nan))
+        return replace(self, residual=np.where(near[:, None], self.residual - usual, np.nan))
 
 
 @dataclass(frozen=True)
