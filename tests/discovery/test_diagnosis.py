@@ -178,6 +178,16 @@ def test_a_thermometer_that_stands_still_is_named_and_left_out(bench: Bench, hea
     assert "stands still" in found.summary
 
 
+def test_one_that_stands_still_from_time_to_time_is_told_once(bench: Bench, healthy: Columns) -> None:
+    record = bench.record()
+    measured = record.measured.copy()
+    for first in (2000, 5000, 8000):
+        measured[first : first + 720, 3] = measured[first, 3]
+    found = diagnose(bench.network, replace(record, measured=measured), healthy)
+    assert [(e.kind, e.where) for e in found.effects] == [("sensor", "T_tank_C")]
+    assert "from 2 h 47 min to 3 h 47 min, and 2 more until 12 h 07 min, for 3 h 00 min in all" in found.summary
+
+
 def test_a_healthy_record_that_is_not_healthy_is_refused(bench: Bench) -> None:
     sick = bench.record(10.0, changed=bench.with_values(modules_power__power=300.0), onset_h=2.0)
     with pytest.raises(TwinFileError, match="does not fit the twin"):

@@ -173,8 +173,8 @@ def _with_thermometers(answer: Answer, case: Case) -> Answer:
         # What could not be told from the mean's error is no question where one of several errs.
         gone = {e.where for e in before} - {e.where for e in effects}
         others = (*(a for a in others if one.sensor not in gone or a.where != one.sensor), *same)
-    for span in case.still:
-        effects = (standing(span), *effects)
+    for column in dict.fromkeys(span.column for span in reversed(case.still)):
+        effects = (standing(tuple(span for span in case.still if span.column == column)), *effects)
         verdict = "effect found" if verdict == "adequate" else verdict
     return replace(answer, verdict=verdict, effects=effects, others=others)
 

@@ -232,7 +232,8 @@ def explained_by_one(
 
     Args:
         again: diagnoses a record anew. Only if the twin is adequate without that thermometer's error, the thermometer
-            is the answer: a place that is hotter than others of its kind makes its thermometer stand out too.
+            is the answer: a place that is hotter than others of its kind makes its thermometer stand out too. What is
+            then found elsewhere is told beside it, and at its own place if the thermometer is off only now and then.
     """
     if found.verdict != "unexplained":
         return found
@@ -245,32 +246,38 @@ def explained_by_one(
         measured[:, j] -= sum(_share_of(group, c, faults.keys(), record.time_s) for c in faults)
         rest = {name: each for name, each in record.members.items() if name != group.sensor}
         left = again(replace(record, measured=measured, members=rest))
-        if left.verdict != "adequate" and left.ladder[0].best_z > SMEARED * left.threshold:
-            return found
         errors = tuple(faults.values())
+        # What is off now and then is of no catalogue, whatever else is found.
+        odd = any(e.kind == "unknown" for e in errors)
+        own = () if odd else (network.sensors[j].node, group.sensor)
+        beside = left.verdict in ("effect found", "ambiguous") and all(e.where not in own for e in left.effects)
+        if not beside and left.verdict != "adequate" and left.ladder[0].best_z > SMEARED * left.threshold:
+            return found
         stuck_ones = tuple(e for e in found.effects if e.shape == "stuck" and e not in errors)
         same = tuple(a for a in found.indistinguishable if group.column_of(a.where) in faults)
         but = f"; but this record cannot tell that from {_either(same, *errors)}" if same else ""
-        said = f"{'. '.join(e.says for e in errors)}{but}. Without that the twin is adequate: {_leaves(left)}."
-        # What is off now and then is of no catalogue, though the twin needs nothing more.
-        odd = any(e.kind == "unknown" for e in errors)
-        verdict: Verdict = "unexplained" if odd else "ambiguous" if same else "effect found"
+        rest_is = left.summary if beside else f"Without that the twin is adequate: {_leaves(left)}."
+        verdict: Verdict = "unexplained" if odd else "ambiguous" if same else left.verdict if beside else "effect found"
         return replace(
-            left, verdict=verdict, effects=(*stuck_ones, *errors), summary=said,
-            network=None, next_experiment=None, indistinguishable=same, empirical=None,
+            left, verdict=verdict, effects=(*stuck_ones, *errors, *(left.effects if beside else ())),
+            summary=f"{'. '.join(e.says for e in errors)}{but}. {'Beside that: ' if beside else ''}{rest_is}",
+            network=left.network if beside and verdict == "effect found" else None, next_experiment=None,
+            indistinguishable=(*same, *(left.indistinguishable if beside else ())), empirical=None,
         )  # fmt: skip
     return found
 
 
 def _share_of(group: Members, column: str, faults: AbstractSet[str], time_s: Array) -> Array:
-    """What one thermometer's error puts on the mean of its group (N,), K: block means, held."""
+    """What one thermometer's error puts on its group's mean (N,), K: by bins, or of the block where one is missing."""
     alone = group
     for other in faults - {column}:
         alone = alone.without(other)
-    off = np.nan_to_num(alone.by_itself(alone.columns.index(column), alone.residual)) / len(group.columns)
-    block = np.searchsorted(group.edges_s, time_s - time_s[0], side="right") - 1
-    found: Array = off[np.clip(block, 0, len(off) - 1)]
-    return found
+    i, since_s = alone.columns.index(column), time_s - time_s[0]
+    block = np.clip(np.searchsorted(group.edges_s, since_s, side="right") - 1, 0, len(alone.residual) - 1)
+    bins = np.clip((since_s / group.step_s).astype(int), 0, len(alone.fine) - 1)
+    fine = alone.by_itself(i, alone.fine)[bins]
+    found: Array = np.nan_to_num(np.where(np.isfinite(fine), fine, alone.by_itself(i, alone.residual)[block]))
+    return found / len(group.columns)
 
 
 def _leaves(left: Diagnosis) -> str:
@@ -279,12 +286,16 @@ def _leaves(left: Diagnosis) -> str:
     return f"at most {e.before:.2g} K on {worst} at a noise of {e.noise:.2g} K, on the part that no fit saw"
 
 
-def standing(span: Stuck) -> Effect:
-    """A thermometer that shows one value and nothing else."""
-    says = f"{span.column} stands still at {span.value:.2f} degC from {clock(span.first_s)} to {clock(span.last_s)}"
+def standing(spans: tuple[Stuck, ...]) -> Effect:
+    """A thermometer that shows one value and nothing else, once or from time to time."""
+    first, last = spans[0], spans[-1]
+    says = f"{first.column} stands still at {first.value:.2f} degC from {clock(first.first_s)} to {clock(first.last_s)}"
+    if len(spans) > 1:
+        still_s = sum(span.last_s - span.first_s for span in spans)
+        says += f", and {len(spans) - 1} more until {clock(last.last_s)}, for {clock(still_s)} in all"
     return Effect(
-        kind="sensor", where=span.column, driver="constant", change="new", value=span.value, unit="degC",
-        interval90=(span.value, span.value), onset_s=span.first_s, onset_interval90_s=(span.first_s, span.first_s),
+        kind="sensor", where=first.column, driver="constant", change="new", value=first.value, unit="degC",
+        interval90=(first.value, first.value), onset_s=first.first_s, onset_interval90_s=(first.first_s, first.first_s),
         shape="stuck", confidence=1.0, z=100.0, says=says,
         evidence="a noisy reading does not repeat itself for so long",
     )  # fmt: skip
