@@ -107,9 +107,9 @@ class Trial:
             given = {"record": str(record), "twin": str(twin), "healthy": str(good), "hour": HOUR}
             try:
                 handed_in = self._answerer.ask(**given, out=str(folder))
-                path, seconds = Path(handed_in["answer"]), float(handed_in["seconds"])
+                path, took = Path(handed_in["answer"]), (float(handed_in["seconds"]), float(handed_in["cpu_s"]))
             except WorkerError as error:
-                path, seconds = folder / "diagnosis.json", float("nan")
+                path, took = folder / "diagnosis.json", (float("nan"), float("nan"))
                 path.write_text(json.dumps(_no_answer(str(error))), encoding="utf-8")
             self._ledger.write(name, "answered", sha256_of(path))
             truth = self._sealed / f"{name}.json"
@@ -128,7 +128,7 @@ class Trial:
             told: dict[str, Any] = ablation or {}
             z = max((v for v in told.get("z_truth", []) if v is not None), default=None)
             beside = [v for v in told.get("z_beside", []) if v is not None]
-            outcome = judge(name, case.load, hidden, answer, seconds, z, told.get("sizes", ()), beside)
+            outcome = judge(name, case.load, hidden, answer, took, z, told.get("sizes", ()), beside)
             done = Finished(outcome, answer, ablation)
             _write(done, kept)
             return done

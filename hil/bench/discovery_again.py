@@ -83,12 +83,12 @@ def _asked(case: Setting, there: Truth, new: Truth, twin: Path, good: Path) -> t
     hidden = twin.with_name("effects.txt")
     hidden.write_text(effects_text(there.effects), encoding="utf-8")
     record = direct_record(profile(case), load_rig(RIG), seed=case.seed, unit=case.unit, effects=load_effects(hidden))
-    network, began = load(twin), time.monotonic()
+    network, began, used = load(twin), time.monotonic(), time.process_time()
     told = with_clock(network)
     found = diagnose(told, columns_of(told, record, HOUR), read_healthy(told, twin, good, HOUR))
-    seconds = time.monotonic() - began
+    took = time.monotonic() - began, time.process_time() - used
     truth = {**there.document(), "effects": list(new.effects), "labels": list(new.labels)}
-    outcome = judge(f"again_{case.number}", case.load, truth, found.document(), seconds)
+    outcome = judge(f"again_{case.number}", case.load, truth, found.document(), took)
     return outcome, revise(found, network, twin, twin.with_suffix(".parquet"))
 
 

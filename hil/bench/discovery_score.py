@@ -42,6 +42,7 @@ class Outcome:
             told from what it is, a switch that a temperature turned.
         onset_min: error of the onset, minutes. size: relative error. errors_K: RMSE on the held-out part, re-tuned,
             with the effects, and the thermometers' noise, over all sensors.
+        seconds, cpu_s: what the diagnosis took by the clock, and of all processors, whatever else ran beside it.
         excess: share of the squared error above the floor that the effects took away.
         size_held, onset_held: the answer's 90 % interval holds the true one.
     """
@@ -55,6 +56,7 @@ class Outcome:
     z: float | None
     confidence: float | None
     seconds: float
+    cpu_s: float
     z_truth: float | None
     exact: bool | None
     top1: bool | None
@@ -92,12 +94,13 @@ class Outcome:
 
 
 def judge(
-    case: str, load: str, hidden: Mapping[str, Any], answer: Mapping[str, Any], seconds: float,
+    case: str, load: str, hidden: Mapping[str, Any], answer: Mapping[str, Any], took: tuple[float, float],
     z_truth: float | None = None, sizes: Sequence[tuple[float, str] | None] = (), z_beside: Sequence[float] = (),
 ) -> Outcome:  # fmt: skip
     """Compare an answer, `diagnosis.json`, with a truth as it was sealed.
 
     Args:
+        took: s, by the clock and of processors.
         sizes: and units of the true effects in the catalogue, at the end of the record, None where it has no such.
     """
     group, verdict = str(hidden["group"]), str(answer["verdict"])
@@ -132,7 +135,8 @@ def judge(
         case=case, group=group, what=str(hidden["what"]), load=load, verdict=verdict,
         said="; ".join(spoken(e) for e in effects) or "-",
         z=first["z"] if first else None, confidence=first["confidence"] if first else None,
-        seconds=seconds, z_truth=z_truth, exact=exact, top1=top1, class1=class1, in_set=in_set, set_size=set_size,
+        seconds=took[0], cpu_s=took[1], z_truth=z_truth,
+        exact=exact, top1=top1, class1=class1, in_set=in_set, set_size=set_size,
         place=right_place, driver=right_driver, in_words=in_words, onset_min=onset, size=size, errors_K=pooled(answer),
         z_least=min(z_beside, default=None), size_held=size_held, onset_held=onset_held,
     )  # fmt: skip

@@ -120,6 +120,7 @@ def _numbers(outcomes: Sequence[Outcome]) -> Table:
     one = [o for o in inside if o.group == "one"]
     errors = [o.errors_K for o in inside if o.errors_K]
     times = [o.seconds for o in outcomes if o.seconds == o.seconds]
+    used = [o.cpu_s for o in outcomes if o.cpu_s == o.cpu_s]
     onset = [o.onset_min for o in one if o.onset_min is not None]
     size = [100.0 * o.size for o in one if o.size is not None]
     clear = [100.0 * o.size for o in one if o.size is not None and (o.z_truth or 0.0) >= CLEAR]
@@ -138,6 +139,7 @@ def _numbers(outcomes: Sequence[Outcome]) -> Table:
         ("held out, healthy records, re-tuned, K", median(floor), max(floor, default=float("nan")), len(floor)),
         ("noise of the thermometers, K", median([e[2] for e in errors]), None, len(errors)),
         ("seconds a record", median(times), max(times, default=float("nan")), len(times)),
+        ("seconds of processors a record", median(used), max(used, default=float("nan")), len(used)),
     ]  # fmt: skip
     return Table("numbers", "Sizes, onsets, errors and time", ("what", "median", "worst", "cases"), tuple(rows))
 

@@ -54,11 +54,11 @@ HIDDEN = {
 
 
 def judged(said: dict[str, Any], hidden: dict[str, Any] | None = None) -> Outcome:
-    return judge("case_0", "steps", hidden or HIDDEN, said, 1.0, 12.0, ((40.0, "W"),))
+    return judge("case_0", "steps", hidden or HIDDEN, said, (1.0, 1.0), 12.0, ((40.0, "W"),))
 
 
 def test_sizes_in_different_units_are_not_compared() -> None:
-    other = judge("case_0", "steps", HIDDEN, answer("effect found", effect()), 1.0, 12.0, ((40.0, "W/K"),))
+    other = judge("case_0", "steps", HIDDEN, answer("effect found", effect()), (1.0, 1.0), 12.0, ((40.0, "W/K"),))
     assert other.right and other.size is None
 
 
