@@ -189,6 +189,19 @@ def test_one_that_stands_still_from_time_to_time_is_told_once(bench: Bench, heal
     assert "from 2 h 47 min to 3 h 47 min, and 2 more until 12 h 07 min, for 3 h 00 min in all" in found.summary
 
 
+@pytest.mark.parametrize("lost", [0.4, 0.15])
+def test_a_tank_that_holds_less_water_is_a_mass_that_is_gone(bench: Bench, healthy: Columns, lost: float) -> None:
+    held = bench.network.parameters["tank.capacitance"].value
+    record = bench.record(changed=bench.with_values(tank__capacitance=(1.0 - lost) * held), onset_h=5.0)
+    found = diagnose(bench.network, record, healthy)
+    assert found.verdict == "effect found"
+    (gone,) = found.effects
+    assert (gone.kind, gone.where, gone.change) == ("thermal_mass", "tank", "existing")
+    assert gone.value == pytest.approx(-lost * held, rel=0.1) and gone.onset_s == pytest.approx(
+        5.0 * 3600.0, abs=1800.0
+    )
+
+
 def stopped(record: Columns) -> Columns:
     """The record with two stops of pump and heater, in which water stands in the sun."""
     inputs, measured = record.inputs.copy(), record.measured.copy()

@@ -93,11 +93,26 @@ class Book:
                 changed = bigger.with_values(sized(bigger, candidate, candidate.typical))
                 formulas = self._formulas(candidate, changed)
                 heat = formulas.heats(known, grid.inputs, changed.values, grid.step_s)
+                heat -= _taken_up(bigger, changed, known, grid.step_s)
                 law = Law(candidate, (heat - base) / candidate.typical, None)
             size = law.heat if law.heat is not None else law.reading
             if size is not None and np.isfinite(size).all() and float(np.abs(size).max()) * candidate.typical > LEAST_W:
                 found.append(law)
         return found
+
+
+def _taken_up(network: Network, changed: Network, known: Array, step_s: float) -> Array:
+    """Heat (n, k), W, that volumes whose thermal mass is another take up more than before.
+
+    Args:
+        known: (n, k) degC, means over bins, so that what rose between two of them rose about the beginning of one.
+    """
+    at = network.index([f"{node}.capacitance" for node in network.nodes])
+    more = changed.values[at] - network.values[at]
+    heat = np.zeros_like(known)
+    rate = np.diff(known, axis=0, prepend=known[:1]) / step_s
+    heat[:, more != 0.0] = more[more != 0.0] * rate[:, more != 0.0]
+    return heat
 
 
 def _put_in(network: Network, candidate: Candidate, grid: Grid, known: Array) -> Array:
