@@ -252,6 +252,25 @@ def test_a_record_with_gaps_and_holes_is_tracked_and_says_so(tmp_path):
     assert "T_radiator_C" in printed
 
 
+def test_commissioning_tells_times_as_they_are_read_and_leaves_out_what_has_no_reading(tmp_path):
+    path = healthy_record(tmp_path)
+    import pyarrow.parquet as parquet
+
+    table = parquet.read_table(path)
+    columns = {name: table[name].to_numpy()[:1200].copy() for name in table.schema.names if name != "time_s"}
+    columns["T_radiator_C"][:] = np.nan
+    write_record(Record(table["time_s"].to_numpy()[:1200], columns), path)
+    code, printed = hil("commission", path, "--twin", TWIN, "--out", tmp_path / "new.toml")
+    assert code == 0 and "nan" not in printed
+    assert "free run from 16 min to 19 min 59 s" in printed
+    assert "not in the table: T_radiator_C" in printed
+
+
+@pytest.mark.parametrize("kind", ["ambient_loss", "conduction", "flow"])
+def test_what_an_element_says_of_its_parameters_is_of_no_single_rig(kind):
+    assert not [spec for spec, _ in parameters_of(KINDS[kind]) if "Table" in spec.source]
+
+
 def test_a_twin_is_never_overwritten(tmp_path):
     out = tmp_path / "new.toml"
     out.write_text("mine", encoding="utf-8")
