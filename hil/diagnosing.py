@@ -157,7 +157,7 @@ def read_columns(
             on_grid(network, columns.time_s, columns.inputs, columns.measured)
     except TwinFileError as error:
         text = [message for message in record.messages if message.endswith("holds text: dropped")]
-        raise TwinFileError("; ".join([f"{path}: {error}", *text])) from None
+        raise type(error)("; ".join([f"{path}: {error}", *text])) from None
     return columns, record.messages
 
 

@@ -100,6 +100,7 @@ def command(
     from hil.forecasting import foretell
     from hil.terminal import Steps, console, invocation
     from twin.discovery.healthy.health import NotHealthyError
+    from twin.discovery.records.grid import TooShortError
     from twin.network import TwinFileError
     from twin.twinfile import load
 
@@ -118,7 +119,10 @@ def command(
         return
     if bootstrap and good is not None:
         _bootstrap(told, good, healthy, bootstrap, quiet=as_json)
-    record, messages = read_columns(told, subject.record, hour, at_rest=at_rest)
+    try:
+        record, messages = read_columns(told, subject.record, hour, at_rest=at_rest)
+    except TooShortError as error:
+        raise TwinFileError(f"{error}; where each row is a steady state of its own, give --at-rest") from None
     allowed = rig or (rig_of(target) if target.is_dir() else None)
     limits = limits_of(allowed) if allowed is not None else None
     later = tuple(read_columns(told, path, hour)[0] for path in more)
