@@ -23,6 +23,7 @@ from hil import __version__
 from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
 from hil.record import Record, read_record
 from hil.record_time import span
+from hil.record_units import beyond_declared
 from hil.run_folder import RunFolder
 from hil.segments import Parts
 from twin.discovery.diagnosis import Diagnosis
@@ -158,7 +159,7 @@ def read_columns(
     except TwinFileError as error:
         text = [message for message in record.messages if message.endswith("holds text: dropped")]
         raise type(error)("; ".join([f"{path}: {error}", *text])) from None
-    return columns, record.messages
+    return columns, (*record.messages, *beyond_declared(network, record.columns))
 
 
 def read_healthy(network: Network, twin: Path, path: Path, hour_at_0: float | None) -> Commissioned:

@@ -41,6 +41,7 @@ def command(
       hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
     from hil.record import read_record
+    from hil.record_units import beyond_declared
     from twin.commission import commission
     from twin.datasheet import from_datasheet
     from twin.network import TwinFileError
@@ -65,7 +66,7 @@ def command(
     if as_json:
         click.echo(json.dumps(_document(result, out), indent=1))
         return
-    _show(result, data.messages, out)
+    _show(result, (*data.messages, *beyond_declared(network, data.columns)), out)
 
 
 def _document(result: Commission, out: Path) -> dict[str, object]:
@@ -94,7 +95,7 @@ def _show(result: Commission, messages: tuple[str, ...], out: Path) -> None:
 
     to = console()
     for message in messages:
-        to.print(message)
+        to.print(message, markup=False, soft_wrap=True)
     parameters = Table(title="Parameters", title_justify="left")
     for heading in ("parameter", "before", "after", "90 % interval", "unit", ""):
         parameters.add_column(heading, justify="left" if heading in ("parameter", "unit", "") else "right")
