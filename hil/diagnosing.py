@@ -9,7 +9,8 @@ import dataclasses
 import datetime
 import json
 import platform
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -27,6 +28,7 @@ from hil.record_units import beyond_declared
 from hil.run_folder import RunFolder
 from hil.segments import Parts
 from twin.discovery.diagnosis import Diagnosis
+from twin.discovery.elsewhere import elsewhere
 from twin.discovery.engine import diagnose
 from twin.discovery.growing.answer import diagnose_grown, fits_growth
 from twin.discovery.healthy.basis import Columns, Commissioned
@@ -177,7 +179,7 @@ def answer(
     record: Columns,
     healthy: Columns | None,
     *,
-    more: tuple[Columns, ...],
+    more: Mapping[str, Columns],
     limits: Limits | None,
     at_rest: bool,
     say: Callable[[str], None],
@@ -188,8 +190,26 @@ def answer(
         TwinFileError: the record cannot be diagnosed.
     """
     if at_rest or (healthy is None and fits_growth(network, record)):
-        return diagnose_grown(network, record, more=more, at_rest=at_rest, say=say)
-    return diagnose(network, record, healthy, more=more, say=say, limits=limits)
+        found = diagnose_grown(network, record, more=tuple(more.values()), at_rest=at_rest, say=say)
+    else:
+        found = diagnose(network, record, healthy, more=tuple(more.values()), say=say, limits=limits)
+    if not more:
+        return found
+    say("looking at the further records")
+    further = tuple(elsewhere(found, network, columns, name) for name, columns in more.items())
+    said = (one.says for one in further if one.says)
+    return dataclasses.replace(found, elsewhere=further, notes=(*found.notes, *said))
+
+
+def further_columns(network: Network, paths: Sequence[Path], hour_at_0: float | None) -> dict[str, Columns]:
+    """Further records by what tells them apart: name of the file, or as much of its path as it takes."""
+    alike = Counter(path.name for path in paths)
+    return {
+        path.name if alike[path.name] == 1 and path.name != "record.parquet" else str(path): read_columns(
+            network, path, hour_at_0
+        )[0]
+        for path in paths
+    }
 
 
 def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path, *, empirical: bool = False) -> Path | None:
