@@ -17,7 +17,7 @@ SHARE = 0.01
 COLDEST_K = 150.0
 """Below this median a column of kelvin is none."""
 FAR_K, NEAR_K, HOT_K = 20.0, 3.0, 30.0
-"""From the room: what no rig that has just been switched on reads; what it does; what one may read that is switched off."""
+"""From the room: what no rig reads as it is switched on, what it does read, and what one that is off seldom does."""
 _DRIVES = ("_W", "_kW", "_pct", "_L_per_min", "_kg_per_s", "_rpm")
 
 
@@ -42,8 +42,8 @@ def beyond_declared(network: Network, columns: Columns) -> list[str]:
         most = float(values.max())
         if spec.lower < most <= spec.lower + SHARE * width and not _fraction(column, values):
             said.append(
-                f"{column} is {values.min():.4g} to {most:.4g} in this record, where the twin declares {spec.lower:g} to "
-                f"{spec.upper:g} {spec.unit}: is it in another unit?"
+                f"{column} is {values.min():.4g} to {most:.4g} in this record, where the twin declares {spec.lower:g} "
+                f"to {spec.upper:g} {spec.unit}: is it in another unit?"
             )
     return said
 
@@ -85,7 +85,8 @@ def _at_first(columns: Columns) -> list[str]:
     if room is None or not read:
         return []
     names = ", ".join(read) if len(read) < 4 else f"{', '.join(list(read)[:3])} and {len(read) - 3} others"
-    told = f"{names} {'begin' if len(read) > 1 else 'begins'} at {_between(list(read.values()))} in a room of {room:.4g} degC"
+    verb = "begin" if len(read) > 1 else "begins"
+    told = f"{names} {verb} at {_between(list(read.values()))} in a room of {room:.4g} degC"
     if all(abs(x - room) > FAR_K and abs((x - 32.0) / 1.8 - room) < NEAR_K for x in read.values()):
         return [f"{told}, which is as much in degrees Fahrenheit: is that the unit?"]
     drives = [value for name, value in first.items() if name.endswith(_DRIVES)]

@@ -107,8 +107,8 @@ def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callab
             node = next(n for n in nodes if n in part)
             fail(
                 node,
-                "no heat can reach this node; give it a heat source or a loss to the room, put it on a flow path or add "
-                "a conduction",
+                "no heat can reach this node; give it a heat source or a loss to the room, put it on a flow path or "
+                "add a conduction",
             )
 
 

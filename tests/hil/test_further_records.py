@@ -51,6 +51,8 @@ def test_a_grown_twin_is_tried_on_further_records_by_its_own_measure() -> None:
     less = bench.with_element("more", {"kind": "heat_source", "node": "tank", "power": 110.0})
     part = elsewhere(grown, bench.network, bench.record(1.0, changed=less), "less")
     assert part.carried == "in part" and part.says.startswith("this effect carries in part only over to less: T_")
-    cool = elsewhere(replace(grown, network=None, verdict="adequate"), bench.network, bench.record(1.0, changed=hot), "x")
+    cool = elsewhere(
+        replace(grown, network=None, verdict="adequate"), bench.network, bench.record(1.0, changed=hot), "x"
+    )
     assert cool.says.startswith("re-tuned, the twin does not fit x: T_")
     assert elsewhere(replace(grown, network=None), bench.network, bench.record(1.0, changed=hot), "x").says == ""

@@ -104,7 +104,7 @@ def examine(network: Network) -> Lint:
 
 
 def richest(network: Network, seed: int = 0) -> Grid:
-    """Inputs in which everything varies by itself: drives, and water that comes in, in steps of 5 to 40 minutes, the room
+    """Inputs in which everything varies by itself: drives and water that comes in by steps of 5 to 40 minutes, the room
     slowly; for a third of the time the heater rests, so that the slowest volume cools and warms."""
     rng = np.random.default_rng(seed)
     bins = int(HOURS * 3600.0 / BIN_S)
