@@ -27,6 +27,7 @@ from hil.record_time import span
 from hil.record_units import beyond_declared
 from hil.run_folder import RunFolder
 from hil.segments import Parts
+from twin.discovery.answer.unused import with_unused
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.elsewhere import elsewhere
 from twin.discovery.engine import diagnose
@@ -193,6 +194,7 @@ def answer(
         found = diagnose_grown(network, record, more=tuple(more.values()), at_rest=at_rest, say=say)
     else:
         found = diagnose(network, record, healthy, more=tuple(more.values()), say=say, limits=limits)
+    found = with_unused(found, network, record.inputs)
     if not more:
         return found
     say("looking at the further records")

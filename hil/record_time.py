@@ -121,8 +121,8 @@ def _find(raw: RawRecord) -> str:
     nameless = ", where the first column has no name" if raw.names[0] == "column_1" else ""
     shown = ", ".join(raw.names[:8]) + (", ..." if len(raw.names) > 8 else "")
     raise RecordError(
-        f"{raw.path}{place} has no column time_s (it has {shown}{nameless}); name the column of sample times time_s, in "
-        "seconds, or give --at-rest to hil diagnose where each row is a steady state"
+        f"{raw.path}{place} has no column time_s (it has {shown}{nameless}); name the column of sample times time_s, "
+        "in seconds, or give --at-rest to hil diagnose where each row is a steady state"
     )
 
 
