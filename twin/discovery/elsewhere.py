@@ -41,7 +41,8 @@ def elsewhere(diagnosis: Diagnosis, network: Network, record: Columns, name: str
         raw = [float(np.sqrt(np.nanmean(x**2))) for x in off]
         means = [float(np.sqrt(np.nanmean(binned(x, record.time_s, grid) ** 2))) for x in off]
         usual = diagnosis.errors[sensor].usual if sensor in diagnosis.errors else 0.0
-        errors[sensor] = SensorError(*raw, float(network.sigma[j]), (means[0], means[1], means[2]), usual)
+        noise, of_means = float(network.sigma[j]), (means[0], means[1], means[2])
+        errors[sensor] = SensorError(raw[0], raw[1], raw[2], noise, of_means, usual)
     carried = _carried(diagnosis, network, errors)
     return Elsewhere(name, errors, carried, "" if carried == "over" else _says(diagnosis, name, errors, carried))
 

@@ -19,7 +19,7 @@ def with_unused(found: Diagnosis, network: Network, inputs: Array) -> Diagnosis:
 def unused(found: Diagnosis, network: Network, inputs: Array) -> list[str]:
     """Of each such input, that it was tried as the cause of something, and what spoke against it."""
     used = {column for element in network.elements for column in element.inputs()}
-    told = {a.driver for a in (*found.effects, *found.indistinguishable, *found.alternatives)}
+    told = {e.driver for e in found.effects} | {a.driver for a in (*found.indistinguishable, *found.alternatives)}
     # What an actuator does to an input that nothing uses is nothing.
     candidates = [c for c in catalogue(network) if c.kind != "actuator"]
     said = []
