@@ -6,6 +6,7 @@ import json
 import shlex
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,9 @@ from hil.errors import FOUND
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
-    from twin.discovery.diagnosis import Diagnosis
+    from twin.discovery.diagnosis import Diagnosis, SensorError
     from twin.discovery.healthy.basis import Columns
     from twin.network import Network
 
@@ -87,6 +89,7 @@ def command(
         answer,
         clock_beside,
         clock_of,
+        further_columns,
         provenance,
         read_columns,
         read_healthy,
@@ -100,6 +103,7 @@ def command(
     from hil.forecasting import foretell
     from hil.terminal import Steps, console, invocation
     from twin.discovery.healthy.health import NotHealthyError
+    from twin.discovery.records.grid import TooShortError
     from twin.network import TwinFileError
     from twin.twinfile import load
 
@@ -118,10 +122,13 @@ def command(
         return
     if bootstrap and good is not None:
         _bootstrap(told, good, healthy, bootstrap, quiet=as_json)
-    record, messages = read_columns(told, subject.record, hour, at_rest=at_rest)
+    try:
+        record, messages = read_columns(told, subject.record, hour, at_rest=at_rest)
+    except TooShortError as error:
+        raise TwinFileError(f"{error}; where each row is a steady state of its own, give --at-rest") from None
     allowed = rig or (rig_of(target) if target.is_dir() else None)
     limits = limits_of(allowed) if allowed is not None else None
-    later = tuple(read_columns(told, path, hour)[0] for path in more)
+    later = further_columns(told, more, hour)
     stages = 0
     with Steps("diagnosing", STEPS, quiet=as_json) as steps:
         for message in messages:
@@ -223,6 +230,19 @@ def _since(onset_s: float, d: Diagnosis) -> str:
     return f"{onset_s / 3600.0:.2f} h" if d.method == "contest" else "start"
 
 
+def _errors(errors: Mapping[str, SensorError], *, added: bool = True) -> Table:
+    from rich.table import Table
+
+    table = Table()
+    headings = ("sensor", "stale", "re-tuned", *(("with the effect",) if added else ()), "noise")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading == "sensor" else "right")
+    for name, error in errors.items():
+        cells = (error.stale, error.before, *((error.after,) if added else ()), error.noise)
+        table.add_row(name, *(f"{x:.3f}" for x in cells))
+    return table
+
+
 def _show(to: Console, d: Diagnosis) -> None:
     from rich.table import Table
 
@@ -265,12 +285,10 @@ def _show(to: Console, d: Diagnosis) -> None:
     if d.method == "growth at rest":
         part = "every fourth steady state, which no fit saw"
     to.print(f"RMSE in K, {part}", style="italic", soft_wrap=True)
-    table = Table()
-    for heading in ("sensor", "stale", "re-tuned", "with the effect", "noise"):
-        table.add_column(heading, justify="left" if heading == "sensor" else "right")
-    for name, error in d.errors.items():
-        table.add_row(name, *(f"{x:.3f}" for x in (error.stale, error.before, error.after, error.noise)))
-    to.print(table)
+    to.print(_errors(d.errors))
+    for one in d.elsewhere:
+        to.print(f"RMSE in K, free run over {one.name}, which no effect was fitted to", style="italic", soft_wrap=True)
+        to.print(_errors(one.errors, added=d.network is not None))
     far = [m for m in d.moved if d.method == "contest" and max(abs(m.before_sd), abs(m.after_sd)) > 3.0]
     if far and d.effects:
         table = Table(title="Tunables that had to move, in standard deviations of commissioning", title_justify="left")

@@ -11,6 +11,7 @@ from twin.discovery.answer.case import Case
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis, SensorError
 from twin.discovery.healthy.basis import Basis, Columns, basis
+from twin.discovery.healthy.visited import beside_unvisited
 from twin.discovery.places.localise import courses
 from twin.discovery.places.sites import sites_of
 from twin.discovery.planning.experiment import Limits
@@ -124,7 +125,7 @@ def diagnose(
         limits=limits,
         later=tuple(part.grid for part in further),
     )
-    found = conclude(case, tuple(notes))
+    found = beside_unvisited(conclude(case, tuple(notes)), network, record, healthy)
     return explained_by_one(found, network, record, single, again)
 
 

@@ -155,13 +155,22 @@ def _delay(network: Network, formulas: Formulas, candidate: Candidate, grid: Gri
     rate = values[f"{flow.name}.nominal"].value * values[f"{flow.name}.factor"].value / 60.0
     litres = rate * np.maximum(grid.inputs[:, network.input_columns.index(flow.pump)], 0.0) * 0.01
     passed = np.concatenate([[0.0], np.cumsum(litres * grid.step_s)])[:-1]
-    late = known.copy()
-    k = network.nodes.index(before) if before else -1
-    if k < 0:
+    if not before and not flow.inlet:
         return np.zeros_like(known)
     size = candidate.typical
     when = np.interp(passed - size, passed + 1e-9 * np.arange(len(passed)), grid.time)
-    late[:, k] = np.interp(when, grid.time, known[:, k])
-    heat = (formulas.heats(late, grid.inputs, network.values, grid.step_s) - base) / size
-    heat[:, k] = 0.0
+    late, inputs = known.copy(), grid.inputs.copy()
+    if before:
+        k = network.nodes.index(before)
+        late[:, k] = np.interp(when, grid.time, known[:, k])
+    else:
+        k = network.input_columns.index(flow.inlet)
+        inputs[:, k] = np.interp(when, grid.time, inputs[:, k])
+    heat = (formulas.heats(late, inputs, network.values, grid.step_s) - base) / size
+    if before:
+        heat[:, k] = 0.0
+    if f"{node}.capacitance" in candidate.changes:
+        # Water that passes unmixed is no longer warmed and cooled with the volume.
+        n = network.nodes.index(node)
+        heat[:, n] -= candidate.changes[f"{node}.capacitance"] * np.gradient(known[:, n], grid.step_s)
     return heat
