@@ -226,6 +226,10 @@ def _review(folder: Path, *, quiet: bool) -> None:
         console(quiet=quiet).print(f"for Rerun: {folder / REVIEW}", soft_wrap=True)
 
 
+def _number(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 10_000.0 else f"{value:.4g}"
+
+
 def _since(onset_s: float, d: Diagnosis) -> str:
     return f"{onset_s / 3600.0:.2f} h" if d.method == "contest" else "start"
 
@@ -260,9 +264,9 @@ def _show(to: Console, d: Diagnosis) -> None:
             table.add_column(heading, justify="right" if heading in ("size", "90 %", "since", "z") else "left")
         for e in d.effects:
             low, high = e.interval90
-            size = f"{e.value:.4g} {e.unit}".removesuffix(" 1")
+            size = f"{_number(e.value)} {e.unit}".removesuffix(" 1")
             table.add_row(
-                e.kind, e.where, e.driver, e.change, size, f"{low:.4g} to {high:.4g}",
+                e.kind, e.where, e.driver, e.change, size, f"{_number(low)} to {_number(high)}",
                 _since(e.onset_s, d), f"{e.z:.0f}",
             )  # fmt: skip
         to.print(table)
