@@ -60,9 +60,9 @@ def rivals(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...],
 
 def likelier_in_all(case: Case) -> tuple[Alternative, ...]:
     """What explains the whole record better than the one effect that was found in a part of it, the best of each kind
-    and place: a record that speaks so does not tell the two apart."""
+    and place: a record that speaks so does not tell the two apart, unless later ones did."""
     finding = case.finding
-    if len(finding.entries) != 1:
+    if len(finding.entries) != 1 or case.later:
         return ()
     (entry,) = finding.entries
     place = (entry.candidate.kind, entry.candidate.where)
