@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,8 +76,8 @@ def _document(result: Commission, out: Path) -> dict[str, object]:
         "cannot_tell": list(result.cannot_tell),
         "at_bound": list(result.at_bound),
         "held_out_s": list(result.held_out_s),
-        "rmse_before_K": dict(result.rmse_before),
-        "rmse_after_K": dict(result.rmse_after),
+        "rmse_before_K": {name: None if math.isnan(x) else x for name, x in result.rmse_before.items()},
+        "rmse_after_K": {name: None if math.isnan(x) else x for name, x in result.rmse_after.items()},
         "notes": list(result.notes),
     }
 
@@ -106,6 +107,9 @@ def _show(result: Commission, messages: tuple[str, ...], out: Path) -> None:
     for heading in ("sensor", "before", "after", "on the fitted part"):
         errors.add_column(heading, justify="left" if heading == "sensor" else "right")
     for sensor in result.rmse_after:
+        # One without a reading is told in a note.
+        if math.isnan(result.rmse_fitted[sensor]) and math.isnan(result.rmse_after[sensor]):
+            continue
         cells = (result.rmse_before[sensor], result.rmse_after[sensor], result.rmse_fitted[sensor])
         errors.add_row(sensor, *(f"{cell:.3f}" for cell in cells))
     to.print(errors)

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from tests.discovery.test_a_room import ROOM
-from tests.discovery.test_records import TWINS
+from tests.discovery.test_records import TWINS, heaters
 from twin.discovery.effects.catalogue import catalogue
+from twin.discovery.growing.answer import diagnose_grown
 from twin.discovery.growing.beam import Beam, FittedSet
 from twin.discovery.growing.merit import Merit
 from twin.discovery.growing.wardrobe import unsized
+from twin.discovery.healthy.basis import Columns
 from twin.discovery.scoring.search import Entry
 from twin.elements.base import Candidate
 from twin.network import Network
@@ -58,3 +60,11 @@ def test_a_set_that_asking_has_fitted_is_asked_in_its_turn() -> None:
 
     beam = cast(Beam, SimpleNamespace(known=known, levels=[[empty], [both]], empty=rows))
     assert Asked(beam).earned() is small
+
+
+def test_a_sensor_without_a_reading_is_named_and_spoils_nothing() -> None:
+    t, u, y = heaters(bare(), 0)
+    y[:, 1] = np.nan
+    found = diagnose_grown(bare(), Columns(t, u, y), most=1)
+    assert found.verdict == "adequate" and set(found.errors) == {"T1_C"}
+    assert any(w.startswith("T2_C has no reading") for w in found.warnings)

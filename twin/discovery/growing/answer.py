@@ -101,7 +101,7 @@ class _Answer:
     def diagnosis(self) -> Diagnosis:
         """Everything that is said of it."""
         g = self.growth
-        misfit = [float(np.mean((r.rms / self.whole.sigma) ** 2)) for r in g.rungs]
+        misfit = [float(np.nanmean((r.rms / self.whole.sigma) ** 2)) for r in g.rungs]
         errors = self._errors()
         if not errors:
             raise TwinFileError("the part of the record that is held out has no reading of any of the twin's sensors")
@@ -139,12 +139,16 @@ class _Answer:
             residual_after=blocks[2],
             band=self.whole.sigma / math.sqrt(max(len(self.whole.time) / len(hours), 1.0)),
             network=g.network if verdict == "effect found" else None,
-            warnings=(_NOT_KNOWN,),
+            warnings=(_NOT_KNOWN, *self._absent()),
             notes=(f"{g.summary}",) if effects and g.verdict == "unexplained" else (),
             folds=tuple(replace(f, first_s=f.first_s + self.start, last_s=f.last_s + self.start) for f in g.folds),
             threshold=math.sqrt(max([NEEDED, *(a.limit for a in self.added)])),
             method="growth at rest" if self.whole.at_rest else "growth",
         )
+
+    def _absent(self) -> tuple[str, ...]:
+        names = [n for j, n in enumerate(self.network.sensor_names) if not np.isfinite(self.whole.measured[:, j]).any()]
+        return tuple(f"{name} has no reading in this record, so nothing is told by it or of it" for name in names)
 
     def _residual(self, fit: Fit | None) -> Array:
         """Measured less simulated (n, m) of the whole record: of a fit, or of the twin as its file has it."""

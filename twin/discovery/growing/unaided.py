@@ -72,8 +72,10 @@ class Fit:
 
     @property
     def rms(self) -> Array:
-        """Per sensor (m,), K."""
-        root: Array = np.sqrt(np.nanmean(self.residual**2, axis=0))
+        """Per sensor (m,), K; NaN of one that has no reading."""
+        count = np.isfinite(self.residual).sum(axis=0)
+        mean = np.nansum(self.residual**2, axis=0) / np.maximum(count, 1)
+        root: Array = np.sqrt(np.where(count > 0, mean, np.nan))
         return root
 
     @property
