@@ -130,7 +130,7 @@ wall_hA = 1000.0
 def test_hypotheses_go_down_side_by_side_as_each_does_alone(room: Network) -> None:
     record = lived_in(room, {"sun": SUN})
     samples, ids = samples_of(room, record.time_s, record.inputs, record.measured), room.tunables("commission")
-    wardrobe = Wardrobe.of(room, ids, 600.0)
+    wardrobe = Wardrobe.of(room, ids, 600.0, 345600.0)
     plain = Problem(wardrobe, samples, ids)
     sun = next(c for c in wardrobe.candidates if c.kind == "heat_source" and "sun" in c.driver)
     sunny = plain.with_entries((unsized(sun, 1.0),))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from twin.elements.base import Candidate, Sites
@@ -36,7 +37,12 @@ def _one_for_all(place: str, members: tuple[Candidate, ...]) -> Candidate:
     changes = {name: weight for c in members for name, weight in c.changes.items()}
     adds = {name: table for c in members for name, table in c.adds.items()}
     lower, upper = max(c.lower for c in members), min(c.upper for c in members)
-    return replace(first, where=place, changes=changes, adds=adds, lower=lower, upper=upper)
+    slower = partial(_slower, place, members) if first.slower is not None else None
+    return replace(first, where=place, changes=changes, adds=adds, lower=lower, upper=upper, slower=slower)
+
+
+def _slower(place: str, members: tuple[Candidate, ...], slow_s: float) -> Candidate:
+    return _one_for_all(place, tuple(m.slower(slow_s) for m in members if m.slower is not None))
 
 
 def _node_of(network: Network, candidate: Candidate) -> str:

@@ -166,10 +166,13 @@ class _Answer:
             kind=a.kind, where=a.where, driver=a.driver, change=a.entry.change, value=a.value, unit=a.unit,
             interval90=a.interval90, onset_s=self.start, onset_interval90_s=(self.start, self.start), shape="step",
             confidence=1.0 / (1.0 + sum(elsewhere.values())), z=math.sqrt(max(score, 0.0)),
-            evidence=f"{said(a.entry.candidate, a.value)}; without it the record would be less likely by {score:.0f} "
+            evidence=f"{self._said(a)}; without it the record would be less likely by {score:.0f} "
             f"in -2 log likelihood, and {a.folds} of {EVERY} hidden parts of it are foretold no worse with it",
-            says=said(a.entry.candidate, a.value), family_wise=a.by_chance,
+            says=self._said(a), family_wise=a.by_chance,
         )  # fmt: skip
+
+    def _said(self, a: Added) -> str:
+        return said(a.entry.candidate, a.value, record_s=self.growth.problem.samples.span_s)
 
     def _others(self) -> tuple[Alternative, ...]:
         found: dict[tuple[str, str, str], Alternative] = {}
@@ -263,7 +266,7 @@ class _Answer:
         how = f"{part}, {worst} is off by {amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}"
         if not self.added or any(x.after > MOSTLY * x.before for x in errors.values()):
             return f"The twin does not fit this record, and no effects of the catalogue explain it. {how}{cut}"
-        found = ". ".join(said(x.entry.candidate, x.value) for x in self.added)
+        found = ". ".join(self._said(x) for x in self.added)
         return (
             f"Most of this record is explained, not all, so nothing is added: {found}. {how} by the twin file "
             f"({amount(e.before, 'K')} when re-tuned alone); if that noise is a guess, enter what the thermometer "

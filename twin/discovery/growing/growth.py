@@ -158,7 +158,7 @@ def grow_samples(
     if not ids:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
     say("fitting the twin as it is")
-    wardrobe = Wardrobe.of(network, ids, float(np.median(np.diff(samples.time))), samples.at_rest)
+    wardrobe = Wardrobe.of(network, ids, float(np.median(np.diff(samples.time))), samples.span_s, samples.at_rest)
     search = Beam(Problem(wardrobe, samples, ids), beam)
     for effects in range(1, most + 1):
         say(f"looking for {effects} effects that are missing")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.discovery.growing.beam import Beam, FittedSet, Label, by_score
+from twin.discovery.growing.beam import Beam, FittedSet, Label, by_score, likeliest
 from twin.discovery.growing.calibration import Chance, by_chance
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.likelihood import cosines, judged
@@ -56,7 +56,7 @@ class Merit:
         asked: dict[frozenset[str], bool] = {}
         while True:
             # To ask is to fit what is left without a member, which may be better than anything so far.
-            every = sorted(self._beam.known.values(), key=by_score)[:CHECKED]
+            every = sorted(likeliest(self._beam.known.values()), key=by_score)[:CHECKED]
             one = next((s for s in every if asked.get(s.ids, True)), None)
             if one is None:
                 break
@@ -105,7 +105,7 @@ class Merit:
     def refused(self, best: FittedSet) -> tuple[Refused, ...]:
         """The effects that would take most of what is left, and why they were not added."""
         found: dict[Label, Refused] = {}
-        for one in sorted(self._beam.known.values(), key=by_score):
+        for one in sorted(likeliest(self._beam.known.values()), key=by_score):
             if not best.ids < one.ids or len(one.ids) != len(best.ids) + 1 or len(found) == REFUSED:
                 continue
             entry = _new(best, one)

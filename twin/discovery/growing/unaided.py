@@ -44,6 +44,11 @@ class Samples:
     at_rest: bool = False
     means: bool = False
 
+    @property
+    def span_s(self) -> float:
+        """From the first to the last."""
+        return float(self.time[-1] - self.time[0])
+
     def without(self, rows: np.ndarray) -> Samples:
         """The record with the readings of some rows hidden."""
         return replace(self, measured=np.where(rows[:, None], np.nan, self.measured))
