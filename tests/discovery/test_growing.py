@@ -4,6 +4,7 @@ that are asked whatever made them, members of a family that differ, sensors with
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -16,9 +17,10 @@ from twin.discovery.effects.catalogue import catalogue, sites_of
 from twin.discovery.effects.phrases import said
 from twin.discovery.growing.alike import together
 from twin.discovery.growing.answer import diagnose_grown
-from twin.discovery.growing.beam import Beam, FittedSet, likeliest
+from twin.discovery.growing.beam import Beam, FittedSet, _finalists, likeliest
 from twin.discovery.growing.masses import masses, time_constants
 from twin.discovery.growing.merit import Merit
+from twin.discovery.growing.scoring import Scored
 from twin.discovery.growing.wardrobe import unsized
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.scoring.search import Entry
@@ -115,6 +117,16 @@ def test_a_time_constant_is_told_in_seconds_minutes_or_as_longer_than_the_record
     assert said(first.slower(23.0), 1.0).endswith("with a time constant of 23 s")
     assert said(first.slower(6000.0), 1.0, record_s=DAY_S).endswith("with a time constant of 100 min")
     assert said(first.slower(2.0 * DAY_S), 1.0, record_s=DAY_S).endswith("with a time constant longer than the record")
+
+
+def test_variants_that_change_other_parameters_both_go_on() -> None:
+    mixed = load(TWINS / "heated_pipe_mixed.toml")
+    delays = [c for c in catalogue(mixed) if c.kind == "delay"]
+    assert len(delays) == 2 and len({(c.where, c.driver, c.unit) for c in delays}) == 1
+    scored = [Scored(unsized(c, 1.0), 1.0, float(i), float(i)) for i, c in enumerate(delays)]
+    assert len(_finalists(scored)) == 2
+    # Two sizes of one and the same are still one.
+    assert len(_finalists([scored[0], replace(scored[0], squares=9.0)])) == 1
 
 
 def test_a_sensor_without_a_reading_is_named_and_spoils_nothing() -> None:

@@ -177,9 +177,9 @@ def _finalists(found: Sequence[Scored]) -> list[Scored]:
     """The best candidates of each label: what re-tuning can nearly imitate shows its worth in the fit alone."""
     kept: dict[str, Scored] = {}
     for order in (lambda s: -s.squares, lambda s: -s.likely):
-        seen: Counter[tuple[Label, str]] = Counter()
+        seen: Counter[tuple[Label, str, frozenset[str]]] = Counter()
         for scored in sorted(found, key=order):
-            form = scored.entry.label, scored.entry.candidate.unit
+            form = scored.entry.label, scored.entry.candidate.unit, frozenset(scored.entry.candidate.changes)
             seen[form] += 1
             if seen[form] == 1:
                 kept.setdefault(name_of(scored.entry.candidate), scored)
