@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from tests.discovery.test_a_room import ROOM, WALL, lived_in
-from tests.discovery.test_records import TWINS, heaters
+from tests.discovery.test_records import TWINS, added, heaters
 from twin.discovery.effects.catalogue import catalogue, sites_of
 from twin.discovery.effects.phrases import said
-from twin.discovery.growing.alike import together
+from twin.discovery.growing.alike import apart, together
 from twin.discovery.growing.answer import diagnose_grown
 from twin.discovery.growing.beam import Beam, FittedSet, _finalists, likeliest
+from twin.discovery.growing.growth import grow
 from twin.discovery.growing.masses import masses, time_constants
 from twin.discovery.growing.merit import Merit
 from twin.discovery.growing.scoring import Scored
@@ -127,6 +128,18 @@ def test_variants_that_change_other_parameters_both_go_on() -> None:
     assert len(_finalists(scored)) == 2
     # Two sizes of one and the same are still one.
     assert len(_finalists([scored[0], replace(scored[0], squares=9.0)])) == 1
+
+
+def test_one_of_two_heaters_that_are_tied_may_lose_more() -> None:
+    network = bare()
+    offered = apart(network, sites_of(network))
+    assert {(c.where, *c.adds) for c in offered} == {
+        ("heater_1", "further_loss_of_heater_1"), ("heater_2", "further_loss_of_heater_2")
+    }  # fmt: skip
+    differs = with_elements(network, {"more": {"kind": "ambient_loss", "node": "heater_1", "hA": 0.006}})
+    found = grow(network, *heaters(differs, 4), most=1, beam=2)
+    assert added(found) == [("heat_loss", "heater_1", "temperature_difference")]
+    assert found.rungs[1].added is not None and found.rungs[1].added.value == pytest.approx(0.006, rel=0.15)
 
 
 def test_a_sensor_without_a_reading_is_named_and_spoils_nothing() -> None:

@@ -16,7 +16,7 @@ from twin.discovery.effects.catalogue import LATE, catalogue, extended, sites_of
 from twin.discovery.effects.laws import Law
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import SharedKernel
-from twin.discovery.growing.alike import together
+from twin.discovery.growing.alike import apart, together
 from twin.discovery.growing.masses import masses
 from twin.discovery.growing.resting import Resting
 from twin.discovery.refit.model import Model
@@ -57,7 +57,7 @@ class Wardrobe:
         """
         sites = sites_of(network)
         slow, after = ((), {}) if at_rest else masses(sites, period_s, record_s)
-        first = _lacking(network, tunables, slow)
+        first = [*_lacking(network, tunables, slow), *apart(network, sites)]
         full = SharedKernel.of(network, (), first).network
         known = {name for c in first for name in c.changes}
         # A pipe that is missing may miss its wall, too.
