@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from typing import Any
 
+WORSE = 1.04
+"""Times the squares that re-tuning leaves, as in `twin.discovery.selection.held_out`, from which an answer is worse."""
 RARE = 1e-6
 """Probability below which no figure is given: the tail that it is read from is drawn, not observed."""
 
@@ -60,6 +62,16 @@ def chance(document: dict[str, Any]) -> str:
     return score + (f"; one record of noise in a hundred reaches {limit:.1f}." if limit is not None else ".")
 
 
+def worse(document: dict[str, Any]) -> str:
+    """By how much an answer is worse than re-tuning where no fit saw the record, as half a sentence, or ""."""
+    sensors = {k: e for k, e in document["error"]["sensors"].items() if None not in (e["before"], e["after"])}
+    before, after = (sum((e[k] / e["noise"]) ** 2 for e in sensors.values()) for k in ("before", "after"))
+    if not after > WORSE * max(before, len(sensors)):
+        return ""
+    name, e = max(sensors.items(), key=lambda item: (item[1]["after"] - item[1]["before"]) / item[1]["noise"])
+    return f"{name} is off by {e['after']:.3g} K {after_label(document)} and by {e['before']:.3g} K re-tuned alone"
+
+
 def often(probability: float) -> str:
     """A probability as an operator reads it."""
     if probability < RARE:
@@ -74,6 +86,12 @@ def left_out(document: dict[str, Any]) -> str:
     blocks = [b["gain"] for b in document.get("left_out") or () if b["gain"] is not None]
     if not blocks:
         return ""
+    off = worse(document)
+    if off:
+        return (
+            f"On the part that no fit saw, {off}, so it foretells nothing; blocks left out are no evidence for it, as "
+            "what comes after them is known to the fit."
+        )
     won = sum(gain > 0.0 for gain in blocks)
     what = (
         "the effects foretell"

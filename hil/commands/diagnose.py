@@ -226,7 +226,7 @@ def _since(onset_s: float, d: Diagnosis) -> str:
 def _show(to: Console, d: Diagnosis) -> None:
     from rich.table import Table
 
-    from hil.diagnosis_words import reasons
+    from hil.diagnosis_words import after_label, reasons
     from hil.record_time import span
 
     for warning in d.warnings:
@@ -266,7 +266,7 @@ def _show(to: Console, d: Diagnosis) -> None:
         part = "every fourth steady state, which no fit saw"
     to.print(f"RMSE in K, {part}", style="italic", soft_wrap=True)
     table = Table()
-    for heading in ("sensor", "stale", "re-tuned", "with the effect", "noise"):
+    for heading in ("sensor", "stale", "re-tuned", after_label(d.document()), "noise"):
         table.add_column(heading, justify="left" if heading == "sensor" else "right")
     for name, error in d.errors.items():
         table.add_row(name, *(f"{x:.3f}" for x in (error.stale, error.before, error.after, error.noise)))

@@ -13,6 +13,7 @@ import pytest
 
 from tests.discovery.test_a_room import ROOM, WALL, lived_in
 from tests.discovery.test_records import TWINS, added, heaters
+from twin.discovery.diagnosis import SensorError
 from twin.discovery.effects.catalogue import catalogue, sites_of
 from twin.discovery.effects.phrases import said
 from twin.discovery.growing.alike import apart, together
@@ -25,6 +26,7 @@ from twin.discovery.growing.scoring import Scored
 from twin.discovery.growing.wardrobe import unsized
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.scoring.search import Entry
+from twin.discovery.selection.held_out import misled, worse
 from twin.elements.base import Candidate
 from twin.network import Network
 from twin.revisions import with_elements
@@ -148,3 +150,12 @@ def test_a_sensor_without_a_reading_is_named_and_spoils_nothing() -> None:
     found = diagnose_grown(bare(), Columns(t, u, y), most=1)
     assert found.verdict == "adequate" and set(found.errors) == {"T1_C"}
     assert any(w.startswith("T2_C has no reading") for w in found.warnings)
+
+
+def test_what_is_worse_than_re_tuning_is_no_finding(room: Network) -> None:
+    assert worse({"T_room_C": SensorError(3.0, 0.476, 0.593, 0.1)})
+    assert not worse({"T_room_C": SensorError(3.0, 0.476, 0.4, 0.1)})
+    # Both are noise.
+    assert not worse({"T_room_C": SensorError(3.0, 0.02, 0.04, 0.05)})
+    far = SensorError(2.26, 1.82, 85.7, 0.2, (2.26, 1.82, 85.7))
+    assert misled({"T_room_C": far}, room) and not misled({"T_room_C": replace(far, after=2.2)}, room)

@@ -28,6 +28,7 @@ from hil.review.looks import path
 from tests.hil.made_diagnosis import SAYS, SENSORS, made
 from tests.hil.synthetic_journal import make
 from tests.hil.synthetic_journal import write as write_journal
+from twin.discovery.diagnosis import SensorError
 
 PICTURES = {"residuals", "unknowns", "blocks", "ladder", "others", "errors", "tunables"}
 
@@ -167,3 +168,10 @@ def test_the_review_of_a_run_takes_in_the_diagnosis_in_its_folder(tmp_path):
     write_review(journal, tmp_path / "after.rrd")
     _, values = read_columns(tmp_path / "after.rrd", path("diagnosis", "residual", SENSORS[0], "after"))
     assert len(values) == 60
+
+
+def test_what_is_worse_than_re_tuning_is_not_said_to_foretell():
+    tried = made("unexplained", errors={"T_tank_C": SensorError(2.26, 1.82, 85.7, 0.2)})
+    (blocks,) = (reason for reason in reasons(tried.document()) if "blocks" in reason)
+    assert "85.7 K with the best effect tried and by 1.82 K re-tuned alone, so it foretells nothing" in blocks
+    assert "better" not in blocks

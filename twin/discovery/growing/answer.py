@@ -22,7 +22,7 @@ from twin.discovery.growing.unaided import Fit, Samples
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import on_grid
 from twin.discovery.scoring.equivalence import width
-from twin.discovery.selection.held_out import binned
+from twin.discovery.selection.held_out import binned, worse
 from twin.discovery.selection.ranking import LEFT
 from twin.network import Array, Network, TwinFileError
 
@@ -106,7 +106,7 @@ class _Answer:
         if not errors:
             raise TwinFileError("the part of the record that is held out has no reading of any of the twin's sensors")
         good = g.verdict == "adequate" or misfit[-1] <= max(LEFT, REST * misfit[0])
-        good = good and all(e.after <= FAR * e.noise for e in errors.values())
+        good = good and all(e.after <= FAR * e.noise for e in errors.values()) and not worse(errors)
         effects = tuple(self._effect(a) for a in self.added)
         verdict: Verdict
         if not effects:
@@ -118,7 +118,10 @@ class _Answer:
         refused = tuple(Alternative(r.kind, r.where, r.driver, 0.0, r.why) for r in g.refused)
         if verdict == "unexplained":
             why = "wins its place, but with all that do the record is still not explained"
-            refused = (*(Alternative(e.kind, e.where, e.driver, 0.0, why) for e in effects), *refused)
+            if worse(errors):
+                why = "wins its place where it was fitted, but what no fit saw is foretold worse with all that do"
+            own = (Alternative(e.kind, e.where, e.driver, 0.0, why) for e in effects)
+            refused = (*own, *refused)
             effects = ()
         times = self.whole.time + self.start
         hours, blocks = self._blocks(times)
@@ -158,9 +161,9 @@ class _Answer:
     def _effect(self, a: Added) -> Effect:
         temper = max(width(a.needed), 10.0) / 10.0
         elsewhere = {(label[0], label[1]): 0.0 for label in a.others if label[:2] != (a.kind, a.where)}
-        for label, worse in a.others.items():
+        for label, dearer in a.others.items():
             if label[:2] in elsewhere:
-                elsewhere[label[:2]] = max(elsewhere[label[:2]], math.exp(-0.5 * max(worse, 0.0) / temper))
+                elsewhere[label[:2]] = max(elsewhere[label[:2]], math.exp(-0.5 * max(dearer, 0.0) / temper))
         score = a.needed + a.elsewhere
         return Effect(
             kind=a.kind, where=a.where, driver=a.driver, change=a.entry.change, value=a.value, unit=a.unit,
@@ -178,8 +181,8 @@ class _Answer:
         found: dict[tuple[str, str, str], Alternative] = {}
         for a in self.added:
             temper = max(width(a.needed), 10.0) / 10.0
-            for label, worse in a.others.items():
-                found[label] = Alternative(*label, confidence=0.5 * math.exp(-0.5 * max(worse, 0.0) / temper))
+            for label, dearer in a.others.items():
+                found[label] = Alternative(*label, confidence=0.5 * math.exp(-0.5 * max(dearer, 0.0) / temper))
         return tuple(found.values())
 
     def _errors(self) -> dict[str, SensorError]:
@@ -263,6 +266,13 @@ class _Answer:
         won = f"with the {best}" if self.added else "re-tuned"
         worst, e = max(errors.items(), key=lambda item: item[1].after / item[1].noise)
         cut = "." if self.whole.at_rest else _CUT
+        if self.added and worse(errors):
+            worst, e = max(errors.items(), key=lambda item: (item[1].after - item[1].before) / item[1].noise)
+            return (
+                "The twin does not fit this record, and no effects of the catalogue explain it: those that fit it best "
+                f"foretell worse than none. {part}, {worst} is off by {amount(e.before, 'K')} re-tuned, by "
+                f"{amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}{cut}"
+            )
         how = f"{part}, {worst} is off by {amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}"
         if not self.added or any(x.after > MOSTLY * x.before for x in errors.values()):
             return f"The twin does not fit this record, and no effects of the catalogue explain it. {how}{cut}"
