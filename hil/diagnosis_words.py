@@ -54,10 +54,11 @@ def reasons(document: dict[str, Any]) -> list[str]:
 def chance(document: dict[str, Any]) -> str:
     """How often noise alone would do as well; "" where nothing was found that a scan could find by chance."""
     found = [e for e in document["effects"] if e.get("p_family_wise") is not None]
-    limit = document.get("threshold")
     if not found:
         return ""
     worst = max(found, key=lambda e: e["p_family_wise"])
+    # Each effect of a growth has a chance of its own; the threshold is the highest of them.
+    limit = worst.get("noise_z") if worst.get("noise_z") is not None else document.get("threshold")
     score = f"Noise alone would score {worst['z']:.3g} somewhere in the whole catalogue {often(worst['p_family_wise'])}"
     return score + (f"; one record of noise in a hundred reaches {limit:.1f}." if limit is not None else ".")
 

@@ -172,6 +172,7 @@ class _Answer:
             evidence=f"{self._said(a)}; without it the record would be less likely by {score:.0f} "
             f"in -2 log likelihood, and {a.folds} of {EVERY} hidden parts of it are foretold no worse with it",
             says=self._said(a), family_wise=a.by_chance,
+            noise_z=math.sqrt(max(a.limit, 0.0)),
         )  # fmt: skip
 
     def _said(self, a: Added) -> str:
