@@ -120,7 +120,7 @@ class _Answer:
             why = "wins its place, but with all that do the record is still not explained"
             if worse(errors):
                 why = "wins its place where it was fitted, but what no fit saw is foretold worse with all that do"
-            own = (Alternative(e.kind, e.where, e.driver, 0.0, why) for e in effects)
+            own = (Alternative(e.kind, e.where, e.driver, 0.0, f"{e.says}: {why}") for e in effects)
             refused = (*own, *refused)
             effects = ()
         times = self.whole.time + self.start

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.discovery.effects.phrases import said
 from twin.discovery.growing.beam import Beam, FittedSet, Label, by_score, likeliest
 from twin.discovery.growing.calibration import Chance, by_chance
 from twin.discovery.growing.descent import descend
@@ -113,6 +114,9 @@ class Merit:
             gain = best.fit.cost - one.fit.cost
             if gain > 1.0 and entry.label not in found:
                 why = why or self._why_not_both(best, one)
+                if entry.label in {e.label for e in best.fit.entries}:
+                    span_s = one.problem.samples.span_s
+                    why = f"{said(entry.candidate, entry.size, record_s=span_s)}, too: {why}"
                 found[entry.label] = Refused(*entry.label, why, gain)
         return tuple(found.values())
 
