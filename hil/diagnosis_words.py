@@ -90,8 +90,7 @@ def left_out(document: dict[str, Any]) -> str:
     off = worse(document)
     if off:
         return (
-            f"On the part that no fit saw, {off}, so it foretells nothing; blocks left out are no evidence for it, as "
-            "what comes after them is known to the fit."
+            f"On the part that no fit saw, {off}: it does not foretell that part, whatever it gains in blocks left out."
         )
     won = sum(gain > 0.0 for gain in blocks)
     what = (

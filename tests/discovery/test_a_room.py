@@ -90,6 +90,9 @@ def test_most_of_a_record_is_not_called_nothing(room: Network) -> None:
     found = diagnose_grown(strict, record, most=2)
     assert found.verdict == "unexplained" and not found.effects and found.network is None
     assert found.summary.startswith("Most of this record is explained, not all") and "sigma" in found.summary
+    # Of two with one kind, place and driver nobody could tell which is which.
+    masses = [a.why_not for a in found.alternatives if a.kind == "thermal_mass"]
+    assert masses and "with a time constant of" in masses[0] and len(set(masses)) == len(masses)
 
 
 def test_a_few_samples_are_too_little_to_grow_on(room: Network) -> None:

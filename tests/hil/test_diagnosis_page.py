@@ -183,5 +183,5 @@ def test_the_chance_and_the_limit_of_noise_are_of_the_same_effect():
 def test_what_is_worse_than_re_tuning_is_not_said_to_foretell():
     tried = made("unexplained", errors={"T_tank_C": SensorError(2.26, 1.82, 85.7, 0.2)})
     (blocks,) = (reason for reason in reasons(tried.document()) if "blocks" in reason)
-    assert "85.7 K with the best effect tried and by 1.82 K re-tuned alone, so it foretells nothing" in blocks
+    assert "85.7 K with the best effect tried and by 1.82 K re-tuned alone: it does not foretell that" in blocks
     assert "better" not in blocks
