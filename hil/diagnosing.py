@@ -9,7 +9,8 @@ import dataclasses
 import datetime
 import json
 import platform
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -23,9 +24,12 @@ from hil import __version__
 from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
 from hil.record import Record, read_record
 from hil.record_time import span
+from hil.record_units import beyond_declared
 from hil.run_folder import RunFolder
 from hil.segments import Parts
+from twin.discovery.answer.unused import with_unused
 from twin.discovery.diagnosis import Diagnosis
+from twin.discovery.elsewhere import elsewhere
 from twin.discovery.engine import diagnose
 from twin.discovery.growing.answer import diagnose_grown, fits_growth
 from twin.discovery.healthy.basis import Columns, Commissioned
@@ -157,8 +161,8 @@ def read_columns(
             on_grid(network, columns.time_s, columns.inputs, columns.measured)
     except TwinFileError as error:
         text = [message for message in record.messages if message.endswith("holds text: dropped")]
-        raise TwinFileError("; ".join([f"{path}: {error}", *text])) from None
-    return columns, record.messages
+        raise type(error)("; ".join([f"{path}: {error}", *text])) from None
+    return columns, (*record.messages, *beyond_declared(network, record.columns))
 
 
 def read_healthy(network: Network, twin: Path, path: Path, hour_at_0: float | None) -> Commissioned:
@@ -176,7 +180,7 @@ def answer(
     record: Columns,
     healthy: Columns | None,
     *,
-    more: tuple[Columns, ...],
+    more: Mapping[str, Columns],
     limits: Limits | None,
     at_rest: bool,
     say: Callable[[str], None],
@@ -187,8 +191,27 @@ def answer(
         TwinFileError: the record cannot be diagnosed.
     """
     if at_rest or (healthy is None and fits_growth(network, record)):
-        return diagnose_grown(network, record, more=more, at_rest=at_rest, say=say)
-    return diagnose(network, record, healthy, more=more, say=say, limits=limits)
+        found = diagnose_grown(network, record, more=tuple(more.values()), at_rest=at_rest, say=say)
+    else:
+        found = diagnose(network, record, healthy, more=tuple(more.values()), say=say, limits=limits)
+    found = with_unused(found, network, record.inputs)
+    if not more:
+        return found
+    say("looking at the further records")
+    further = tuple(elsewhere(found, network, columns, name) for name, columns in more.items())
+    said = (one.says for one in further if one.says)
+    return dataclasses.replace(found, elsewhere=further, notes=(*found.notes, *said))
+
+
+def further_columns(network: Network, paths: Sequence[Path], hour_at_0: float | None) -> dict[str, Columns]:
+    """Further records by what tells them apart: name of the file, or as much of its path as it takes."""
+    alike = Counter(path.name for path in paths)
+    return {
+        path.name if alike[path.name] == 1 and path.name != "record.parquet" else str(path): read_columns(
+            network, path, hour_at_0
+        )[0]
+        for path in paths
+    }
 
 
 def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path, *, empirical: bool = False) -> Path | None:

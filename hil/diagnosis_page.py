@@ -69,6 +69,7 @@ def page(findings: Findings) -> str:
         _effects(d),
         _alternatives(d),
         _error_table(d),
+        _further_tables(d),
         _tunable_table(d),
         _lists(d),
         _provenance(d),
@@ -246,13 +247,27 @@ def _error_table(d: dict[str, Any]) -> str:
     kinds = {"stale": "as it was", "before": "re-tuned"}
     if after_label(d) != "re-tuned":
         kinds["after"] = after_label(d)
+    return _errors("RMSE in K, held out", d["error"]["sensors"], kinds)
+
+
+def _further_tables(d: dict[str, Any]) -> str:
+    """Errors over further records, of the diagnosed twin only where one was made."""
+    kinds = {"stale": "as it was", "before": "re-tuned"}
+    if d["verdict"] == "effect found":
+        kinds["after"] = after_label(d)
+    return "".join(
+        _errors(f"RMSE in K, {one['record']}, all of it", one["sensors"], kinds) for one in d.get("further_records", ())
+    )
+
+
+def _errors(title: str, sensors: dict[str, Any], kinds: dict[str, str]) -> str:
     rows = []
-    for name, e in d["error"]["sensors"].items():
+    for name, e in sensors.items():
         means = e["ten_second_means"]
         cells = [e[k] for k in kinds] + [e["noise"]] + [means[k] for k in kinds]
         rows.append([name, *(_number(cell) for cell in cells)])
     head = ["sensor", *kinds.values(), "noise", *(f"{label}, 10 s means" for label in kinds.values())]
-    return f"<h3>RMSE in K, held out</h3>{_table(head, rows, len(head) - 1)}" if rows else ""
+    return f"<h3>{html.escape(title)}</h3>{_table(head, rows, len(head) - 1)}" if rows else ""
 
 
 def _tunable_table(d: dict[str, Any]) -> str:

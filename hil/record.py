@@ -11,7 +11,6 @@ such columns only for signals that were ever not good.
 from __future__ import annotations
 
 import datetime
-import difflib
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -27,6 +26,8 @@ from hil.profile import WRITTEN_UNITS
 from hil.record_export import Exported, export_record
 from hil.record_file import RawRecord, RecordError, parse, read_raw
 from hil.record_time import describe_steps, numbered, order, read_time, span
+from hil.record_units import of_a_room, remarks
+from twin.column_names import hint
 
 __all__ = ["Exported", "Record", "RecordError", "export_record", "read_record", "write_record"]
 
@@ -37,6 +38,8 @@ SENTINELS = (-9999.0, -999.0, 32767.0, -32768.0, 327.67, 3276.7)
 """What loggers write into a temperature when there is none."""
 HOTTEST_ROOM_C = 45.0
 """Above this the median of a room is asked about."""
+COLDEST_C = -100.0
+"""Below this the median of what was converted from kelvin is."""
 
 _COMPOUND_SUFFIXES = {"_kg_s": "kg/s", "_m3_h": "m3/h", "_L_min": "L/min", "_l_min": "L/min"}
 _STANDARD_UNITS = {"heater_power": "W", "pump_speed": "%", "fan_speed": "%"}
@@ -71,8 +74,8 @@ class Record:
             if f"column '{name}' holds text: dropped" in self.messages:
                 problems.append(f"{name} (there, but as text)")
             elif name not in self.columns:
-                near = difflib.get_close_matches(name, self.columns, n=1)
-                problems.append(f"{name} (did you mean {near[0]}?)" if near else name)
+                said = hint(name, [c for c in self.columns if c not in names])
+                problems.append(f"{name} ({said})" if said else name)
             elif np.isnan(self.columns[name]).all():
                 problems.append(f"{name} (there, but without a value)")
         if problems:
@@ -136,6 +139,7 @@ def read_record(path: Path, *, at_rest: bool = False) -> Record:
         raise RecordError(f"{path} has no column of numbers besides {axis.column}; give a record with signals")
     if unmarked:
         messages.append(f"no unit suffix: {', '.join(unmarked)} (kept as they are)")
+    messages += remarks(columns)
     messages += _describe_missing(time_s, columns, quality)
     return Record(time_s, columns, tuple(messages), path, raw.sha256, quality, axis.start, raw.metadata or {})
 
@@ -176,10 +180,10 @@ def _unit(
     middle = np.nanmedian(values) if not np.isnan(values).all() else np.nan
     if wanted == "degC" and middle > 200:
         messages.append(f"{name} has a median of {middle:.4g}: is it in kelvin?")
-    elif wanted == "degC" and middle > HOTTEST_ROOM_C and _of_a_room(name):
+    elif wanted == "degC" and unit == "K" and middle < COLDEST_C:
+        messages.append(f"{name} has a median of {middle:.4g}: was it in degC before?")
+    elif wanted == "degC" and middle > HOTTEST_ROOM_C and of_a_room(name):
         messages.append(f"{name} has a median of {middle:.4g}: is it in degrees Fahrenheit?")
-    if signal in _STANDARD_UNITS and wanted == "%" and 0 < middle <= 1:
-        messages.append(f"{name} has a median of {middle:.4g}: is it a fraction of 1?")
     return name, values
 
 
@@ -207,16 +211,9 @@ def _without_sentinels(name: str, values: NDArray[np.float64], messages: list[st
         messages.append(f"{name}: {marks.sum()} values are {values[marks][0]:g}, a mark for no measurement: missing")
         values = np.where(marks, np.nan, values)
     elif len(values) > 100 and np.ptp(values) == 0:
-        told = (
-            f"is constant at {values[0]:g} degC: assumed, or" if _of_a_room(name) else f"is {values[0]:g} throughout:"
-        )
+        told = f"is constant at {values[0]:g} degC: assumed, or" if of_a_room(name) else f"is {values[0]:g} throughout:"
         messages.append(f"{name} {told} is the channel dead?")
     return values
-
-
-def _of_a_room(name: str) -> bool:
-    """Whether a column is by its name the temperature of a room or of the air outdoors."""
-    return any(word.startswith(("amb", "room", "outdoor")) for word in name.lower().split("_"))
 
 
 def _describe_missing(

@@ -22,6 +22,10 @@ SCALES = {
     "time (s)": 1.0,
     "time [s]": 1.0,
     "elapsed_s": 1.0,
+    "time (min)": 60.0,
+    "time [min]": 60.0,
+    "time (h)": 3600.0,
+    "time [h]": 3600.0,
     "time_ms": 1e-3,
     "time_min": 60.0,
     "time_h": 3600.0,
@@ -114,10 +118,11 @@ def _find(raw: RawRecord) -> str:
         if pa.types.is_timestamp(cells.type):
             return name
     place = f" line {raw.header_line}" if raw.header_line else ""
+    nameless = ", where the first column has no name" if raw.names[0] == "column_1" else ""
     shown = ", ".join(raw.names[:8]) + (", ..." if len(raw.names) > 8 else "")
     raise RecordError(
-        f"{raw.path}{place} has no column time_s (it has {shown}); name the column of sample times time_s, in seconds, "
-        "or give --at-rest to hil diagnose where each row is a steady state"
+        f"{raw.path}{place} has no column time_s (it has {shown}{nameless}); name the column of sample times time_s, "
+        "in seconds, or give --at-rest to hil diagnose where each row is a steady state"
     )
 
 

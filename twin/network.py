@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin.column_names import hint
 from twin.elements import Element, Parameter
 from twin.elements.node import Node
 from twin.elements.sensor import Sensor
@@ -229,9 +230,12 @@ class Network:
         unread = self.unread(columns)
         if missing or 2 * len(unread) > len(self.sensors):
             missing += unread
+            wanted = {*self.input_columns, *(c for s in self.sensors for c in s.measured)}
+            others = [c for c in columns if c not in wanted]
+            hints = [f"for {c}, {said}" for c in missing if (said := hint(c, others))]
             raise TwinFileError(
                 f"the record lacks {', '.join(missing)}, which twin {self.name!r} needs; "
-                f"rename the columns of the record or the keys of the twin file"
+                + ("; ".join(hints) or "rename the columns of the record or the keys of the twin file")
             )
         taken: dict[str, Array] = {}
         for c in (*self.input_columns, *(c for s in self.sensors for c in s.measured if c in columns)):

@@ -1,4 +1,4 @@
-"""What a network must be before it may be simulated: connected, closed, and read by at least one sensor."""
+"""What a network must be before it may be simulated: closed, in reach of heat, and read by at least one sensor."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from collections.abc import Callable
 from twin.elements import Element
 from twin.elements.actuator import Actuator
 from twin.elements.bypass import Bypass
+from twin.elements.empirical_heat import EmpiricalHeat
 from twin.elements.flow import Flow
+from twin.elements.heat_source import HeatSource
 from twin.elements.node import Node
 from twin.elements.pipe import Pipe
 from twin.elements.radiator import Radiator
@@ -81,17 +83,35 @@ def _on_a_flow_path(elements: tuple[Element, ...], flows: list[Flow], fail: Call
 
 
 def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callable[[str, str], object]) -> None:
+    """All nodes hang together, or each part by itself has heat of its own or a way to the room."""
+    acting = [e for e in elements if not isinstance(e, Node | Sensor)]
     neighbours: dict[str, set[str]] = {node: set() for node in nodes}
-    for element in elements:
-        if not isinstance(element, Sensor):
-            touched = element.nodes()
-            for node in touched:
-                neighbours[node].update(touched)
-    seen, frontier = {nodes[0]}, [nodes[0]]
-    while frontier:
-        for node in neighbours[frontier.pop()] - seen:
-            seen.add(node)
-            frontier.append(node)
+    for element in acting:
+        touched = element.nodes()
+        for node in touched:
+            neighbours[node].update(touched)
+    parts: list[set[str]] = []
     for node in nodes:
-        if node not in seen:
-            fail(node, f"no heat can reach this node from {nodes[0]!r}; put it on a flow path or add a conduction")
+        if any(node in part for part in parts):
+            continue
+        part, frontier = {node}, [node]
+        while frontier:
+            for near in neighbours[frontier.pop()] - part:
+                part.add(near)
+                frontier.append(near)
+        parts.append(part)
+    if len(parts) == 1:
+        return
+    for part in parts:
+        if not any(_brings_heat(e) and part & set(e.nodes()) for e in acting):
+            node = next(n for n in nodes if n in part)
+            fail(
+                node,
+                "no heat can reach this node; give it a heat source or a loss to the room, put it on a flow path or "
+                "add a conduction",
+            )
+
+
+def _brings_heat(element: Element) -> bool:
+    """Whether heat comes from outside the network, or goes there: of a source, or by an input that is a temperature."""
+    return isinstance(element, HeatSource | EmpiricalHeat) or any(c.endswith("_C") for c in element.inputs())

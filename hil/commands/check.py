@@ -68,7 +68,7 @@ def command(
         raise click.UsageError(
             "Missing argument 'FILE'; give a file to check, or --kinds for what a twin file may have"
         )
-    checker = _checker(file)
+    checker = _checker(file, rig)
     if picture is not None and checker is not _twin:
         raise click.UsageError(f"--picture draws twins, and {file} is none")
     if catalogue and checker is not _twin:
@@ -98,7 +98,7 @@ def command(
         click.echo(str(picture))
 
 
-def _checker(file: Path) -> Callable[[Path, Path, Console], None]:
+def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
     if file.suffix == ".toml":
         from drivers.points import ConfigurationError
         from drivers.toml_lines import tables_of
@@ -116,13 +116,30 @@ def _checker(file: Path) -> Callable[[Path, Path, Console], None]:
             if key in keys:
                 return checker
         return _rig
-    if file.suffix == ".csv":
-        with file.open(encoding="utf-8", errors="replace") as lines:
-            header = next((line for line in lines if not line.startswith("#")), "")
-        return _record if re.search(r'[,;\t]"?T_', header) else _profile
-    if file.suffix in (".parquet", ".pq"):
-        return _record
-    raise click.UsageError(f"{file}: is no .toml, .csv or .parquet file; nothing here knows how to check it")
+    with file.open("rb") as content:
+        if content.read(4) == b"PAR1" or file.suffix in (".parquet", ".pq"):
+            return _record
+    if file.suffix in (".csv", ".tsv", ".tab", ".txt", ".dat"):
+        return _record if _readings(file, rig) else _profile
+    raise click.UsageError(f"{file}: is no .toml, .csv, .tsv or .parquet file; nothing here knows how to check it")
+
+
+def _readings(file: Path, rig: Path) -> list[str]:
+    """Columns of a table that are temperatures and no set-points of the rig: what a load profile never has."""
+    with file.open(encoding="utf-8-sig", errors="replace") as lines:
+        header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
+    names = [name.strip().strip('"') for name in re.split(r"[,;\t]", header)]
+    found = [name for name in names if _TEMPERATURE.search(name)]
+    if found and names[0] == "time_s":
+        from drivers.rigfile import load_rig
+        from hil.run_request import setpoint_limits
+
+        limits = setpoint_limits(load_rig(rig))
+        found = [name for name in found if name not in limits]
+    return found
+
+
+_TEMPERATURE = re.compile(r"^T_|_C$|^T(_.+|\d+)_[KF]$|[\[(]\s*(°|deg)\s*[CFK]\s*[\])]$", re.IGNORECASE)
 
 
 def _rig(file: Path, _: Path, out: Console) -> None:
@@ -239,12 +256,12 @@ def _record(file: Path, _: Path, out: Console) -> None:
 
     record = read_record(file)
     for message in record.messages:
-        out.print(f"  {message}")
+        out.print(f"  {message}", markup=False, soft_wrap=True)
     for name, values in record.columns.items():
         finite = values[np.isfinite(values)]
         spread = f"{finite.min():g} to {finite.max():g}" if finite.size else "no value"
         missing = f", {len(values) - finite.size} missing" if finite.size < len(values) else ""
-        out.print(f"  {name}: {spread}{missing}")
+        out.print(f"  {name}: {spread}{missing}", markup=False)
     out.print(f"{file}: {len(record.time_s)} samples over {record.time_s[-1] / 3600:.2f} h", style="green")
 
 

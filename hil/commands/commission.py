@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,6 +41,7 @@ def command(
       hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
     from hil.record import read_record
+    from hil.record_units import beyond_declared
     from twin.commission import commission
     from twin.datasheet import from_datasheet
     from twin.network import TwinFileError
@@ -65,7 +66,7 @@ def command(
     if as_json:
         click.echo(json.dumps(_document(result, out), indent=1))
         return
-    _show(result, data.messages, out)
+    _show(result, (*data.messages, *beyond_declared(network, data.columns)), out)
 
 
 def _document(result: Commission, out: Path) -> dict[str, object]:
@@ -76,20 +77,25 @@ def _document(result: Commission, out: Path) -> dict[str, object]:
         "cannot_tell": list(result.cannot_tell),
         "at_bound": list(result.at_bound),
         "held_out_s": list(result.held_out_s),
-        "rmse_before_K": {name: None if math.isnan(x) else x for name, x in result.rmse_before.items()},
-        "rmse_after_K": {name: None if math.isnan(x) else x for name, x in result.rmse_after.items()},
+        "rmse_before_K": {name: _known(error) for name, error in result.rmse_before.items()},
+        "rmse_after_K": {name: _known(error) for name, error in result.rmse_after.items()},
         "notes": list(result.notes),
     }
+
+
+def _known(error: float) -> float | None:
+    return error if isfinite(error) else None
 
 
 def _show(result: Commission, messages: tuple[str, ...], out: Path) -> None:
     from rich.table import Table
 
+    from hil.record_time import span
     from hil.terminal import console
 
     to = console()
     for message in messages:
-        to.print(message)
+        to.print(message, markup=False, soft_wrap=True)
     parameters = Table(title="Parameters", title_justify="left")
     for heading in ("parameter", "before", "after", "90 % interval", "unit", ""):
         parameters.add_column(heading, justify="left" if heading in ("parameter", "unit", "") else "right")
@@ -102,17 +108,19 @@ def _show(result: Commission, messages: tuple[str, ...], out: Path) -> None:
         parameters.add_row(name, f"{result.start[name]:.4g}", f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit, told)
     to.print(parameters)
     held = result.held_out_s
-    title = f"RMSE in K, free run over {held[0] / 3600:.1f} to {held[1] / 3600:.1f} h, which the fit never saw"
-    errors = Table(title=title, title_justify="left")
+    part = f"free run from {span(held[0])} to {span(held[1])}"
+    to.print(f"RMSE in K, {part}, which the fit never saw", style="italic", soft_wrap=True)
+    errors = Table()
     for heading in ("sensor", "before", "after", "on the fitted part"):
         errors.add_column(heading, justify="left" if heading == "sensor" else "right")
+    unread = [sensor for sensor, error in result.rmse_after.items() if not isfinite(error)]
     for sensor in result.rmse_after:
-        # One without a reading is told in a note.
-        if math.isnan(result.rmse_fitted[sensor]) and math.isnan(result.rmse_after[sensor]):
-            continue
         cells = (result.rmse_before[sensor], result.rmse_after[sensor], result.rmse_fitted[sensor])
-        errors.add_row(sensor, *(f"{cell:.3f}" for cell in cells))
+        if sensor not in unread:
+            errors.add_row(sensor, *(f"{cell:.3f}" if isfinite(cell) else "none" for cell in cells))
     to.print(errors)
+    if unread:
+        to.print(f"without a reading there, so not in the table: {', '.join(unread)}", soft_wrap=True)
     for note in result.notes:
         to.print(note)
     to.print(f"written: {out}", soft_wrap=True)

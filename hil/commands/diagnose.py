@@ -6,6 +6,7 @@ import json
 import shlex
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,9 @@ from hil.errors import FOUND
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
-    from twin.discovery.diagnosis import Diagnosis
+    from twin.discovery.diagnosis import Diagnosis, SensorError
     from twin.discovery.healthy.basis import Columns
     from twin.network import Network
 
@@ -87,6 +89,7 @@ def command(
         answer,
         clock_beside,
         clock_of,
+        further_columns,
         provenance,
         read_columns,
         read_healthy,
@@ -100,6 +103,7 @@ def command(
     from hil.forecasting import foretell
     from hil.terminal import Steps, console, invocation
     from twin.discovery.healthy.health import NotHealthyError
+    from twin.discovery.records.grid import TooShortError
     from twin.network import TwinFileError
     from twin.twinfile import load
 
@@ -118,10 +122,13 @@ def command(
         return
     if bootstrap and good is not None:
         _bootstrap(told, good, healthy, bootstrap, quiet=as_json)
-    record, messages = read_columns(told, subject.record, hour, at_rest=at_rest)
+    try:
+        record, messages = read_columns(told, subject.record, hour, at_rest=at_rest)
+    except TooShortError as error:
+        raise TwinFileError(f"{error}; where each row is a steady state of its own, give --at-rest") from None
     allowed = rig or (rig_of(target) if target.is_dir() else None)
     limits = limits_of(allowed) if allowed is not None else None
-    later = tuple(read_columns(told, path, hour)[0] for path in more)
+    later = further_columns(told, more, hour)
     stages = 0
     with Steps("diagnosing", STEPS, quiet=as_json) as steps:
         for message in messages:
@@ -219,8 +226,27 @@ def _review(folder: Path, *, quiet: bool) -> None:
         console(quiet=quiet).print(f"for Rerun: {folder / REVIEW}", soft_wrap=True)
 
 
+def _number(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 10_000.0 else f"{value:.4g}"
+
+
 def _since(onset_s: float, d: Diagnosis) -> str:
     return f"{onset_s / 3600.0:.2f} h" if d.method == "contest" else "start"
+
+
+def _errors(errors: Mapping[str, SensorError], after: str) -> Table:
+    """A row a sensor; `after` is what the twin held whose errors are called that, "re-tuned" where nothing more."""
+    from rich.table import Table
+
+    table = Table()
+    added = after != "re-tuned"
+    headings = ("sensor", "stale", "re-tuned", *((after,) if added else ()), "noise")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading == "sensor" else "right")
+    for name, error in errors.items():
+        cells = (error.stale, error.before, *((error.after,) if added else ()), error.noise)
+        table.add_row(name, *(f"{x:.3f}" for x in cells))
+    return table
 
 
 def _show(to: Console, d: Diagnosis) -> None:
@@ -240,9 +266,9 @@ def _show(to: Console, d: Diagnosis) -> None:
             table.add_column(heading, justify="right" if heading in ("size", "90 %", "since", "z") else "left")
         for e in d.effects:
             low, high = e.interval90
-            size = f"{e.value:.4g} {e.unit}".removesuffix(" 1")
+            size = f"{_number(e.value)} {e.unit}".removesuffix(" 1")
             table.add_row(
-                e.kind, e.where, e.driver, e.change, size, f"{low:.4g} to {high:.4g}",
+                e.kind, e.where, e.driver, e.change, size, f"{_number(low)} to {_number(high)}",
                 _since(e.onset_s, d), f"{e.z:.0f}",
             )  # fmt: skip
         to.print(table)
@@ -265,12 +291,10 @@ def _show(to: Console, d: Diagnosis) -> None:
     if d.method == "growth at rest":
         part = "every fourth steady state, which no fit saw"
     to.print(f"RMSE in K, {part}", style="italic", soft_wrap=True)
-    table = Table()
-    for heading in ("sensor", "stale", "re-tuned", after_label(d.document()), "noise"):
-        table.add_column(heading, justify="left" if heading == "sensor" else "right")
-    for name, error in d.errors.items():
-        table.add_row(name, *(f"{x:.3f}" for x in (error.stale, error.before, error.after, error.noise)))
-    to.print(table)
+    to.print(_errors(d.errors, after_label(d.document())))
+    for one in d.elsewhere:
+        to.print(f"RMSE in K, free run over {one.name}, which no effect was fitted to", style="italic", soft_wrap=True)
+        to.print(_errors(one.errors, "with the effect" if d.network is not None else "re-tuned"))
     far = [m for m in d.moved if d.method == "contest" and max(abs(m.before_sd), abs(m.after_sd)) > 3.0]
     if far and d.effects:
         table = Table(title="Tunables that had to move, in standard deviations of commissioning", title_justify="left")

@@ -8,6 +8,7 @@ import pytest
 from tests.discovery.conftest import Bench
 from twin.discovery.engine import diagnose, foresee
 from twin.discovery.healthy.basis import Columns
+from twin.discovery.records.standstill import standstill
 from twin.discovery.selection.ladder import EXACT_SHARE, SECOND_SHARE
 from twin.network import TwinFileError
 
@@ -186,6 +187,48 @@ def test_one_that_stands_still_from_time_to_time_is_told_once(bench: Bench, heal
     found = diagnose(bench.network, replace(record, measured=measured), healthy)
     assert [(e.kind, e.where) for e in found.effects] == [("sensor", "T_tank_C")]
     assert "from 2 h 47 min to 3 h 47 min, and 2 more until 12 h 07 min, for 3 h 00 min in all" in found.summary
+
+
+@pytest.mark.parametrize("lost", [0.4, 0.15])
+def test_a_tank_that_holds_less_water_is_a_mass_that_is_gone(bench: Bench, healthy: Columns, lost: float) -> None:
+    held = bench.network.parameters["tank.capacitance"].value
+    record = bench.record(changed=bench.with_values(tank__capacitance=(1.0 - lost) * held), onset_h=5.0)
+    found = diagnose(bench.network, record, healthy)
+    assert found.verdict == "effect found"
+    (gone,) = found.effects
+    assert (gone.kind, gone.where, gone.change) == ("thermal_mass", "tank", "existing")
+    assert gone.value == pytest.approx(-lost * held, rel=0.1) and gone.onset_s == pytest.approx(
+        5.0 * 3600.0, abs=1800.0
+    )
+
+
+def stopped(record: Columns) -> Columns:
+    """The record with two stops of pump and heater, in which water stands in the sun."""
+    inputs, measured = record.inputs.copy(), record.measured.copy()
+    for first in (4000, 8000):
+        rows = slice(first, first + 400)
+        inputs[rows, :3] = 0.0
+        measured[rows] += np.linspace(0.0, 4.0, 400)[:, None]
+    return replace(record, inputs=inputs, measured=measured)
+
+
+def test_what_is_read_while_everything_stands_is_left_aside(bench: Bench, healthy: Columns) -> None:
+    found = diagnose(bench.network, stopped(bench.record()), healthy)
+    assert found.verdict == "adequate"
+    (note,) = (n for n in found.notes if " stood for " in n)
+    assert note.startswith(
+        "pump and fan stood for 66.5 min in 2 spells (first at 5.6 h), as never in the healthy record"
+    )
+    heated = stopped(bench.record(changed=bench.with_values(modules_power__power=150.0), onset_h=3.0))
+    (heat,) = diagnose(bench.network, heated, healthy).effects
+    assert (heat.kind, heat.where) == ("heat_source", "modules") and heat.value == pytest.approx(150.0, rel=0.05)
+
+
+def test_what_stands_in_the_healthy_record_too_is_judged(bench: Bench, healthy: Columns) -> None:
+    record, known = stopped(bench.record()), healthy.inputs.copy()
+    assert standstill(bench.network, record.time_s, record.inputs, known).rows.sum() == 2 * (400 + 120)
+    known[:60, :3] = 0.0
+    assert not standstill(bench.network, record.time_s, record.inputs, known).rows.any()
 
 
 def test_a_healthy_record_that_is_not_healthy_is_refused(bench: Bench) -> None:

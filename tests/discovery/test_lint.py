@@ -7,11 +7,13 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
+from tests.discovery.test_records import TWINS
 from twin.discovery.effects.catalogue import catalogue
 from twin.discovery.effects.lint import examine, lint, richest
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
 from twin.kernel import simulate
+from twin.twinfile import load
 
 FINS, FAN = ("heat_rejection", "radiator", "constant"), ("actuator", "fan_speed", "constant")
 PUMP, FLOW = ("actuator", "pump_speed", "constant"), ("flow", "loop", "constant")
@@ -38,6 +40,13 @@ def test_what_is_called_alike_is_alike_in_the_readings(bench: Bench) -> None:
     read = [simulate(n, grid.time, grid.inputs, state) for n in (network, slow, less)]
     effect = np.abs(read[1] - read[0]).max()
     assert effect > 0.1 and np.abs(read[2] - read[1]).max() < 0.02 * effect
+
+
+def test_water_that_comes_in_is_varied_too() -> None:
+    """A moving inlet shows what a steady one hides: delay, metal and loss of the water that passes."""
+    unseen = {label[:2] for label in examine(load(TWINS / "heated_pipe_mixed.toml")).unseen}
+    assert not {(kind, "water") for kind in ("delay", "thermal_mass", "heat_loss")} & unseen
+    assert ("sensor", "T_ambient_C") in unseen
 
 
 def test_an_answer_names_its_group(bench: Bench, healthy: Columns) -> None:

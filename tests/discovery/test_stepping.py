@@ -17,22 +17,24 @@ from twin.discovery.scoring.search import Entry
 from twin.discovery.selection.part import Part
 
 
-def smooth(wanted: np.ndarray, reach: float = np.inf) -> Squares:
-    """Decays a exp(-b t) + c t against what they are at `wanted`."""
+def smooth(wanted: np.ndarray, reach: float = np.inf, unit: float = 1.0) -> Squares:
+    """Decays a exp(-b t) + c t against what they are at `wanted`; a in a `unit` of its own."""
     t = np.linspace(0.0, 4.0, 30)
 
     def course(v: np.ndarray) -> np.ndarray:
-        return v[0] * np.exp(-v[1] * t) + v[2] * t
+        return unit * v[0] * np.exp(-v[1] * t) + v[2] * t
 
     def look(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return 10.0 * np.stack([course(wanted) + 0.01 * np.sin(9.0 * t) - course(v) for v in rows]), rows
 
     def slopes(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         decay = np.exp(-v[1] * t)
-        return 10.0 * np.column_stack([decay, -v[0] * t * decay, t]), np.empty((30, 0))
+        return 10.0 * np.column_stack([unit * decay, -unit * v[0] * t * decay, t]), np.empty((30, 0))
 
-    low, high = np.array([-5.0, 0.05, -1.0]), np.array([5.0, 3.0, 1.0])
-    return Squares(look, slopes, 0.01 * np.eye(3), low, high, np.full(3, reach), np.arange(0), 1.0)
+    scale = np.array([1.0 / unit, 1.0, 1.0])
+    low, high = np.array([-5.0, 0.05, -1.0]) * scale, np.array([5.0, 3.0, 1.0]) * scale
+    precision = 0.01 * np.diag(scale**-2)
+    return Squares(look, slopes, precision, low, high, reach * scale, np.arange(0), 1.0, scale)
 
 
 @settings(max_examples=40, deadline=None)
@@ -52,6 +54,17 @@ def test_smooth_squares_become_as_small_as_scipy_makes_them(a: float, b: float, 
     assert found.total < 2.0 * best.cost + 10.0 * LEAST
     assert found.total == pytest.approx(float((both(found.v) ** 2).sum()))
     assert (squares.low <= found.v).all() and (found.v <= squares.high).all()
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e-4, 1e4])
+def test_in_what_unit_a_quantity_is_does_not_matter(unit: float) -> None:
+    """A thermal mass is a hundred thousand of its unit, a parameter half of one."""
+    wanted, begin = np.array([3.0, 0.7, 0.4]), np.array([1.0, 1.0, 0.0])
+    other = np.array([1.0 / unit, 1.0, 1.0])
+    plain, _ = minimise(smooth(wanted), begin, 40)
+    found, _ = minimise(smooth(wanted * other, unit=unit), begin * other, 40)
+    assert found.total == pytest.approx(plain.total, rel=1e-3)
+    assert found.v / other == pytest.approx(plain.v, rel=1e-3)
 
 
 @settings(max_examples=60, deadline=None)

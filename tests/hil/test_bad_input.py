@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from hil.cli import group
 from hil.element_kinds import parameters_of
 from hil.errors import explained
-from hil.record import Record, write_record
+from hil.record import Record, read_record, write_record
 from twin.elements import KINDS
 from twin.twinfile import load as read_twin
 
@@ -252,6 +252,25 @@ def test_a_record_with_gaps_and_holes_is_tracked_and_says_so(tmp_path):
     assert "T_radiator_C" in printed
 
 
+def test_commissioning_tells_times_as_they_are_read_and_leaves_out_what_has_no_reading(tmp_path):
+    path = healthy_record(tmp_path)
+    import pyarrow.parquet as parquet
+
+    table = parquet.read_table(path)
+    columns = {name: table[name].to_numpy()[:1200].copy() for name in table.schema.names if name != "time_s"}
+    columns["T_radiator_C"][:] = np.nan
+    write_record(Record(table["time_s"].to_numpy()[:1200], columns), path)
+    code, printed = hil("commission", path, "--twin", TWIN, "--out", tmp_path / "new.toml")
+    assert code == 0 and "nan" not in printed
+    assert "free run from 16 min to 19 min 59 s" in printed
+    assert "not in the table: T_radiator_C" in printed
+
+
+@pytest.mark.parametrize("kind", ["ambient_loss", "conduction", "flow"])
+def test_what_an_element_says_of_its_parameters_is_of_no_single_rig(kind):
+    assert not [spec for spec, _ in parameters_of(KINDS[kind]) if "Table" in spec.source]
+
+
 def test_a_twin_is_never_overwritten(tmp_path):
     out = tmp_path / "new.toml"
     out.write_text("mine", encoding="utf-8")
@@ -284,6 +303,45 @@ def test_every_kind_is_listed_with_keys_parameters_units_and_bounds():
     only = {spec.name: only for spec, only in parameters_of(KINDS["heat_source"])}
     assert only["night"] == "with driver, law = daylight" and only["power"] == "without driver"
     assert parameters_of(KINDS["sensor"])[-1][1] == "with other"
+
+
+@pytest.mark.parametrize(
+    ("name", "header"),
+    [
+        ("a.csv", "Time [s],heater_1_pct,T1_C"),
+        ("a.csv", "time_s,heater_1_pct,T1_C"),
+        ("a.csv", "time_s,heater_1_pct,T1_F"),
+        ("a.tsv", "time_s\theater_1_pct\tT1_C"),
+        ("a.txt", "Time (min);heater_1_pct;T1 [°C]"),
+    ],
+)
+def test_a_table_with_temperatures_is_checked_as_a_record(tmp_path, name, header):
+    path = tmp_path / name
+    between = next(mark for mark in ",;\t" if mark in header)
+    path.write_text(header + "".join(f"\n{row},50,20".replace(",", between) for row in range(3)), encoding="utf-8")
+    code, printed = hil("check", path)
+    assert code == 0 and "3 samples" in printed
+
+
+def test_a_table_whose_first_column_has_no_name_says_so(tmp_path):
+    code, printed = hil("check", load(tmp_path, ",heater_1_pct,T1_C\n0,50,20\n1,50,21\n"))
+    assert code == 2 and "the first column has no name" in printed and "time_s" in printed
+
+
+def test_fahrenheit_and_kelvin_are_to_be_converted_not_renamed(tmp_path):
+    path = healthy_record(tmp_path, **{f"T_{name}_C": None for name in ("heater", "radiator", "tank")})
+    record = read_record(path)
+    hot = {f"T_{name}_F": np.full(len(record.time_s), 86.0) for name in ("heater", "radiator", "tank")}
+    write_record(Record(record.time_s, {**record.columns, **hot}), path)
+    code, printed = hil("diagnose", path, "--twin", TWIN, "--dry")
+    assert code == 2 and "T_tank_F is in degrees Fahrenheit by its name: subtract 32" in printed
+    assert "rename" not in printed
+
+
+def test_an_input_that_uses_next_to_nothing_of_its_range_is_asked_about(tmp_path):
+    path = healthy_record(tmp_path, heater_power_W=np.full(3000, 0.7))
+    code, printed = hil("commission", path, "--twin", TWIN, "--out", tmp_path / "new.toml")
+    assert code == 0 and "heater_power_W is 0.7 to 0.7 in this record, where the twin declares" in printed
 
 
 def test_a_record_with_tabs_between_columns_is_checked_as_a_record(tmp_path):

@@ -39,7 +39,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         (["{}/hto.parquet"], ["hto.parquet", "there is no such file"]),
         (["{}/empty.csv"], ["empty.csv is empty"]),
-        (["{}/short.csv"], ["short.csv", "two windows"]),
+        (["{}/short.csv"], ["short.csv", "two windows", "steady state of its own, give --at-rest"]),
         (["{}/words.csv"], ["words.csv", "T_tank_C", "holds text"]),
         (
             ["{}/hot.parquet", "--healthy", "{}/hot.parquet"],

@@ -119,7 +119,7 @@ def test_a_missing_file_and_a_truncated_copy_are_refused(tmp_path: Path) -> None
         ("time_s,T_room_C\n0,78\n1,79\n", "T_room_C has a median of 78.5: is it in degrees Fahrenheit?"),
         ("time_s;T_ambient_C\n0;50\n1;51\n", "T_ambient_C has a median of 50.5: is it in degrees Fahrenheit?"),
         ("time_s\tT_room_K\n0\t300\n1\t301\n", "T_room_K is in K: converted to T_room_C"),
-        ("time_s,fan_speed_pct\n0,0.6\n1,0.7\n", "fan_speed_pct has a median of 0.65: is it a fraction of 1?"),
+        ("time_s,fan_speed_pct\n0,0.6\n1,0.7\n", "fan_speed_pct is 0.6 to 0.7: is it a fraction of 1?"),
         ("time_s,fan_speed_rpm\n0,600\n1,700\n", "fan_speed_rpm is in rpm where a record has fan_speed_pct"),
         ("time_s,T_tank_degC\n0,20\n1,21\n", "column 'T_tank_degC' is read as T_tank_C"),
         ("time_s,m_flow_kg_s\n0,1\n1,1\n", "m_flow_kg_s: its unit would be told from the name m_flow_kg_per_s"),
@@ -424,3 +424,47 @@ def test_public_time_series_read_with_sensible_messages(name: str, rows: int, me
 def test_public_steady_states_are_refused_for_want_of_a_time(name: str) -> None:
     with pytest.raises(RecordError, match=r"line \d has no column time_s .* name the column of sample times"):
         read_record(DATA / "real" / name)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time_s,T1_F\n0,70\n1,71\n", "T1_F is in degrees Fahrenheit by its name, and twins read degC: subtract 32"),
+        ("time_s,T1_K\n0,293\n1,294\n", "T1_K is in kelvin by its name, and twins read degC: subtract 273.15"),
+        ("time_s,T1_K\n0,20\n1,21\n", "T1_K is in kelvin by its name, but its median is 20.5: if it is in degC"),
+        ("time_s,T_in_K\n0,20\n1,21\n", "T_in_C has a median of -252.6: was it in degC before?"),
+        ("time_s,heater_1_pct,T1_C\n0,0,20\n1,0.5,21\n", "heater_1_pct is 0 to 0.5: is it a fraction of 1?"),
+        (
+            "time_s,heater_1_pct,T_amb_C,T1_C\n0,50,21,69.8\n1,50,21,80\n",
+            "T1_C begins at 69.8 in a room of 21 degC, which",
+        ),
+        ("time_s,heater_1_pct,T_amb_C,T1_C\n0,0,21,90\n1,0,21,80\n", "with everything off: is the rig hot from before"),
+    ],
+)
+def test_numbers_that_their_unit_does_not_bear_out_are_asked_about(tmp_path: Path, text: str, message: str) -> None:
+    assert any(message in said for said in read_record(_csv(tmp_path, text)).messages)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time_s,heater_1_pct,T_amb_C,T1_C\n0,0,21,21\n1,50,21,70\n",
+        "time_s,heater_1_pct,T_amb_C,T1_C\n0,50,21,90\n1,50,21,90\n",
+        "time_s,heater_1_pct,T1_C\n0,0,20\n1,0,21\n",
+        "time_s,T1_C,dT_K\n0,20,1\n1,21,2\n",
+    ],
+)
+def test_ordinary_numbers_are_not_asked_about(tmp_path: Path, text: str) -> None:
+    assert read_record(_csv(tmp_path, text)).messages == ()
+
+
+def test_a_missing_column_is_looked_for_under_other_spellings_and_units(tmp_path: Path) -> None:
+    record = read_record(_csv(tmp_path, "time_s,HEATER_1_PCT,T1 [°C],T2_F,heater_2_pct\n0,0,20,70,1\n1,50,21,71,2\n"))
+    with pytest.raises(RecordError) as caught:
+        record.require("heater_1_pct", "heater_2_pct", "heater_3_pct", "T1_C", "T2_C")
+    for part in (
+        "heater_1_pct (did you mean HEATER_1_PCT?)",
+        "heater_3_pct, T1_C (did you mean T1 [°C]?)",
+        "T2_C (T2_F is in degrees Fahrenheit by its name: subtract 32 and divide by 1.8, and call it T2_C)",
+    ):
+        assert part in str(caught.value)

@@ -65,6 +65,30 @@ def test_an_unreachable_node_and_a_second_feed_are_found(loop_text: str) -> None
         parse(loop_text + second)
 
 
+SEPARATE = """
+format = 1
+name = "two heaters"
+[inputs]
+heater_1_pct = { nominal = 0.0, lower = 0.0, upper = 100.0, unit = "%" }
+T_ambient_C = { nominal = 24.0, lower = 0.0, upper = 50.0, unit = "degC" }
+[elements]
+one = { kind = "node", capacitance = 2.0 }
+two = { kind = "node", capacitance = 2.0 }
+power = { kind = "heat_source", node = "one", driver = "heater_1_pct", law = "linear", gain = 0.01 }
+loss_1 = { kind = "ambient_loss", node = "one", hA = 0.01 }
+loss_2 = { kind = "ambient_loss", node = "two", hA = 0.01 }
+T1_C = { kind = "sensor", node = "one", columns = ["T1_C"], sigma = 0.2 }
+T2_C = { kind = "sensor", node = "two", columns = ["T2_C"], sigma = 0.2 }
+"""
+
+
+def test_volumes_that_exchange_no_heat_may_each_have_their_own_way_to_the_room() -> None:
+    assert parse(SEPARATE).nodes == ("one", "two")
+    cut_off = SEPARATE.replace('loss_2 = { kind = "ambient_loss", node = "two", hA = 0.01 }\n', "")
+    with pytest.raises(TwinFileError, match=r"elements\.two: no heat can reach this node"):
+        parse(cut_off)
+
+
 def test_a_network_needs_nodes_and_sensors() -> None:
     with pytest.raises(TwinFileError, match="there is no node"):
         parse('format = 1\nname = "x"\n[inputs]\n[elements]\n')

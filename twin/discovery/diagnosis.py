@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from twin.discovery.places.empirical import Empirical
 
 Verdict = Literal["adequate", "effect found", "ambiguous", "unexplained"]
+Carried = Literal["over", "in part", "not"]
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,18 @@ class SensorError:
     noise: float
     means: tuple[float, float, float] = (float("nan"),) * 3
     usual: float = 0.0
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """Errors over a further record, all of it; `carried`: whether the diagnosed twin is no farther off than usual
+    there, far off but far better than re-tuned, or neither; `says` so in words, "" where it is no farther off
+    or the verdict has told already that the twin lacks something that was not added."""
+
+    name: str
+    errors: Mapping[str, SensorError]
+    carried: Carried
+    says: str = ""
 
 
 @dataclass(frozen=True)
@@ -134,6 +147,7 @@ class Diagnosis:
         threshold: score that the best of a record of noise reaches once in a hundred.
         method: `contest` of effects with a twin that is nearly right, or `growth` of one of which little is known; `at
             rest` of steady states, whose times are their numbers from 1.
+        elsewhere: what it comes to on further records.
     """
 
     verdict: Verdict
@@ -160,6 +174,7 @@ class Diagnosis:
     threshold: float = float("nan")
     empirical: Empirical | None = None
     method: Literal["contest", "growth", "growth at rest"] = "contest"
+    elsewhere: tuple[Elsewhere, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """The contract's ``diagnosis.json``."""
@@ -172,15 +187,16 @@ class Diagnosis:
             "alternatives": [{**_other(a), "why_not": a.why_not} for a in self.alternatives],
             "error": {
                 "held_out_s": list(self.held_out_s),
-                "sensors": {
-                    name: {
-                        "stale": _round(e.stale), "before": _round(e.before), "after": _round(e.after),
-                        "noise": _round(e.noise),
-                        "ten_second_means": dict(zip(("stale", "before", "after"), map(_round, e.means), strict=True)),
-                    }
-                    for name, e in self.errors.items()
-                },
+                "sensors": {name: _error(e) for name, e in self.errors.items()},
             },
+            "further_records": [
+                {
+                    "record": one.name,
+                    "carried": one.carried,
+                    "sensors": {name: _error(e) for name, e in one.errors.items()},
+                }
+                for one in self.elsewhere
+            ],
             "tunables_moved": [
                 {
                     "parameter": m.parameter, "commissioned": _round(m.commissioned), "before": _round(m.before),
@@ -210,6 +226,13 @@ def _effect(e: Effect) -> dict[str, Any]:
         "onset_interval90_s": [_round(x) for x in e.onset_interval90_s], "shape": e.shape,
         "confidence": _round(e.confidence), "z": _round(e.z),
         "p_family_wise": _round(e.family_wise), "noise_z": _round(e.noise_z), "evidence": e.evidence, "says": e.says,
+    }  # fmt: skip
+
+
+def _error(e: SensorError) -> dict[str, Any]:
+    return {
+        "stale": _round(e.stale), "before": _round(e.before), "after": _round(e.after), "noise": _round(e.noise),
+        "ten_second_means": dict(zip(("stale", "before", "after"), map(_round, e.means), strict=True)),
     }  # fmt: skip
 
 

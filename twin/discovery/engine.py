@@ -11,12 +11,14 @@ from twin.discovery.answer.case import Case
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis, SensorError
 from twin.discovery.healthy.basis import Basis, Columns, basis
+from twin.discovery.healthy.visited import beside_unvisited
 from twin.discovery.places.localise import courses
 from twin.discovery.places.sites import sites_of
 from twin.discovery.planning.experiment import Limits
 from twin.discovery.planning.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
 from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.readings import Stuck, stuck
+from twin.discovery.records.standstill import Standstill, standstill
 from twin.discovery.scoring.contest import Contest, block_edges
 from twin.discovery.selection.caution import as_commissioned, first_alone, nothing, retuned_alone, unconfirmed
 from twin.discovery.selection.held_out import binned
@@ -58,6 +60,8 @@ def diagnose(
     say("reading")
     given = record
     record, unread = _comparable(network, record, healthy)
+    gaps = stretches(network, record.time_s, record.inputs)
+    record, stood = _moving(network, record, healthy)
     record, still = _without_stuck(network, record)
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
     known = basis(network, healthy, grid)
@@ -72,8 +76,7 @@ def diagnose(
     say("scanning")
     inquiry = Inquiry(network, record, known, grid, say)
     whole = inquiry.whole
-    gaps = stretches(network, record.time_s, record.inputs)
-    said = (known, known.structure, known.bootstrap, gaps)
+    said = (known, known.structure, known.bootstrap, gaps, stood)
     notes = [*unread, *(told.sentence for told in said if told is not None and told.sentence)]
     answer = inquiry.answer(held_out)
     finding, split, doubted = answer.finding, answer.split, answer.doubted
@@ -122,7 +125,7 @@ def diagnose(
         limits=limits,
         later=tuple(part.grid for part in further),
     )
-    found = conclude(case, tuple(notes))
+    found = beside_unvisited(conclude(case, tuple(notes)), network, record, healthy)
     return explained_by_one(found, network, record, single, again)
 
 
@@ -162,6 +165,21 @@ def _comparable(network: Network, record: Columns, healthy: Columns | None) -> t
                 missing = [c for i, c in enumerate(network.sensors[j].measured) if not seen[i]]
                 notes.append(f"{' and '.join(missing)} is not in this record: {name} is the mean of the others")
     return replace(record, measured=measured), notes
+
+
+def _moving(network: Network, record: Columns, healthy: Columns | None) -> tuple[Columns, Standstill | None]:
+    """The record with nothing known of the times in which something stood that never did in health."""
+    if healthy is None:
+        return record, None
+    stood = standstill(network, record.time_s, record.inputs, healthy.inputs)
+    if not stood.spells:
+        return record, None
+    inputs, measured = record.inputs.copy(), record.measured.copy()
+    driven = np.array([not c.endswith("_C") for c in network.input_columns])
+    inputs[stood.rows[:, None] & driven] = np.nan
+    measured[stood.rows] = np.nan
+    members = {name: np.where(stood.rows[:, None], np.nan, each) for name, each in record.members.items()}
+    return replace(record, inputs=inputs, measured=measured, members=members), stood
 
 
 def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[Stuck, ...]]:

@@ -19,7 +19,7 @@ class AmbientLoss(Element):
 
     kind: ClassVar[str] = "ambient_loss"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
-        ParameterSpec("hA", "W/K", None, 0.0, 1000.0, "tunable", "effective, Table 1 of the paper"),
+        ParameterSpec("hA", "W/K", None, 0.0, 1000.0, "tunable", "effective conductance to the room"),
     )
 
     node: str = place("node", "node that loses the heat")

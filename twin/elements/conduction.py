@@ -19,7 +19,7 @@ class Conduction(Element):
 
     kind: ClassVar[str] = "conduction"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
-        ParameterSpec("resistance", "K/W", None, 2.0e-3, 1.0e6, "tunable", "effective, Table 1 of the paper"),
+        ParameterSpec("resistance", "K/W", None, 2.0e-3, 1.0e6, "tunable", "effective resistance between the two"),
     )
 
     a: str = place("node", "one end", key="from")

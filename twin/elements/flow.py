@@ -70,7 +70,7 @@ class Flow(Element):
         return (self.pump, self.inlet) if self.inlet else (self.pump,)
 
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:
-        source = "coolant flow factor of Table 1, as the share of the way to equilibrium"
+        source = "share of the way to equilibrium that the water goes"
         stations = tuple(
             ParameterSpec(f"effectiveness_{node}", "1", 1.0, 0.05, 1.95, "fixed", source)
             if node not in self.film

@@ -56,7 +56,7 @@ class HiddenMass(Element):
         capacity, conductance = (sites.values[f"{self.name}.{k}"] for k in ("capacity", "conductance"))
         if not capacity or not conductance:
             return ()
-        takes = "has a mass beside it that takes {value} more heat than when commissioned"
+        takes = "has a mass beside it that is {value} more than when commissioned"
         passes = "exchanges {value} more with the mass beside it than when commissioned"
         masses = (
             self.moves("capacity", "thermal_mass", where, "history", "J/K", 0.1 * capacity, -0.9 * capacity,

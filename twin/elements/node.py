@@ -27,7 +27,7 @@ class Node(Element):
 
     def moved(self, sites: Sites) -> tuple[Candidate, ...]:
         now = sites.values[f"{self.name}.capacitance"]
-        says = "takes {value} more heat than when commissioned"
+        says = "has {value} more thermal mass than when commissioned"
         return (
             self.moves(
                 "capacitance", "thermal_mass", sites.places[self.name], "history", "J/K",

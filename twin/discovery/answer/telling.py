@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from twin.discovery.answer.case import Case
+from twin.discovery.answer.spells import explained
 from twin.discovery.answer.words import sentence
 from twin.discovery.diagnosis import Alternative, Effect, Verdict
 from twin.discovery.records.grid import Grid
@@ -54,6 +56,23 @@ def rivals(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...],
         why = f"explains {100.0 * share:.0f} % of the mismatch, the answer {100.0 * best:.0f} %"
         out[e.label] = Alternative(*e.label, confidence=0.0, why_not=why)
     return tuple(same.values()), tuple(out.values())
+
+
+def likelier_in_all(case: Case) -> tuple[Alternative, ...]:
+    """What explains the whole record better than the one effect that was found in a part of it, the best of each kind
+    and place: a record that speaks so does not tell the two apart."""
+    finding = case.finding
+    if len(finding.entries) != 1:
+        return ()
+    (entry,) = finding.entries
+    place = (entry.candidate.kind, entry.candidate.where)
+    here = [e.gain for e in case.lasting if (e.candidate.kind, e.candidate.where) == place]
+    own = max((explained(case.whole, case.laws, (entry,)), *here))
+    found: dict[tuple[str, str], Alternative] = {}
+    for e in case.lasting:
+        if e.gain > own:
+            found.setdefault((e.candidate.kind, e.candidate.where), Alternative(*e.label, confidence=0.0))
+    return tuple(found.values())
 
 
 def near_misses(finding: Finding) -> tuple[Alternative, ...]:

@@ -13,7 +13,7 @@ from twin.discovery.answer.case import Case
 from twin.discovery.answer.judging import adequate, good
 from twin.discovery.answer.spells import Spell, as_effect, came_and_went, described, explains
 from twin.discovery.answer.switches import switched
-from twin.discovery.answer.telling import grown_by_end, near_misses, rivals, told
+from twin.discovery.answer.telling import grown_by_end, likelier_in_all, near_misses, rivals, told
 from twin.discovery.answer.words import summarise
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Verdict
 from twin.discovery.effects.lint import lint
@@ -145,8 +145,15 @@ def _named(case: Case) -> Answer:
     finding, grid, network = case.finding, case.grid, case.known.probe.network
     assert finding.fit is not None
     verdict, effects = told(finding, grid)
+    likelier = likelier_in_all(case)
+    if likelier:
+        verdict = "ambiguous"
     others, alternatives = rivals(finding, verdict)
     others = (*others, *twins_of(finding, lint(network), others))
+    known = {(a.kind, a.where) for a in others}
+    likelier = tuple(a for a in likelier if (a.kind, a.where) not in known)
+    others = (*others, *likelier)
+    alternatives = tuple(a for a in alternatives if (a.kind, a.where) not in {(b.kind, b.where) for b in likelier})
     switches = switched(finding, grid, float(grid.time[0]))
     notes = tuple(says for _, says in switches)
     if finding.beside is not None:

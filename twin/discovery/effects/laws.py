@@ -93,11 +93,26 @@ class Book:
                 changed = bigger.with_values(sized(bigger, candidate, candidate.typical))
                 formulas = self._formulas(candidate, changed)
                 heat = formulas.heats(known, grid.inputs, changed.values, grid.step_s)
+                heat -= _taken_up(bigger, changed, known, grid.step_s)
                 law = Law(candidate, (heat - base) / candidate.typical, None)
             size = law.heat if law.heat is not None else law.reading
             if size is not None and np.isfinite(size).all() and float(np.abs(size).max()) * candidate.typical > LEAST_W:
                 found.append(law)
         return found
+
+
+def _taken_up(network: Network, changed: Network, known: Array, step_s: float) -> Array:
+    """Heat (n, k), W, that volumes whose thermal mass is another take up more than before.
+
+    Args:
+        known: (n, k) degC, means over bins, so that what rose between two of them rose about the beginning of one.
+    """
+    at = network.index([f"{node}.capacitance" for node in network.nodes])
+    more = changed.values[at] - network.values[at]
+    heat = np.zeros_like(known)
+    rate = np.diff(known, axis=0, prepend=known[:1]) / step_s
+    heat[:, more != 0.0] = more[more != 0.0] * rate[:, more != 0.0]
+    return heat
 
 
 def _put_in(network: Network, candidate: Candidate, grid: Grid, known: Array) -> Array:
@@ -140,13 +155,22 @@ def _delay(network: Network, formulas: Formulas, candidate: Candidate, grid: Gri
     rate = values[f"{flow.name}.nominal"].value * values[f"{flow.name}.factor"].value / 60.0
     litres = rate * np.maximum(grid.inputs[:, network.input_columns.index(flow.pump)], 0.0) * 0.01
     passed = np.concatenate([[0.0], np.cumsum(litres * grid.step_s)])[:-1]
-    late = known.copy()
-    k = network.nodes.index(before) if before else -1
-    if k < 0:
+    if not before and not flow.inlet:
         return np.zeros_like(known)
     size = candidate.typical
     when = np.interp(passed - size, passed + 1e-9 * np.arange(len(passed)), grid.time)
-    late[:, k] = np.interp(when, grid.time, known[:, k])
-    heat = (formulas.heats(late, grid.inputs, network.values, grid.step_s) - base) / size
-    heat[:, k] = 0.0
+    late, inputs = known.copy(), grid.inputs.copy()
+    if before:
+        k = network.nodes.index(before)
+        late[:, k] = np.interp(when, grid.time, known[:, k])
+    else:
+        k = network.input_columns.index(flow.inlet)
+        inputs[:, k] = np.interp(when, grid.time, inputs[:, k])
+    heat = (formulas.heats(late, inputs, network.values, grid.step_s) - base) / size
+    if before:
+        heat[:, k] = 0.0
+    if f"{node}.capacitance" in candidate.changes:
+        # Water that passes unmixed is no longer warmed and cooled with the volume.
+        n = network.nodes.index(node)
+        heat[:, n] -= candidate.changes[f"{node}.capacitance"] * np.gradient(known[:, n], grid.step_s)
     return heat

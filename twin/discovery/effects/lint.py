@@ -17,6 +17,7 @@ from twin.discovery.effects.laws import Book
 from twin.discovery.effects.probe import Probe
 from twin.discovery.kept import store, stored
 from twin.discovery.records.grid import BIN_S, Grid
+from twin.elements.flow import Flow
 from twin.network import Array, Network
 from twin.steady import steady_state
 
@@ -24,6 +25,8 @@ ALIKE = 0.999
 HOURS, ONSET = 8.0, 0.25
 REST, AT_REST = (0.45, 0.78), 0.05
 """Part of the run in which heaters rest, and their power then."""
+INLET_K = 20.0
+"""How far from its nominal temperature water comes in, where the twin's bounds allow that."""
 VISIBLE = 5.0
 """Score from which an effect can be seen at all."""
 LARGE = 5.0
@@ -101,15 +104,19 @@ def examine(network: Network) -> Lint:
 
 
 def richest(network: Network, seed: int = 0) -> Grid:
-    """Inputs in which everything varies by itself: drives in steps of 5 to 40 minutes, the room slowly; for a third of
-    the time the heater rests, so that the slowest volume cools and warms."""
+    """Inputs in which everything varies by itself: drives and water that comes in by steps of 5 to 40 minutes, the room
+    slowly; for a third of the time the heater rests, so that the slowest volume cools and warms."""
     rng = np.random.default_rng(seed)
     bins = int(HOURS * 3600.0 / BIN_S)
     time: Array = BIN_S * np.arange(bins, dtype=np.float64)
     inputs = np.empty((bins, len(network.input_columns)))
+    inlets = {e.inlet for e in network.elements if isinstance(e, Flow)}
     for j, (column, spec) in enumerate(network.inputs.items()):
         if column.startswith("time_of_day"):
             inputs[:, j] = (4.0 * time / 3600.0) % 24.0
+        elif column in inlets:
+            low, high = max(spec.lower, spec.nominal - INLET_K), min(spec.upper, spec.nominal + INLET_K)
+            inputs[:, j] = _stepped(rng, time, low, high)
         elif column.endswith("_C"):
             inputs[:, j] = spec.nominal + 4.0 * np.sin(2.0 * np.pi * time / (2.3 * 3600.0)) + 2.0 * time / time[-1]
         else:

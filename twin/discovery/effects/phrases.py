@@ -43,6 +43,8 @@ def amount(value: float, unit: str, spread: float = 0.0) -> str:
     part = unit == "W/W" or unit.startswith("of the")
     named = {"1": "", "W/W": " %"}.get(unit, f" % {unit}" if part else f" {unit}")
     factor = 100.0 if part else 1.0
+    if unit in ("J/K", "W") and abs(value) >= 10_000.0:
+        factor, named = 1e-3, f" k{unit}"
     low, high = (f"{factor * (value + side * spread):.3g}" for side in (-1.0, 1.0))
     return f"{factor * value:.3g}{named}" + (f" ({low} to {high})" if low != high else "")
 

@@ -20,6 +20,10 @@ BIN_S = 10.0
 LEAST_BINS = 120
 
 
+class TooShortError(TwinFileError):
+    """A record that is too short to be one of a rig in motion."""
+
+
 @dataclass(frozen=True)
 class Grid:
     """Bins of `step_s`: `time` (n,) s at their beginnings, `inputs` (n, c), `measured` (n, m) degC with NaN.
@@ -61,18 +65,18 @@ def on_grid(
             degC; NaN is left out.
 
     Raises:
-        TwinFileError: too short, or not a single reading.
+        TooShortError: it is too short. TwinFileError: not a single reading.
     """
     t, u = clean_time(time_s), bridged(network, time_s, inputs)
     known = stretches(network, t, np.asarray(inputs, dtype=np.float64))
     y = np.where(known.lost[:, None], np.nan, np.asarray(measured, dtype=np.float64))
     if len(t) < 2:
-        raise TwinFileError("the record has fewer than two samples; diagnosis needs at least two windows of data")
+        raise TooShortError("the record has fewer than two samples; diagnosis needs at least two windows of data")
     period = float(np.median(np.diff(t)))
     step = max(least_s, period)
     bins = int(np.floor((t[-1] - t[0]) / step + 1e-9)) + 1
     if bins * step < 2.0 * network.rules.window_s:
-        raise TwinFileError(
+        raise TooShortError(
             f"the record covers {t[-1] - t[0]:.0f} s; diagnosis needs at least two windows of "
             f"{network.rules.window_s:.0f} s (window_s under [windows] of the twin file)"
         )

@@ -83,6 +83,8 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     steps[q : q + k] = _STATE_STEP
     steps[q + k : first_time] = [_SIZE_STEP * x.candidate.typical for x in entries]
     steps[first_time:first_growth], steps[first_growth:] = 6.0 * hours, 0.05
+    scale = np.ones(count)
+    scale[q + k : first_time] = [x.candidate.typical for x in entries]
 
     def shapes_at(v: Array) -> tuple[Shape, ...]:
         found = [x.shape for x in entries]
@@ -127,7 +129,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     v[onsets] = [entries[i].shape.onset_s / 3600.0 for i in timed]
     v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
     v = np.clip(v, low, high)
-    squares = Squares(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0)
+    squares = Squares(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0, scale)
     found, slopes = minimise(squares, v, rounds)
     v = found.v
     covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)

@@ -36,6 +36,7 @@ class Squares:
         slopes: how fast (rows, c) the residual falls at v (c,), and for what bends (rows, bends) towards lower values.
         precision: (c, c). low, high: (c,) bounds. reach: (c,) longest steps, but where slopes held so far.
         bends: (bends,) places of what bends. leap: how far apart its bends are.
+        scale: (c,) what is much of each quantity, in its unit.
     """
 
     look: Callable[[Array], tuple[Array, Array]]
@@ -46,6 +47,7 @@ class Squares:
     reach: Array
     bends: np.ndarray
     leap: float
+    scale: Array
 
     def weighed(self, v: Array, residual: Array) -> Array:
         """Squares (P,) at v (P, c)."""
@@ -133,10 +135,10 @@ def _steps(squares: Squares, place: Place, slopes: tuple[Array, Array], damping:
         reach = longest * longer * squares.reach
         low, high = np.maximum(squares.low - place.v, -reach), np.minimum(squares.high - place.v, reach)
         low[bends], high[bends] = np.maximum(low[bends], -down), np.minimum(high[bends], up)
-        diagonal = np.diag(hessian)
+        much = np.diag(hessian) * squares.scale**2
         # What changes nothing (an onset where its effect is nothing yet, say) stays where it is.
-        free = diagonal >= 1e-9 * np.median(diagonal)
-        stiff = hessian + damping * damped * np.diag(np.maximum(diagonal, 1e-9 * diagonal.max()))
+        free = much >= 1e-9 * np.median(much)
+        stiff = hessian + damping * damped * np.diag(np.maximum(much, 1e-9 * much.max()) / squares.scale**2)
         taken = bounded(stiff, pull, np.where(free, low, 0.0), np.where(free, high, 0.0))
         total = squares.weighed((place.v + taken)[None], (place.residual - along @ taken)[None])
         return Step(taken, damping * damped, longer, float(total[0]))

@@ -38,6 +38,8 @@ are harsher than those that the noise was learned from."""
 BEGUN, FAR = 3, 1.2
 """Rounds in which a fit of what is late comes within this many times another's squares, if it ever does: water that is
 late explains at once what nothing else can."""
+NOTHING_YET = 0.5
+"""Thresholds, squared, by which such a fit may then be worse than none, to be gone on with."""
 FORMED = 2.0
 """Misfit, over what noise leaves, that may be of an effect's own form (`of_own_form`)."""
 EXCHANGES, EXCHANGED = 2, 3
@@ -175,7 +177,8 @@ def _late(part: Part, entries: list[Entry], best: float) -> list[tuple[Fit, tupl
         return entry.shape.onset_s <= EARLY_S and abs(entry.size) < entry.candidate.lumped
 
     begun = fitted(part, [(e,) for e in entries], BEGUN)
-    found = fitted(part, [group for f, group in begun if f.total < FAR * best])
+    far = min(FAR * best, part.contest.misfit + NOTHING_YET * part.threshold**2)
+    found = fitted(part, [group for f, group in begun if f.total < far])
     return [(f, group) for f, group in found if not usual(f.entries[0])]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -102,11 +103,19 @@ class Part:
         self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, tuple(further.values()))]
 
     def late(self, onset_s: float) -> list[Entry]:
-        """Every law that is late, at several times a typical size, all along and since an onset."""
+        """Every law that is late, at several times a typical size, all along and since an onset.
+
+        Of time constants every second one: between them `timed` looks, once one is worth it.
+        """
         found = []
+        slow: Counter[str] = Counter()
         for law in self.laws:
             c = law.candidate
             if c.driver in LATE and not c.begins:
+                if c.slower is not None:
+                    slow[c.where] += 1
+                    if slow[c.where] % 2 == 0:
+                        continue
                 size = min(MUCH * c.typical, c.upper)
                 for since in {0.0, onset_s if onset_s > EARLY_S else 0.0}:
                     entry = Entry(law, Shape("step", since), np.empty(0), size, 0.0, 0.0)

@@ -1,0 +1,59 @@
+"""Inputs that a record takes where the healthy one never was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.discovery.conftest import Bench
+from tests.hil.made_diagnosis import made
+from twin.discovery.healthy.basis import Columns
+from twin.discovery.healthy.visited import beside_unvisited, unvisited
+
+LIKE = "may always have been so"
+
+
+def _with(record: Columns, column: int, low: float, high: float) -> Columns:
+    inputs = record.inputs.copy()
+    inputs[:, column] = np.linspace(low, high, len(inputs))
+    return replace(record, inputs=inputs)
+
+
+@pytest.mark.parametrize(
+    ("then", "here", "said"),
+    [
+        (
+            (600.0, 800.0),
+            (600.0, 1200.0),
+            "heater_power was 604 to 796 W in the healthy record and up to 1188 W here",
+        ),
+        ((600.0, 800.0), (200.0, 700.0), "heater_power was 604 to 796 W in the healthy record and down to 210 W here"),
+        ((600.0, 800.0), (200.0, 1200.0), "and 220 to 1180 W here"),
+        ((700.0, 700.0), (200.0, 700.0), "heater_power was 700 W in the healthy record and down to 210 W here"),
+        ((600.0, 800.0), (550.0, 850.0), ""),
+        ((700.0, 700.0), (690.0, 710.0), ""),
+    ],
+)
+def test_an_input_that_goes_where_it_was_not_in_health_is_told(
+    bench: Bench, then: tuple[float, float], here: tuple[float, float], said: str
+) -> None:
+    good = bench.record(1.0)
+    found = unvisited(bench.network, _with(good, 0, *here), _with(good, 0, *then))
+    assert [said in note and LIKE in note for note in found] == ([True] if said else [])
+
+
+def test_a_moment_is_not_told_nor_a_time_of_day(bench: Bench) -> None:
+    good = bench.record(1.0)
+    brief = good.inputs.copy()
+    brief[:5, 0] = 0.0
+    assert unvisited(bench.network, replace(good, inputs=brief), good) == []
+
+
+@pytest.mark.parametrize("verdict", ["effect found", "adequate"])
+def test_a_note_stands_beside_what_is_claimed_alone(bench: Bench, verdict: str) -> None:
+    good = bench.record(1.0)
+    found = beside_unvisited(made(verdict), bench.network, _with(good, 0, 0.0, 3000.0), good)
+    assert len(found.notes) == (verdict != "adequate") and found.verdict == verdict
+    assert not beside_unvisited(made(verdict), bench.network, _with(good, 0, 0.0, 3000.0), None).notes

@@ -1,0 +1,50 @@
+"""What a column that a record lacks may be called in it: written otherwise, or in another unit."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable
+
+_TO_CELSIUS = {
+    "f": ("degrees Fahrenheit", "subtract 32 and divide by 1.8"),
+    "degf": ("degrees Fahrenheit", "subtract 32 and divide by 1.8"),
+    "k": ("kelvin", "subtract 273.15"),
+}
+_OTHER_UNITS = frozenset(("w", "kw", "mw", "pct", "rpm", "hz", "frac", "fraction", "l_per_min", "l_per_s", "m3_per_h"))
+_AS_WORDS = (("°c", "c"), ("degc", "c"), ("%", "pct"))
+
+
+def converted(column: str) -> tuple[str, str, str] | None:
+    """Unit, remedy and new name of a column that by its name is a temperature in another unit than degC, or None."""
+    stem, _, tail = column.rpartition("_")
+    if tail.lower() not in _TO_CELSIUS or not re.match(r"(.*_)?(t\d*|temp\w*)(_|$)", stem.lower()):
+        return None
+    unit, how = _TO_CELSIUS[tail.lower()]
+    return unit, how, f"{stem}_C"
+
+
+def hint(name: str, columns: Iterable[str]) -> str:
+    """How the column `name` may be meant by one that is there, or ""."""
+    there = list(columns)
+    stem, _, tail = name.rpartition("_")
+    for column in there:
+        other, _, unit = column.rpartition("_")
+        if not stem or other.lower() != stem.lower() or unit.lower() == tail.lower():
+            continue
+        if tail == "C" and unit.lower() in _TO_CELSIUS:
+            said, how = _TO_CELSIUS[unit.lower()]
+            return f"{column} is in {said} by its name: {how}, and call it {name}"
+        if unit.lower() in _OTHER_UNITS:
+            return f"{column} is in another unit by its name: convert it, and call it {name}"
+    alike = [column for column in there if _spelt(column) == _spelt(name)]
+    near = alike or difflib.get_close_matches(name, there, n=1)
+    return f"did you mean {near[0]}?" if near else ""
+
+
+def _spelt(column: str) -> str:
+    """A name without what people write differently: case, brackets, signs for units."""
+    text = column.lower()
+    for sign, word in _AS_WORDS:
+        text = text.replace(sign, word)
+    return re.sub(r"[^a-z0-9]+", "_", text).strip("_")

@@ -1,0 +1,62 @@
+"""Where a record's inputs go that the healthy one never went: of that nobody knows what it was like in health."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twin.discovery.diagnosis import Diagnosis
+from twin.discovery.healthy.basis import Columns
+from twin.network import InputSpec, Network
+
+BEYOND = 0.5
+"""Share of what an input ranged over in health by which it has to go beyond that to be told."""
+STEADY = 0.05
+"""Share of its declared range that counts as an input's where it hardly moved."""
+BRIEF = (2.0, 98.0)
+"""Percentiles of what an input ranged over: what lasts for a moment is left aside."""
+
+
+def beside_unvisited(found: Diagnosis, network: Network, record: Columns, healthy: Columns | None) -> Diagnosis:
+    """A diagnosis that claims something, with a note on each input that went far beyond what it did in health."""
+    if healthy is None or found.verdict == "adequate":
+        return found
+    return replace(found, notes=(*found.notes, *unvisited(network, record, healthy)))
+
+
+def unvisited(network: Network, record: Columns, healthy: Columns) -> list[str]:
+    """A sentence for each input that the record takes far beyond the healthy record's range of it."""
+    said = []
+    for j, (column, spec) in enumerate(network.inputs.items()):
+        here, then = (x[np.isfinite(x)] for x in (record.inputs[:, j], healthy.inputs[:, j]))
+        if column.startswith("time_of_day") or not here.size or not then.size:
+            continue
+        (low, high), (least, most) = np.percentile(then, BRIEF), np.percentile(here, BRIEF)
+        room = BEYOND * max(high - low, STEADY * _width(spec))
+        below, above = least < low - room, most > high + room
+        if not below and not above:
+            continue
+        name, unit = column.rsplit("_", 1)[0], f" {spec.unit}" if spec.unit not in ("", "1") else ""
+        was = _between(low, high)
+        now = (
+            _between(least, most) if below and above else f"up to {_said(most)}" if above else f"down to {_said(least)}"
+        )
+        said.append(
+            f"{name} was {was}{unit} in the healthy record and {now}{unit} here: what only shows there may always have "
+            "been so"
+        )
+    return said
+
+
+def _width(spec: InputSpec) -> float:
+    width = spec.upper - spec.lower
+    return width if np.isfinite(width) else abs(spec.nominal)
+
+
+def _between(low: float, high: float) -> str:
+    return _said(low) if _said(low) == _said(high) else f"{_said(low)} to {_said(high)}"
+
+
+def _said(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
