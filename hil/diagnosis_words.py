@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from typing import Any
 
+WORSE = 1.04
+"""Times the squares that re-tuning leaves, as in `twin.discovery.selection.held_out`, from which an answer is worse."""
 RARE = 1e-6
 """Probability below which no figure is given: the tail that it is read from is drawn, not observed."""
 
@@ -52,12 +54,23 @@ def reasons(document: dict[str, Any]) -> list[str]:
 def chance(document: dict[str, Any]) -> str:
     """How often noise alone would do as well; "" where nothing was found that a scan could find by chance."""
     found = [e for e in document["effects"] if e.get("p_family_wise") is not None]
-    limit = document.get("threshold")
     if not found:
         return ""
     worst = max(found, key=lambda e: e["p_family_wise"])
+    # Each effect of a growth has a chance of its own; the threshold is the highest of them.
+    limit = worst.get("noise_z") if worst.get("noise_z") is not None else document.get("threshold")
     score = f"Noise alone would score {worst['z']:.3g} somewhere in the whole catalogue {often(worst['p_family_wise'])}"
     return score + (f"; one record of noise in a hundred reaches {limit:.1f}." if limit is not None else ".")
+
+
+def worse(document: dict[str, Any]) -> str:
+    """By how much an answer is worse than re-tuning where no fit saw the record, as half a sentence, or ""."""
+    sensors = {k: e for k, e in document["error"]["sensors"].items() if None not in (e["before"], e["after"])}
+    before, after = (sum((e[k] / e["noise"]) ** 2 for e in sensors.values()) for k in ("before", "after"))
+    if not after > WORSE * max(before, len(sensors)):
+        return ""
+    name, e = max(sensors.items(), key=lambda item: (item[1]["after"] - item[1]["before"]) / item[1]["noise"])
+    return f"{name} is off by {e['after']:.3g} K {after_label(document)} and by {e['before']:.3g} K re-tuned alone"
 
 
 def often(probability: float) -> str:
@@ -74,6 +87,11 @@ def left_out(document: dict[str, Any]) -> str:
     blocks = [b["gain"] for b in document.get("left_out") or () if b["gain"] is not None]
     if not blocks:
         return ""
+    off = worse(document)
+    if off:
+        return (
+            f"On the part that no fit saw, {off}: it does not foretell that part, whatever it gains in blocks left out."
+        )
     won = sum(gain > 0.0 for gain in blocks)
     what = (
         "the effects foretell"

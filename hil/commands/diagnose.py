@@ -234,11 +234,13 @@ def _since(onset_s: float, d: Diagnosis) -> str:
     return f"{onset_s / 3600.0:.2f} h" if d.method == "contest" else "start"
 
 
-def _errors(errors: Mapping[str, SensorError], *, added: bool = True) -> Table:
+def _errors(errors: Mapping[str, SensorError], after: str) -> Table:
+    """A row a sensor; `after` is what the twin held whose errors are called that, "re-tuned" where nothing more."""
     from rich.table import Table
 
     table = Table()
-    headings = ("sensor", "stale", "re-tuned", *(("with the effect",) if added else ()), "noise")
+    added = after != "re-tuned"
+    headings = ("sensor", "stale", "re-tuned", *((after,) if added else ()), "noise")
     for heading in headings:
         table.add_column(heading, justify="left" if heading == "sensor" else "right")
     for name, error in errors.items():
@@ -250,7 +252,7 @@ def _errors(errors: Mapping[str, SensorError], *, added: bool = True) -> Table:
 def _show(to: Console, d: Diagnosis) -> None:
     from rich.table import Table
 
-    from hil.diagnosis_words import reasons
+    from hil.diagnosis_words import after_label, reasons
     from hil.record_time import span
 
     for warning in d.warnings:
@@ -289,10 +291,10 @@ def _show(to: Console, d: Diagnosis) -> None:
     if d.method == "growth at rest":
         part = "every fourth steady state, which no fit saw"
     to.print(f"RMSE in K, {part}", style="italic", soft_wrap=True)
-    to.print(_errors(d.errors))
+    to.print(_errors(d.errors, after_label(d.document())))
     for one in d.elsewhere:
         to.print(f"RMSE in K, free run over {one.name}, which no effect was fitted to", style="italic", soft_wrap=True)
-        to.print(_errors(one.errors, added=d.network is not None))
+        to.print(_errors(one.errors, "with the effect" if d.network is not None else "re-tuned"))
     far = [m for m in d.moved if d.method == "contest" and max(abs(m.before_sd), abs(m.after_sd)) > 3.0]
     if far and d.effects:
         table = Table(title="Tunables that had to move, in standard deviations of commissioning", title_justify="left")

@@ -90,6 +90,9 @@ def test_most_of_a_record_is_not_called_nothing(room: Network) -> None:
     found = diagnose_grown(strict, record, most=2)
     assert found.verdict == "unexplained" and not found.effects and found.network is None
     assert found.summary.startswith("Most of this record is explained, not all") and "sigma" in found.summary
+    # Of two with one kind, place and driver nobody could tell which is which.
+    masses = [a.why_not for a in found.alternatives if a.kind == "thermal_mass"]
+    assert masses and "with a time constant of" in masses[0] and len(set(masses)) == len(masses)
 
 
 def test_a_few_samples_are_too_little_to_grow_on(room: Network) -> None:
@@ -130,7 +133,7 @@ wall_hA = 1000.0
 def test_hypotheses_go_down_side_by_side_as_each_does_alone(room: Network) -> None:
     record = lived_in(room, {"sun": SUN})
     samples, ids = samples_of(room, record.time_s, record.inputs, record.measured), room.tunables("commission")
-    wardrobe = Wardrobe.of(room, ids, 600.0)
+    wardrobe = Wardrobe.of(room, ids, 600.0, 345600.0)
     plain = Problem(wardrobe, samples, ids)
     sun = next(c for c in wardrobe.candidates if c.kind == "heat_source" and "sun" in c.driver)
     sunny = plain.with_entries((unsized(sun, 1.0),))

@@ -28,6 +28,7 @@ from hil.review.looks import path
 from tests.hil.made_diagnosis import SAYS, SENSORS, made
 from tests.hil.synthetic_journal import make
 from tests.hil.synthetic_journal import write as write_journal
+from twin.discovery.diagnosis import SensorError
 
 PICTURES = {"residuals", "unknowns", "blocks", "ladder", "others", "errors", "tunables"}
 
@@ -167,3 +168,20 @@ def test_the_review_of_a_run_takes_in_the_diagnosis_in_its_folder(tmp_path):
     write_review(journal, tmp_path / "after.rrd")
     _, values = read_columns(tmp_path / "after.rrd", path("diagnosis", "residual", SENSORS[0], "after"))
     assert len(values) == 60
+
+
+def test_the_chance_and_the_limit_of_noise_are_of_the_same_effect():
+    """The threshold is the highest of all; beside the chance of another it would contradict it."""
+    first, second = made().effects[0], made().effects[0]
+    weak = dataclasses.replace(second, z=5.14, family_wise=1.0 / 340.0, noise_z=4.6)
+    strong = dataclasses.replace(first, z=30.0, family_wise=1e-9, noise_z=6.4)
+    grown = dataclasses.replace(made(effects=(strong, weak)), threshold=6.4, method="growth")
+    by_chance = reasons(grown.document())[0]
+    assert "5.14" in by_chance and "once in 340 records" in by_chance and "reaches 4.6" in by_chance
+
+
+def test_what_is_worse_than_re_tuning_is_not_said_to_foretell():
+    tried = made("unexplained", errors={"T_tank_C": SensorError(2.26, 1.82, 85.7, 0.2)})
+    (blocks,) = (reason for reason in reasons(tried.document()) if "blocks" in reason)
+    assert "85.7 K with the best effect tried and by 1.82 K re-tuned alone: it does not foretell that" in blocks
+    assert "better" not in blocks

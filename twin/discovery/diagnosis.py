@@ -20,7 +20,8 @@ class Effect:
     """One effect in the vocabulary of the diagnosis; `interval90` of `value` in `unit`; times in the record's own.
 
     `says` is the effect in plain words, `evidence` what speaks for it. `family_wise`: probability that noise alone
-    would score as much somewhere in the catalogue; NaN for what no scan has found.
+    would score as much somewhere in the catalogue; NaN for what no scan has found. `noise_z`: score that noise alone
+    reaches there in one record of a hundred; NaN where that is the diagnosis's threshold.
     """
 
     kind: str
@@ -39,6 +40,7 @@ class Effect:
     growth_s: float = 0.0
     says: str = ""
     family_wise: float = float("nan")
+    noise_z: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -223,7 +225,7 @@ def _effect(e: Effect) -> dict[str, Any]:
         "unit": e.unit, "interval90": [_round(x) for x in e.interval90], "onset_s": _round(e.onset_s),
         "onset_interval90_s": [_round(x) for x in e.onset_interval90_s], "shape": e.shape,
         "confidence": _round(e.confidence), "z": _round(e.z),
-        "p_family_wise": _round(e.family_wise), "evidence": e.evidence, "says": e.says,
+        "p_family_wise": _round(e.family_wise), "noise_z": _round(e.noise_z), "evidence": e.evidence, "says": e.says,
     }  # fmt: skip
 
 

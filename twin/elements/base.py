@@ -172,8 +172,9 @@ class Candidate:
         changes: parameter id -> weight. At size s a parameter is its neutral (or present) value plus weight times s;
             with `inverse`, weight over s.
         unit, typical, lower, upper: of the size. typical: a size of interest; bounds hold its possible signs.
-        says: the effect in words, with ``{value}`` for the size and its unit, or ``{share}`` for it in percent; "more"
-            and "too high" right after it turn into their opposites where it is negative.
+        says: the effect in words, with ``{value}`` for the size and its unit, or ``{share}`` for it in percent, and
+            ``{slow}`` for how slow it is; "more" and "too high" right after it turn into their opposites where it is
+            negative.
         adds: name -> table of the elements that are added.
         replaces: element -> keys of its table that differ.
         shapes: time shapes in which it may come in.

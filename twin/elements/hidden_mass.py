@@ -17,6 +17,8 @@ from typing import ClassVar
 from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, State, place
 
 LEAST_S = 1.0
+MOST_CAPACITY = 1.0e9
+"""J/K."""
 TIME_CONSTANTS_S = tuple(120.0 * 3.0 ** (k / 2.0) for k in range(10))
 """Capacity over conductance of masses that are looked for, s."""
 PUT_IN_S = TIME_CONSTANTS_S[1::2]
@@ -33,7 +35,7 @@ class HiddenMass(Element):
 
     kind: ClassVar[str] = "hidden_mass"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
-        ParameterSpec("capacity", "J/K", None, 0.0, 1.0e9, "tunable", "mass times specific heat"),
+        ParameterSpec("capacity", "J/K", None, 0.0, MOST_CAPACITY, "tunable", "mass times specific heat"),
         ParameterSpec("conductance", "W/K", None, 0.0, 1.0e5, "tunable", "between the mass and the node"),
     )
 
@@ -91,10 +93,11 @@ def _mass(where: str, node: str, room: str, most: float, tau: float) -> Candidat
     """A mass with a time constant, as warm as its place when it comes in, or as the `room` where that is named."""
     name = f"mass_beside_{node}"
     says = "has had a mass put in at the temperature of the room, which" if room else "has a mass beside it that"
-    says += f" follows through {{value}} with a time constant of {tau / 60.0:.0f} min"
+    says += " follows through {value} with a time constant {slow}"
     return Candidate(
         "thermal_mass", where, "history", "new", {f"{name}.conductance": 1.0, f"{name}.capacity": tau}, "W/K", 2.0,
-        LEAST_PUT_IN if room else 0.0, most, says, adds={name: {"kind": HiddenMass.kind, "node": node}},
+        LEAST_PUT_IN if room else 0.0, min(most, MOST_CAPACITY / tau), says,
+        adds={name: {"kind": HiddenMass.kind, "node": node}},
         shapes=("put in",) if room else ("step",), begins=room, slow_s=tau,
         slower=partial(_mass, where, node, room, most),
     )  # fmt: skip

@@ -27,6 +27,7 @@ from twin.discovery.records.grid import Grid, centred
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
 from twin.discovery.selection.caution import nothing, retuned_alone
+from twin.discovery.selection.held_out import misled
 from twin.discovery.selection.ranking import Finding
 from twin.discovery.thermometers.at_fault import single, standing
 from twin.discovery.thermometers.members import apart
@@ -121,6 +122,8 @@ def _for_a_spell(case: Case, spell: Spell) -> Answer:
 
 def _unknown(case: Case) -> Answer:
     free, whole = case.free, case.whole
+    if misled(case.errors, case.known.probe.network):
+        return Answer("unexplained", alternatives=near_misses(case.finding))
     description: dict[str, Any] = {}
     if free:
         drivers = drivers_of(case.known.probe.network, case.grid, whole)

@@ -9,6 +9,7 @@ from twin.discovery.effects.phrases import amount, clock, said, when
 from twin.discovery.places.sites import spoken
 from twin.discovery.scoring.equivalence import OPEN
 from twin.discovery.scoring.search import Entry
+from twin.discovery.selection.held_out import MUCH_WORSE, worse
 
 if TYPE_CHECKING:
     from twin.discovery.selection.ranking import Finding
@@ -53,6 +54,13 @@ def summarise(
             f"re-tuned, by {e.after:.2g} K with the new term, at a noise of {e.noise:.2g} K."
         )
     if verdict == "unexplained":
+        if not effects and finding.fit is not None and worse(errors, MUCH_WORSE):
+            e = errors[worst := max(errors, key=lambda n: errors[n].after / errors[n].noise)]
+            return (
+                "The twin does not fit this record, and nothing is told of why: the best effect that was tried leaves "
+                f"{worst} off by {e.after:.2g} K on the part that the fit never saw, re-tuning alone by {e.before:.2g} "
+                f"K, at a noise of {e.noise:.2g} K, so the weights by which it was found let slow error pass for noise."
+            )
         if not effects:
             return "The twin does not fit this record and no single place explains it." + fit_text
         u = next((e for e in effects if e.kind == "unknown"), effects[0])

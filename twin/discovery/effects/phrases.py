@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 from twin.discovery.effects.shapes import Shape
 from twin.elements.base import Candidate
 
+SHORT_S = 120.0
+"""A time below this is told in seconds."""
 _OPPOSITES = (("} more", "} less"), ("} too high", "} too low"))
 
 
-def said(candidate: Candidate, size: float, spread: float = 0.0) -> str:
-    """What a candidate of this size, more or less by `spread`, does, in plain words."""
+def said(candidate: Candidate, size: float, spread: float = 0.0, record_s: float = math.inf) -> str:
+    """What a candidate of this size, more or less by `spread`, does, in plain words.
+
+    A time constant above `record_s`, the record's length, is told by that: more the record does not tell of it.
+    """
     c = candidate
     named = c.kind == "sensor" and c.where.endswith("_C")
     who = c.where if named else f"The {c.where.replace('_', ' ')}"
@@ -17,7 +24,8 @@ def said(candidate: Candidate, size: float, spread: float = 0.0) -> str:
     for much, little in _OPPOSITES:
         if size < 0.0 and much in says:
             says, size = says.replace(much, little), -size
-    return f"{who} {says.format(value=amount(size, c.unit, spread), share=amount(size, 'W/W', spread))}"
+    slow = "longer than the record" if c.slow_s > record_s else f"of {lasting(c.slow_s)}"
+    return f"{who} {says.format(value=amount(size, c.unit, spread), share=amount(size, 'W/W', spread), slow=slow)}"
 
 
 def when(shape: Shape, start: float) -> str:
@@ -39,6 +47,11 @@ def amount(value: float, unit: str, spread: float = 0.0) -> str:
         factor, named = 1e-3, f" k{unit}"
     low, high = (f"{factor * (value + side * spread):.3g}" for side in (-1.0, 1.0))
     return f"{factor * value:.3g}{named}" + (f" ({low} to {high})" if low != high else "")
+
+
+def lasting(seconds: float) -> str:
+    """A time constant as an operator reads it."""
+    return f"{seconds:.0f} s" if seconds < SHORT_S else f"{seconds / 60.0:.0f} min"
 
 
 def clock(seconds: float) -> str:

@@ -1,7 +1,7 @@
 """Places that are alike: one effect at all of them, with one size, is simpler than one at each.
 
 Numbered nodes (`heater_1`, `heater_2`) make a family. Candidates that differ in nothing but the member they stand at
-are offered once more, for the whole family.
+are offered once more, for the whole family. Where the twin file itself ties members, each is offered to differ.
 """
 
 from __future__ import annotations
@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
+from twin.elements.ambient_loss import AmbientLoss
 from twin.elements.base import Candidate, Sites
 from twin.network import Network
 
@@ -31,12 +33,36 @@ def together(network: Network, sites: Sites, candidates: Iterable[Candidate]) ->
     return tuple(found)
 
 
+def apart(network: Network, sites: Sites) -> tuple[Candidate, ...]:
+    """Further losses of single places that the twin ties to others by one conductance: they may differ after all.
+
+    Without them the difference is bought as a law that grows with temperature, since only that is offered singly.
+    """
+    losses = [e for e in sites.having(AmbientLoss.kind) if len(e.nodes()) > 1]
+    taken = {e.name for e in network.elements}
+    return tuple(
+        Candidate(
+            "heat_loss", sites.places[node], "temperature_difference", "new", {f"{name}.hA": 1.0}, "W/K", 1.0, 0.0,
+            60.0, "loses {value} more to the room than what is built like it",
+            adds={name: {"kind": AmbientLoss.kind, "node": node, "ambient": loss.ambient}},
+        )
+        for loss in losses
+        for node in loss.nodes()
+        if (name := f"further_loss_of_{node}") not in taken
+    )  # fmt: skip
+
+
 def _one_for_all(place: str, members: tuple[Candidate, ...]) -> Candidate:
     first = members[0]
     changes = {name: weight for c in members for name, weight in c.changes.items()}
     adds = {name: table for c in members for name, table in c.adds.items()}
     lower, upper = max(c.lower for c in members), min(c.upper for c in members)
-    return replace(first, where=place, changes=changes, adds=adds, lower=lower, upper=upper)
+    slower = partial(_slower, place, members) if first.slower is not None else None
+    return replace(first, where=place, changes=changes, adds=adds, lower=lower, upper=upper, slower=slower)
+
+
+def _slower(place: str, members: tuple[Candidate, ...], slow_s: float) -> Candidate:
+    return _one_for_all(place, tuple(m.slower(slow_s) for m in members if m.slower is not None))
 
 
 def _node_of(network: Network, candidate: Candidate) -> str:

@@ -22,7 +22,7 @@ from twin.discovery.growing.unaided import Fit, Samples
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import on_grid
 from twin.discovery.scoring.equivalence import width
-from twin.discovery.selection.held_out import binned
+from twin.discovery.selection.held_out import binned, worse
 from twin.discovery.selection.ranking import LEFT
 from twin.network import Array, Network, TwinFileError
 
@@ -101,12 +101,12 @@ class _Answer:
     def diagnosis(self) -> Diagnosis:
         """Everything that is said of it."""
         g = self.growth
-        misfit = [float(np.mean((r.rms / self.whole.sigma) ** 2)) for r in g.rungs]
+        misfit = [float(np.nanmean((r.rms / self.whole.sigma) ** 2)) for r in g.rungs]
         errors = self._errors()
         if not errors:
             raise TwinFileError("the part of the record that is held out has no reading of any of the twin's sensors")
         good = g.verdict == "adequate" or misfit[-1] <= max(LEFT, REST * misfit[0])
-        good = good and all(e.after <= FAR * e.noise for e in errors.values())
+        good = good and all(e.after <= FAR * e.noise for e in errors.values()) and not worse(errors)
         effects = tuple(self._effect(a) for a in self.added)
         verdict: Verdict
         if not effects:
@@ -118,7 +118,10 @@ class _Answer:
         refused = tuple(Alternative(r.kind, r.where, r.driver, 0.0, r.why) for r in g.refused)
         if verdict == "unexplained":
             why = "wins its place, but with all that do the record is still not explained"
-            refused = (*(Alternative(e.kind, e.where, e.driver, 0.0, why) for e in effects), *refused)
+            if worse(errors):
+                why = "wins its place where it was fitted, but what no fit saw is foretold worse with all that do"
+            own = (Alternative(e.kind, e.where, e.driver, 0.0, f"{e.says}: {why}") for e in effects)
+            refused = (*own, *refused)
             effects = ()
         times = self.whole.time + self.start
         hours, blocks = self._blocks(times)
@@ -139,12 +142,16 @@ class _Answer:
             residual_after=blocks[2],
             band=self.whole.sigma / math.sqrt(max(len(self.whole.time) / len(hours), 1.0)),
             network=g.network if verdict == "effect found" else None,
-            warnings=(_NOT_KNOWN,),
+            warnings=(_NOT_KNOWN, *self._absent()),
             notes=(f"{g.summary}",) if effects and g.verdict == "unexplained" else (),
             folds=tuple(replace(f, first_s=f.first_s + self.start, last_s=f.last_s + self.start) for f in g.folds),
             threshold=math.sqrt(max([NEEDED, *(a.limit for a in self.added)])),
             method="growth at rest" if self.whole.at_rest else "growth",
         )
+
+    def _absent(self) -> tuple[str, ...]:
+        names = [n for j, n in enumerate(self.network.sensor_names) if not np.isfinite(self.whole.measured[:, j]).any()]
+        return tuple(f"{name} has no reading in this record, so nothing is told by it or of it" for name in names)
 
     def _residual(self, fit: Fit | None) -> Array:
         """Measured less simulated (n, m) of the whole record: of a fit, or of the twin as its file has it."""
@@ -154,25 +161,29 @@ class _Answer:
     def _effect(self, a: Added) -> Effect:
         temper = max(width(a.needed), 10.0) / 10.0
         elsewhere = {(label[0], label[1]): 0.0 for label in a.others if label[:2] != (a.kind, a.where)}
-        for label, worse in a.others.items():
+        for label, dearer in a.others.items():
             if label[:2] in elsewhere:
-                elsewhere[label[:2]] = max(elsewhere[label[:2]], math.exp(-0.5 * max(worse, 0.0) / temper))
+                elsewhere[label[:2]] = max(elsewhere[label[:2]], math.exp(-0.5 * max(dearer, 0.0) / temper))
         score = a.needed + a.elsewhere
         return Effect(
             kind=a.kind, where=a.where, driver=a.driver, change=a.entry.change, value=a.value, unit=a.unit,
             interval90=a.interval90, onset_s=self.start, onset_interval90_s=(self.start, self.start), shape="step",
             confidence=1.0 / (1.0 + sum(elsewhere.values())), z=math.sqrt(max(score, 0.0)),
-            evidence=f"{said(a.entry.candidate, a.value)}; without it the record would be less likely by {score:.0f} "
+            evidence=f"{self._said(a)}; without it the record would be less likely by {score:.0f} "
             f"in -2 log likelihood, and {a.folds} of {EVERY} hidden parts of it are foretold no worse with it",
-            says=said(a.entry.candidate, a.value), family_wise=a.by_chance,
+            says=self._said(a), family_wise=a.by_chance,
+            noise_z=math.sqrt(max(a.limit, 0.0)),
         )  # fmt: skip
+
+    def _said(self, a: Added) -> str:
+        return said(a.entry.candidate, a.value, record_s=self.growth.problem.samples.span_s)
 
     def _others(self) -> tuple[Alternative, ...]:
         found: dict[tuple[str, str, str], Alternative] = {}
         for a in self.added:
             temper = max(width(a.needed), 10.0) / 10.0
-            for label, worse in a.others.items():
-                found[label] = Alternative(*label, confidence=0.5 * math.exp(-0.5 * max(worse, 0.0) / temper))
+            for label, dearer in a.others.items():
+                found[label] = Alternative(*label, confidence=0.5 * math.exp(-0.5 * max(dearer, 0.0) / temper))
         return tuple(found.values())
 
     def _errors(self) -> dict[str, SensorError]:
@@ -256,10 +267,17 @@ class _Answer:
         won = f"with the {best}" if self.added else "re-tuned"
         worst, e = max(errors.items(), key=lambda item: item[1].after / item[1].noise)
         cut = "." if self.whole.at_rest else _CUT
+        if self.added and worse(errors):
+            worst, e = max(errors.items(), key=lambda item: (item[1].after - item[1].before) / item[1].noise)
+            return (
+                "The twin does not fit this record, and no effects of the catalogue explain it: those that fit it best "
+                f"foretell worse than none. {part}, {worst} is off by {amount(e.before, 'K')} re-tuned, by "
+                f"{amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}{cut}"
+            )
         how = f"{part}, {worst} is off by {amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}"
         if not self.added or any(x.after > MOSTLY * x.before for x in errors.values()):
             return f"The twin does not fit this record, and no effects of the catalogue explain it. {how}{cut}"
-        found = ". ".join(said(x.entry.candidate, x.value) for x in self.added)
+        found = ". ".join(self._said(x) for x in self.added)
         return (
             f"Most of this record is explained, not all, so nothing is added: {found}. {how} by the twin file "
             f"({amount(e.before, 'K')} when re-tuned alone); if that noise is a guess, enter what the thermometer "

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from twin.discovery.growing.descent import descend
+from twin.discovery.growing.masses import kin
 from twin.discovery.growing.scoring import Scored, scores
 from twin.discovery.growing.unaided import Fit, Problem
 from twin.discovery.growing.wardrobe import name_of, unsized
@@ -21,8 +22,10 @@ from twin.network import Array
 
 BEAM = 3
 """Sets that are built upon, by likelihood and as many by squares."""
-FINER = (3.0**0.25, 3.0**0.125)
-"""Factors by which the time constants of the best masses are varied: those of the catalogue lie a root of 3 apart."""
+COARSE = 2
+"""Of the grid's time constants one in so many is fitted beside every set, whatever lies between."""
+NEARER = (3.0**0.5, 3.0**0.25, 3.0**0.125)
+"""Factors by which the time constants of the best set are then varied, as long as that does better."""
 
 Label = tuple[str, str, str]
 Starts = list[tuple[Problem, Array]]
@@ -41,6 +44,11 @@ class FittedSet:
         return frozenset(name_of(e.candidate) for e in self.fit.entries)
 
     @property
+    def form(self) -> tuple[Any, ...]:
+        """The set but for the time constants of its masses."""
+        return tuple(sorted(kin(e.candidate) or (name_of(e.candidate),) for e in self.fit.entries))
+
+    @property
     def squares(self) -> float:
         return float(np.nansum((self.fit.residual / self.problem.samples.sigma) ** 2))
 
@@ -51,6 +59,8 @@ class Beam:
     def __init__(self, empty: Problem, width: int) -> None:
         self.empty, self.width = empty, width
         self._price = math.log(max(int(np.isfinite(empty.samples.measured).sum()), 2))
+        slow = [c.slow_s for c in empty.wardrobe.candidates if c.slow_s]
+        self._slow = (0.99 * min(slow), 1.01 * max(slow)) if slow else (0.0, 0.0)
         self.known: dict[frozenset[str], FittedSet] = {}
         self.levels: list[list[FittedSet]] = [self._fitted([[(empty, empty.start())]])]
 
@@ -61,11 +71,13 @@ class Beam:
     def _starts(self, old: FittedSet, entry: Entry, *sizes: float) -> Starts:
         """Where a set with one effect more begins: at the twin file's values, at the smaller set's, at other sizes."""
         problem = self.empty.with_entries((*old.fit.entries, entry))
-        starts = [(problem, problem.start()), (problem, problem.start(old.fit))]
-        for size in sizes:
-            other = self.empty.with_entries((*old.fit.entries, replace(entry, size=size)))
-            starts.append((other, other.start(old.fit)))
-        return starts
+        others = [self._onward(old, replace(entry, size=size)) for size in sizes]
+        return [(problem, problem.start()), (problem, problem.start(old.fit)), *others]
+
+    def _onward(self, old: FittedSet, entry: Entry) -> tuple[Problem, Array]:
+        """Where a set with one effect more begins at the smaller set's values."""
+        problem = self.empty.with_entries((*old.fit.entries, entry))
+        return problem, problem.start(old.fit)
 
     def reduced(self, old: FittedSet, entry: Entry) -> FittedSet:
         """A set without one of its effects, and without what stands on it."""
@@ -80,34 +92,45 @@ class Beam:
 
     def deepen(self) -> bool:
         """Fit sets of one effect more; False where it does not pay to go on."""
-        last = self.levels[-1]
+        last = likeliest(self.levels[-1])
         chosen = {s.ids: s for order in (by_score, by_squares) for s in sorted(last, key=order)[: self.width]}
-        starts = [self._starts(old, s.entry, s.asked) for old in chosen.values() for s in self._finalists(old)]
+        scored = [(old, self._scored(old)) for old in chosen.values()]
+        starts = [self._starts(old, s.entry, s.asked) for old, every in scored for s in _finalists(every)]
+        starts += [[self._onward(old, s.entry)] for old, every in scored for s in _spread(every)]
         found = {new.ids: new for new in self._fitted(starts)}
-        for old in chosen.values():
-            for new in self._siblings(old):
-                found[new.ids] = new
+        for new in self._neighbours(chosen.values(), found):
+            found[new.ids] = new
         if not found:
             return False
-        for new in self._timed(min(found.values(), key=by_score)):
+        ends = {min(likeliest(found.values()), key=order).ids for order in (by_score, by_squares)}
+        for new in [new for end in ends for new in self._timed(found[end])]:
             found[new.ids] = new
         self.levels.append(list(found.values()))
-        before, now = (min(s.score for s in level) for level in self.levels[-2:])
+        before, now = (min(s.score for s in likeliest(level)) for level in self.levels[-2:])
         # Two may be needed where neither does anything alone; three that do no better than two are the end.
         return len(self.levels) <= 2 or now < before
 
     def _timed(self, best: FittedSet) -> list[FittedSet]:
-        """A set with other time constants of its masses, nearer and nearer to the best."""
-        found = []
-        for share in FINER:
-            for entry in best.fit.entries:
-                slower, slow_s = entry.candidate.slower, entry.candidate.slow_s
-                if slower is None or not entry.candidate.adds:
-                    continue
-                rest = self.reduced(best, entry)
-                others = [unsized(slower(f * slow_s), entry.size / f) for f in (share, 1.0 / share)]
-                found += [self.extended(rest, other) for other in others]
-            best = min((best, *found), key=by_score)
+        """A set with other time constants of its masses, nearer and nearer to the best by squares."""
+        found: list[FittedSet] = []
+        for share in NEARER:
+            better = True
+            while better:
+                starts = []
+                for entry in best.fit.entries:
+                    slower, slow_s = entry.candidate.slower, entry.candidate.slow_s
+                    if slower is None or not entry.candidate.adds:
+                        continue
+                    rest = [e for e in best.fit.entries if e is not entry]
+                    for f in (share, 1.0 / share):
+                        if not self._slow[0] <= f * slow_s <= self._slow[1]:
+                            continue
+                        problem = self.empty.with_entries((*rest, unsized(slower(f * slow_s), entry.size / f)))
+                        starts.append([(problem, problem.start(best.fit))])
+                new = self._fitted(starts)
+                found += new
+                best, old = min((best, *new), key=by_squares), best
+                better = best is not old
         return found
 
     def _fitted(self, sets: Sequence[Starts]) -> list[FittedSet]:
@@ -124,45 +147,61 @@ class Beam:
             self.known[key] = FittedSet(problem, fit, fit.cost + price)
         return [self.known[key] for key in keys]
 
-    def _siblings(self, old: FittedSet) -> list[FittedSet]:
-        """Of each effect that has others of its kind (other time constants), the neighbours while they do better."""
+    def _neighbours(self, chosen: Iterable[FittedSet], fitted: Mapping[frozenset[str], FittedSet]) -> list[FittedSet]:
+        """Beside each set, of each mass the time constants next to the one that leaves least, and of each wall."""
         family: dict[Any, list[Candidate]] = defaultdict(list)
         for candidate in self.empty.wardrobe.candidates:
             if len(candidate.changes) > 1 and candidate.driver == "history":
                 family[_family(candidate)].append(candidate)
-        found, there = [], {_family(e.candidate) for e in old.fit.entries}
-        for one, members in family.items():
-            if one in there:
-                continue
-            members.sort(key=lambda c: sorted(c.changes.values()))
-            at = [i for i, c in enumerate(members) if old.ids | {name_of(c)} in self.known]
-            if len(members) < 2 or not at:
-                continue
-            best = min(at, key=lambda i: self.known[old.ids | {name_of(members[i])}].score)
-            tried = set(at)
-            while new := {i for i in (best - 1, best + 1) if 0 <= i < len(members)} - tried:
-                size = self.known[old.ids | {name_of(members[best])}].fit.entries[-1].size
-                for i in new:
-                    found.append(self.extended(old, unsized(members[i], max(size, members[i].typical * 1e-3))))
-                tried |= new
-                best = min(tried, key=lambda i: self.known[old.ids | {name_of(members[i])}].score)
-        return found
+        starts = []
+        for old in chosen:
+            for members in family.values():
+                members.sort(key=lambda c: sorted(c.changes.values()))
+                tried = {i: f for i, c in enumerate(members) if (f := fitted.get(old.ids | {name_of(c)}))}
+                if not tried:
+                    continue
+                at = min(tried, key=lambda i: tried[i].squares)
+                size = next(e.size for e in tried[at].fit.entries if name_of(e.candidate) == name_of(members[at]))
+                for i in {at - 1, at + 1} & set(range(len(members))) - set(tried):
+                    starts.append([self._onward(old, unsized(members[i], max(size, members[i].typical * 1e-3)))])
+        return self._fitted(starts)
 
-    def _finalists(self, old: FittedSet) -> list[Scored]:
-        """The best candidates of each label: what re-tuning can nearly imitate shows its worth in the fit alone."""
+    def _scored(self, old: FittedSet) -> list[Scored]:
         found = scores(self.empty.wardrobe, old.problem, old.fit)
         # One mass with two time constants is one mass with another.
         there = {_family(e.candidate) for e in old.fit.entries if e.candidate.slow_s}
-        found = [s for s in found if _family(s.entry.candidate) not in there]
-        kept: dict[str, Scored] = {}
-        for order in (lambda s: -s.squares, lambda s: -s.likely):
-            seen: Counter[tuple[Label, str]] = Counter()
-            for scored in sorted(found, key=order):
-                form = scored.entry.label, scored.entry.candidate.unit
-                seen[form] += 1
-                if seen[form] == 1:
-                    kept.setdefault(name_of(scored.entry.candidate), scored)
-        return list(kept.values())
+        return [s for s in found if _family(s.entry.candidate) not in there]
+
+
+def _finalists(found: Sequence[Scored]) -> list[Scored]:
+    """The best candidates of each label: what re-tuning can nearly imitate shows its worth in the fit alone."""
+    kept: dict[str, Scored] = {}
+    for order in (lambda s: -s.squares, lambda s: -s.likely):
+        seen: Counter[tuple[Label, str, frozenset[str]]] = Counter()
+        for scored in sorted(found, key=order):
+            form = scored.entry.label, scored.entry.candidate.unit, frozenset(scored.entry.candidate.changes)
+            seen[form] += 1
+            if seen[form] == 1:
+                kept.setdefault(name_of(scored.entry.candidate), scored)
+    return list(kept.values())
+
+
+def _spread(found: Sequence[Scored]) -> list[Scored]:
+    """Masses from one end of the grid of time constants to the other: a walk from the best would cross no hill."""
+    family: dict[Any, list[Scored]] = defaultdict(list)
+    for scored in found:
+        if scored.entry.candidate.slow_s:
+            family[_family(scored.entry.candidate)].append(scored)
+    return [s for some in family.values() for s in sorted(some, key=lambda s: s.entry.candidate.slow_s)[::COARSE]]
+
+
+def likeliest(sets: Iterable[FittedSet]) -> list[FittedSet]:
+    """Of sets that differ in nothing but time constants the one that leaves least, as of every number that is fitted:
+    the likelihood would take one that leaves a slow error, which it lets pass for noise."""
+    best: dict[Any, FittedSet] = {}
+    for one in sets:
+        best[one.form] = min(best.get(one.form, one), one, key=by_squares)
+    return list(best.values())
 
 
 def _family(candidate: Candidate) -> Any:

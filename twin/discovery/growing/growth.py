@@ -158,7 +158,7 @@ def grow_samples(
     if not ids:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
     say("fitting the twin as it is")
-    wardrobe = Wardrobe.of(network, ids, float(np.median(np.diff(samples.time))), samples.at_rest)
+    wardrobe = Wardrobe.of(network, ids, float(np.median(np.diff(samples.time))), samples.span_s, samples.at_rest)
     search = Beam(Problem(wardrobe, samples, ids), beam)
     for effects in range(1, most + 1):
         say(f"looking for {effects} effects that are missing")
@@ -169,8 +169,9 @@ def grow_samples(
     best = merit.weighed(merit.earned(), tuple(samples_of(network, *one) for one in more))
     rungs = _ladder(search, merit, best)
     # Few readings scatter by themselves.
-    chance = 1.0 + CHANCE * np.sqrt(2.0 / np.isfinite(samples.measured).sum(axis=0))
-    good = bool(((rungs[-1].rms / samples.sigma) ** 2 <= np.maximum(LEFT, chance)).all())
+    count = np.isfinite(samples.measured).sum(axis=0)
+    chance = 1.0 + CHANCE * np.sqrt(2.0 / np.maximum(count, 1))
+    good = bool((((rungs[-1].rms / samples.sigma) ** 2 <= np.maximum(LEFT, chance)) | (count == 0)).all())
     summary = _summary(network, rungs, good)
     verdict: Literal["adequate", "unexplained"] = "adequate" if good else "unexplained"
     return Growth(rungs, verdict, summary, merit.refused(best), best.problem, _folds(search, merit, best))
@@ -274,7 +275,7 @@ def _rung(beam: Beam, at: FittedSet, added: Added | None) -> Rung:
 def _summary(network: Network, rungs: tuple[Rung, ...], good: bool) -> str:
     steps = [f"{r.added.kind.replace('_', ' ')} at {r.added.where}" for r in rungs if r.added is not None]
     added = f"added in this order: {', '.join(steps)}" if steps else "nothing is missing that this record could show"
-    worst = int(np.argmax(rungs[-1].rms / network.sigma))
+    worst = int(np.nanargmax(rungs[-1].rms / network.sigma))
     rest = (
         "what is left is the thermometers' noise"
         if good

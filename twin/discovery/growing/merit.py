@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.discovery.growing.beam import Beam, FittedSet, Label, by_score
+from twin.discovery.effects.phrases import said
+from twin.discovery.growing.beam import Beam, FittedSet, Label, by_score, likeliest
 from twin.discovery.growing.calibration import Chance, by_chance
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.likelihood import cosines, judged
@@ -53,10 +54,16 @@ class Merit:
 
     def earned(self) -> FittedSet:
         """The best set of which every member earns its place."""
-        every = sorted((s for level in self._beam.levels for s in level), key=by_score)
-        for one in every[:CHECKED]:
-            if self._weakest(one) is None:
+        asked: dict[frozenset[str], bool] = {}
+        while True:
+            # To ask is to fit what is left without a member, which may be better than anything so far.
+            every = sorted(likeliest(self._beam.known.values()), key=by_score)[:CHECKED]
+            one = next((s for s in every if asked.get(s.ids, True)), None)
+            if one is None:
+                break
+            if one.ids in asked:
                 return one
+            asked[one.ids] = self._weakest(one) is None
         best = every[0]
         while best.fit.entries:
             weakest = self._weakest(best)
@@ -99,15 +106,32 @@ class Merit:
     def refused(self, best: FittedSet) -> tuple[Refused, ...]:
         """The effects that would take most of what is left, and why they were not added."""
         found: dict[Label, Refused] = {}
-        for one in sorted(self._beam.known.values(), key=by_score):
+        for one in sorted(likeliest(self._beam.known.values()), key=by_score):
             if not best.ids < one.ids or len(one.ids) != len(best.ids) + 1 or len(found) == REFUSED:
                 continue
             entry = _new(best, one)
             why = self._why_not(best, one, entry)
             gain = best.fit.cost - one.fit.cost
             if gain > 1.0 and entry.label not in found:
-                found[entry.label] = Refused(*entry.label, why or "its set holds others that are not needed", gain)
+                why = why or self._why_not_both(best, one)
+                if entry.label in {e.label for e in best.fit.entries}:
+                    span_s = one.problem.samples.span_s
+                    why = f"{said(entry.candidate, entry.size, record_s=span_s)}, too: {why}"
+                found[entry.label] = Refused(*entry.label, why, gain)
         return tuple(found.values())
+
+    def _why_not_both(self, best: FittedSet, one: FittedSet) -> str:
+        """Why a set is not taken in which the effect that it has more than `best` earns its place."""
+        weakest = self._weakest(one)
+        if weakest is not None:
+            what = f"{weakest.label[0].replace('_', ' ')} at {weakest.label[1]}"
+            return f"earns its place, but beside it {what} does not: {self._why_not_with(one, weakest)}"
+        if self.elsewhere(one) >= self.elsewhere(best) and self._more:
+            return "earns its place, but the further records are foretold no better with it"
+        return "earns its place, but is too unlikely before any data"
+
+    def _why_not_with(self, one: FittedSet, entry: Entry) -> str:
+        return self._why_not(self._beam.reduced(one, entry), one, entry)
 
     def elsewhere(self, one: FittedSet) -> float:
         """-2 log likelihood of the further records, everything but their initial states as fitted to the first."""

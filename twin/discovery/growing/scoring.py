@@ -50,6 +50,7 @@ def scores(wardrobe: Wardrobe, problem: Problem, fit: Fit) -> list[Scored]:
     candidates = []
     for candidate in wardrobe.candidates:
         stands_on = {name.rsplit(".", 1)[0] for name in candidate.changes} - set(candidate.adds)
+        stands_on |= {wardrobe.after[name] for name in candidate.adds if name in wardrobe.after}
         if not known & set(candidate.changes) and stands_on <= elements:
             candidates.append(candidate)
     answers = _Answers(problem, fit, candidates)

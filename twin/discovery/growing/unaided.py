@@ -44,6 +44,11 @@ class Samples:
     at_rest: bool = False
     means: bool = False
 
+    @property
+    def span_s(self) -> float:
+        """From the first to the last."""
+        return float(self.time[-1] - self.time[0])
+
     def without(self, rows: np.ndarray) -> Samples:
         """The record with the readings of some rows hidden."""
         return replace(self, measured=np.where(rows[:, None], np.nan, self.measured))
@@ -72,8 +77,10 @@ class Fit:
 
     @property
     def rms(self) -> Array:
-        """Per sensor (m,), K."""
-        root: Array = np.sqrt(np.nanmean(self.residual**2, axis=0))
+        """Per sensor (m,), K; NaN of one that has no reading."""
+        count = np.isfinite(self.residual).sum(axis=0)
+        mean = np.nansum(self.residual**2, axis=0) / np.maximum(count, 1)
+        root: Array = np.sqrt(np.where(count > 0, mean, np.nan))
         return root
 
     @property

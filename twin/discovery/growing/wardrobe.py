@@ -6,6 +6,7 @@ Compiling a kernel takes longer than a hundred simulations of a short record; he
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,7 +16,8 @@ from twin.discovery.effects.catalogue import LATE, catalogue, extended, sites_of
 from twin.discovery.effects.laws import Law
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import SharedKernel
-from twin.discovery.growing.alike import together
+from twin.discovery.growing.alike import apart, together
+from twin.discovery.growing.masses import masses
 from twin.discovery.growing.resting import Resting
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
@@ -23,44 +25,48 @@ from twin.elements.base import Candidate
 from twin.kernel import Kernel
 from twin.network import Array, Network
 
-QUICKER = (1.0 / 3.0, 1.0 / 9.0)
-"""Time constants of hidden masses beside those of the catalogue, which are for loops of litres."""
 MOVING = (*LATE, "elapsed_time", "time_of_day")
 """Drivers that tell nothing where nothing changes."""
 UNNOTICED = 5.0
 """Typical sizes that an instrument may be off by: a thermometer by 1 K, a meter by 15 %. Where nothing was
 commissioned, larger ones would stand for any law that is missing."""
-LEAST_PERIODS = 4.0
-"""A mass that follows within fewer samples than this is none."""
 
 
 @dataclass(frozen=True)
 class Wardrobe:
-    """`original`, what it may lack, the `network` with all of it, and a kernel in which all sizes are free."""
+    """`original`, what it may lack, the `network` with all of it, and a kernel in which all sizes are free.
+
+    `after`: element that a candidate adds -> element without which it is not asked for.
+    """
 
     original: Network
     candidates: tuple[Candidate, ...]
     network: Network
     kernel: Kernel
+    after: Mapping[str, str]
 
     @classmethod
-    def of(cls, network: Network, tunables: tuple[str, ...], period_s: float, at_rest: bool = False) -> Wardrobe:
+    def of(
+        cls, network: Network, tunables: tuple[str, ...], period_s: float, record_s: float, at_rest: bool = False
+    ) -> Wardrobe:
         """Everything that a network lacks altogether.
 
         Args:
             tunables: what a fit varies besides; a parameter among them is not asked for. period_s: between samples.
-            at_rest: only what shows in steady states.
+            record_s: how long the record is. at_rest: only what shows in steady states.
         """
-        first = _lacking(network, tunables, period_s)
+        sites = sites_of(network)
+        slow, after = ((), {}) if at_rest else masses(sites, period_s, record_s)
+        first = [*_lacking(network, tunables, slow), *apart(network, sites)]
         full = SharedKernel.of(network, (), first).network
         known = {name for c in first for name in c.changes}
         # A pipe that is missing may miss its wall, too.
-        second = [c for c in _lacking(full, tunables, period_s) if not c.adds and not known & set(c.changes)]
+        second = [c for c in _lacking(full, tunables) if not c.adds and not known & set(c.changes)]
         if at_rest:
             first, second = ([c for c in some if c.driver not in MOVING] for some in (first, second))
         candidates = (*first, *second)
         shared = SharedKernel.of(network, tunables, candidates)
-        return cls(network, candidates, shared.network, shared.kernel)
+        return cls(network, candidates, shared.network, shared.kernel, after)
 
     @cached_property
     def resting(self) -> Resting:
@@ -97,18 +103,13 @@ def name_of(candidate: Candidate) -> str:
     return candidate.id.rpartition("]")[0]
 
 
-def _lacking(network: Network, tunables: tuple[str, ...], period_s: float) -> list[Candidate]:
+def _lacking(network: Network, tunables: tuple[str, ...], slow: tuple[Candidate, ...] = ()) -> list[Candidate]:
+    """What a network lacks altogether, with the masses `slow` in the place of those of the catalogue."""
     # What is there from the beginning has not been put in at some time.
     every = [c for c in catalogue(network) if not c.begins]
     talks = Counter(name for c in every for name in c.replaces)
     single = [c for c in every if _absent(network, c) and all(talks[name] == 1 for name in c.replaces)]
-    single = [_noticed(c) for c in single]
-    single += [
-        c.slower(share * c.slow_s)
-        for c in single
-        for share in QUICKER
-        if c.slower is not None and c.adds and share * c.slow_s >= LEAST_PERIODS * period_s
-    ]
+    single = [*(_noticed(c) for c in single if not c.slow_s), *slow]
     unique = {c.id: c for c in (*single, *together(network, sites_of(network), single))}
     return [c for c in unique.values() if not set(tunables) & set(c.changes)]
 

@@ -21,6 +21,9 @@ from twin.stretches import stretches
 FAR_OFF, UNUSUAL, FAR_SHARE = 3.0, 1.5, 0.25
 """Times a thermometer's noise, and what is usual there, that block means may be off where a fit was not shown them, and
 the share of the squares that re-tuning alone leaves: beyond all of them an answer is contradicted."""
+WORSE, MUCH_WORSE = 1.04, 4.0
+"""Times the squares that re-tuning alone leaves there, from which an answer does worse than none, and from which the
+weights by which it was found are in doubt: without a healthy record they may let slow error pass for noise."""
 KEPT = 4
 """Free runs that are kept."""
 
@@ -31,6 +34,19 @@ def contradicted(found: Mapping[str, SensorError], network: Network, share: floa
     before, after = (sum((e.means[k] / e.noise) ** 2 for e in found.values()) for k in (1, 2))
     far = any(_far(network, name, e.means[2], e.usual) for name, e in found.items())
     return far and after > share * before
+
+
+def worse(found: Mapping[str, SensorError], times: float = WORSE) -> bool:
+    """Whether an answer leaves more squares than re-tuning alone where no fit saw the record, all sensors together, and
+    more than the noise."""
+    before = sum((e.before / e.noise) ** 2 for e in found.values())
+    return sum((e.after / e.noise) ** 2 for e in found.values()) > times * max(before, len(found))
+
+
+def misled(found: Mapping[str, SensorError], network: Network) -> bool:
+    """Whether an answer is so much worse than none that what an unknown would have been, by the same weights, tells
+    nothing either."""
+    return worse(found, MUCH_WORSE) and any(_far(network, name, e.means[2], e.usual) for name, e in found.items())
 
 
 @dataclass(frozen=True)
