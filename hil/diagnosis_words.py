@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from typing import Any
 
-WORSE = 1.04
-"""Times the squares that re-tuning leaves, as in `twin.discovery.selection.held_out`, from which an answer is worse."""
+from twin.discovery.selection.held_out import WORSE
+
 RARE = 1e-6
 """Probability below which no figure is given: the tail that it is read from is drawn, not observed."""
 

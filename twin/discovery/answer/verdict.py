@@ -122,7 +122,8 @@ def _for_a_spell(case: Case, spell: Spell) -> Answer:
 
 def _unknown(case: Case) -> Answer:
     free, whole = case.free, case.whole
-    if misled(case.errors, case.known.probe.network):
+    # Noise that a healthy record told does not let slow error pass.
+    if case.known.plain is None and misled(case.errors, case.known.probe.network):
         return Answer("unexplained", alternatives=near_misses(case.finding))
     description: dict[str, Any] = {}
     if free:
