@@ -178,3 +178,10 @@ def test_on_strangers_alone_only_what_is_known_of_them_is_asked():
     found = hiera.Everything({"network": [own, own], "fit of 2 h": [one, one]}, {}, {"network": [own] * 12}, 0.1)
     (table,) = goals(found)
     assert [row[1] for row in table.rows] == ["changes recovered by 2", "changes in which worse than fit of 2 h"]
+
+
+def test_without_its_rival_a_contestant_is_measured_against_none():
+    one = replace(scored(commissioned), rig="stranger")
+    found = hiera.Everything({"network": [one]}, {}, {"network": [one] * 12}, 0.1)
+    (table,) = goals(found)
+    assert [row[1] for row in table.rows] == ["changes recovered by 2"]
