@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from twin.discovery.answer.case import Case
 from twin.discovery.answer.spells import explained, outdone
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.refit.validation import holds
+from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.equivalence import remaining
 from twin.discovery.scoring.search import Entry
 from twin.discovery.selection.held_out import FAR_SHARE, contradicted
@@ -19,6 +22,10 @@ REFUTED_SHARE = 0.5
 REFUTED_LEFT = 0.04
 """Of the squares that re-tuning alone leaves where no fit saw the record, the share up to which an answer may be off by
 more than is usual all the same, where there was more of it that no form explains."""
+
+A_DAY_ACTS_S, ACTS = 7200.0, 0.1
+"""Least time that what follows the time of day acts, with this share of its most: cut off by its onset and by the
+evening, it is anything that lasts for minutes."""
 
 
 def good(case: Case) -> bool:
@@ -36,7 +43,16 @@ def good(case: Case) -> bool:
         and not contradicted(case.errors, network, REFUTED_LEFT if finding.refuted else FAR_SHARE)
         and not (case.doubted and finding.beside is not None and not slight(finding.beside, finding))
         and not _outdone(case)
+        and all(
+            acts_s(e, finding.contest) >= A_DAY_ACTS_S for e in finding.entries if e.candidate.driver == "time_of_day"
+        )
     )
+
+
+def acts_s(entry: Entry, contest: Contest) -> float:
+    """How long an effect acts in a record, s."""
+    much = np.abs(entry.placed(contest)).max(axis=0)
+    return float((much > ACTS * much.max()).sum()) * contest.step_s
 
 
 def adequate(case: Case) -> bool:
