@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.discovery.conftest import Bench
+from twin.discovery.answer.judging import acts_s
 from twin.discovery.effects.catalogue import catalogue, extended, sized
 from twin.discovery.effects.formulas import Formulas, follow
 from twin.discovery.effects.laws import Book, Law
@@ -23,6 +24,7 @@ from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.selection import ladder
 from twin.discovery.selection.ladder import BESIDE_SHARE, EXACT_SHARE, SECOND_SHARE, SLOW_SHARE, share_needed
+from twin.discovery.selection.part import Part
 from twin.discovery.selection.ranking import piled_up
 from twin.network import TwinFileError
 from twin.twinfile import load
@@ -276,3 +278,13 @@ def test_what_is_slow_needs_a_larger_share_of_what_came_first(bench: Bench) -> N
         assert share_needed((first, moment), (first,), share) == BESIDE_SHARE
     begun = replace(first, shape=Shape("step"))
     assert share_needed((begun, replace(moment, shape=Shape("step", 600.0))), (begun,), SECOND_SHARE) < BESIDE_SHARE
+
+
+def test_how_long_an_effect_acts_is_from_its_onset_on(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(10.0)
+    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+    part = Part.of(basis(bench.network, healthy, grid), grid)
+    law = next(law for law in part.laws if (law.candidate.kind, law.candidate.driver) == ("heat_source", "constant"))
+    for onset_h in (0.0, 4.0, 9.5):
+        since = Entry(law, Shape("step", onset_h * 3600.0), np.empty(0), 20.0, 0.0, 0.0)
+        assert acts_s(since, part.contest) == pytest.approx((10.0 - onset_h) * 3600.0, abs=2.0 * part.contest.step_s)
