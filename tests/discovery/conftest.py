@@ -6,7 +6,7 @@ seconds; rigs with other physics are in `tests/hil/test_diagnose.py` and `test_s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -71,6 +71,16 @@ class Bench:
 
     def with_values(self, **values: float) -> Network:
         return self.network.with_values({k.replace("__", "."): v for k, v in values.items()})
+
+
+def stopped(record: Columns) -> Columns:
+    """The record with two stops of pump and heater, in which water stands in the sun."""
+    inputs, measured = record.inputs.copy(), record.measured.copy()
+    for first in (4000, 8000):
+        rows = slice(first, first + 400)
+        inputs[rows, :3] = 0.0
+        measured[rows] += np.linspace(0.0, 4.0, 400)[:, None]
+    return replace(record, inputs=inputs, measured=measured)
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.discovery.conftest import Bench
+from tests.discovery.conftest import Bench, stopped
 from twin.discovery.engine import diagnose, foresee
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.standstill import standstill
@@ -200,16 +200,6 @@ def test_a_tank_that_holds_less_water_is_a_mass_that_is_gone(bench: Bench, healt
     assert gone.value == pytest.approx(-lost * held, rel=0.1) and gone.onset_s == pytest.approx(
         5.0 * 3600.0, abs=1800.0
     )
-
-
-def stopped(record: Columns) -> Columns:
-    """The record with two stops of pump and heater, in which water stands in the sun."""
-    inputs, measured = record.inputs.copy(), record.measured.copy()
-    for first in (4000, 8000):
-        rows = slice(first, first + 400)
-        inputs[rows, :3] = 0.0
-        measured[rows] += np.linspace(0.0, 4.0, 400)[:, None]
-    return replace(record, inputs=inputs, measured=measured)
 
 
 def test_what_is_read_while_everything_stands_is_left_aside(bench: Bench, healthy: Columns) -> None:

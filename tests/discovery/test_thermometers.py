@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.discovery.conftest import Bench
+from tests.discovery.conftest import Bench, stopped
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
 from twin.network import Array
@@ -57,6 +57,14 @@ def test_what_is_found_beside_one_that_comes_and_goes_is_told_too(bench: Bench, 
     assert (heat.kind, heat.where, heat.driver) == ("heat_source", node, "constant")
     assert heat.value == pytest.approx(60.0, rel=0.05) and heat.onset_s == pytest.approx(4.0 * 3600.0, abs=120.0)
     assert "T_pm3_C is off by up to" in found.summary and "Beside that: " in found.summary
+
+
+def test_a_standstill_beside_one_that_comes_and_goes_is_told_as_what_it_is(bench: Bench, healthy: Columns) -> None:
+    record = with_six(bench, stopped(bench.record()), 6, comes_and_goes)
+    found = diagnose(bench.network, record, with_six(bench, healthy, 5))
+    assert found.verdict == "unexplained" and "Without that the twin is adequate" in found.summary
+    assert any(" stood for " in note for note in found.notes)
+    assert not any("nothing tells what drove the rig" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(("from_h", "for_h"), [(5.0, 5.0), (1.0, 6.0)])

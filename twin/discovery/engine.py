@@ -30,7 +30,7 @@ from twin.discovery.thermometers.at_fault import beside_late, explained_by_one, 
 from twin.discovery.thermometers.members import Members, members
 from twin.network import Array, Network, TwinFileError, mean_of_several
 from twin.steady import steady_state
-from twin.stretches import stretches
+from twin.stretches import CLOCK, stretches
 
 HELD_OUT = 0.25
 
@@ -126,7 +126,8 @@ def diagnose(
         later=tuple(part.grid for part in further),
     )
     found = beside_unvisited(conclude(case, tuple(notes)), network, record, healthy)
-    return explained_by_one(found, network, record, single, again)
+    # What stood still is found anew there, and told as that.
+    return explained_by_one(found, network, replace(record, inputs=given.inputs), single, again)
 
 
 def _hidden(whole: Part, known: Basis) -> list[str]:
@@ -175,7 +176,7 @@ def _moving(network: Network, record: Columns, healthy: Columns | None) -> tuple
     if not stood.spells:
         return record, None
     inputs, measured = record.inputs.copy(), record.measured.copy()
-    driven = np.array([not c.endswith("_C") for c in network.input_columns])
+    driven = np.array([not c.endswith("_C") and not c.startswith(CLOCK) for c in network.input_columns])
     inputs[stood.rows[:, None] & driven] = np.nan
     measured[stood.rows] = np.nan
     members = {name: np.where(stood.rows[:, None], np.nan, each) for name, each in record.members.items()}

@@ -15,6 +15,7 @@ from twin.network import Array, Network
 NEARLY = 0.5
 """Share of the least speed of the healthy record from which something counts as standing."""
 LEAST_PERCENTILE = 0.1
+"""Of the speeds in health, which is taken for the least: what lasts for a moment is no level."""
 AGAIN_S = 600.0
 """How long after a standstill what is read is of water that had stood."""
 MOST = 0.5
