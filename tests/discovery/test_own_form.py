@@ -94,8 +94,8 @@ def test_what_reads_otherwise_at_a_loss_and_since_then_mends_its_form(
     one = Entry(loss, Shape("step", 14_400.0), np.empty(0), 7.0, 0.1, 9000.0).refreshed(part.contest)
     other = Entry(reading, Shape("step", onset_s), np.empty(0), -0.3, 0.01, 200.0).refreshed(part.contest)
     none = np.empty(0)
-    before = Fit((one,), none, none, none, 1000.0, left * part.contest.expected, 4.0)
-    best = Fit((one, other), none, none, none, 1000.0 - won, 0.7 * part.contest.expected, 4.0)
+    before = Fit((one,), none, none, none, 1000.0, left * part.contest.expected, 4.0, True)
+    best = Fit((one, other), none, none, none, 1000.0 - won, 0.7 * part.contest.expected, 4.0, True)
     assert of_own_form(before, best, part.contest, 600.0) is own
 
 

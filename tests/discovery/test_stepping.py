@@ -44,7 +44,7 @@ def smooth(wanted: np.ndarray, reach: float = np.inf, unit: float = 1.0) -> Squa
 )  # fmt: skip
 def test_smooth_squares_become_as_small_as_scipy_makes_them(a: float, b: float, c: float, reach: float) -> None:
     squares = smooth(np.array([a, b, c]), reach)
-    found, _ = minimise(squares, np.array([1.0, 1.0, 0.0]), 40)
+    found, *_ = minimise(squares, np.array([1.0, 1.0, 0.0]), 40)
 
     def both(v: np.ndarray) -> np.ndarray:
         return np.concatenate([squares.look(v[None])[0][0], 0.1 * v])
@@ -61,8 +61,8 @@ def test_in_what_unit_a_quantity_is_does_not_matter(unit: float) -> None:
     """A thermal mass is a hundred thousand of its unit, a parameter half of one."""
     wanted, begin = np.array([3.0, 0.7, 0.4]), np.array([1.0, 1.0, 0.0])
     other = np.array([1.0 / unit, 1.0, 1.0])
-    plain, _ = minimise(smooth(wanted), begin, 40)
-    found, _ = minimise(smooth(wanted * other, unit=unit), begin * other, 40)
+    plain, *_ = minimise(smooth(wanted), begin, 40)
+    found, *_ = minimise(smooth(wanted * other, unit=unit), begin * other, 40)
     assert found.total == pytest.approx(plain.total, rel=1e-3)
     assert found.v / other == pytest.approx(plain.v, rel=1e-3)
 

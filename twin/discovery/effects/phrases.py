@@ -45,8 +45,14 @@ def amount(value: float, unit: str, spread: float = 0.0) -> str:
     factor = 100.0 if part else 1.0
     if unit in ("J/K", "W") and abs(value) >= 10_000.0:
         factor, named = 1e-3, f" k{unit}"
-    low, high = (f"{factor * (value + side * spread):.3g}" for side in (-1.0, 1.0))
-    return f"{factor * value:.3g}{named}" + (f" ({low} to {high})" if low != high else "")
+    low, high = (_digits(factor * (value + side * spread)) for side in (-1.0, 1.0))
+    return _digits(factor * value) + named + (f" ({low} to {high})" if low != high else "")
+
+
+def _digits(value: float) -> str:
+    """Three digits that count, large numbers without an exponent."""
+    said = f"{value:.3g}"
+    return f"{float(said):,.0f}" if abs(float(said)) >= 1_000.0 else said
 
 
 def lasting(seconds: float) -> str:

@@ -40,6 +40,7 @@ class Fit:
             commissioning. values: (p,) of the original network. state: (s * k,) at the first bin of each stretch.
         total: weighted squares, of residual and of tunables against their prior. chi: residual's per block and sensor.
         away: those of the tunables; what no effect explains may push them far.
+        done: whether more rounds would have led no further.
     """
 
     entries: tuple[Entry, ...]
@@ -49,6 +50,7 @@ class Fit:
     total: float
     chi: float
     away: float
+    done: bool
 
 
 def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None, rounds: int = ROUNDS) -> Fit:
@@ -130,7 +132,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
     v = np.clip(v, low, high)
     squares = Squares(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0, scale)
-    found, slopes = minimise(squares, v, rounds)
+    found, slopes, done = minimise(squares, v, rounds)
     v = found.v
     covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -153,7 +155,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     values[scaling.index] = scaling.to_values(z0 + v[:q])
     chi = float(found.residual @ found.residual) / max(contest.count, 1)
     away = float(v[: q + k] @ contest.prior.precision @ v[: q + k])
-    return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi, away)
+    return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi, away, done)
 
 
 def look_at(contest: Contest, model: Model, found: Fit) -> None:

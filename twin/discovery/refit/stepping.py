@@ -75,8 +75,9 @@ class Step:
     total: float
 
 
-def minimise(squares: Squares, v: Array, rounds: int) -> tuple[Place, Array]:
-    """Where the squares are least near v (c,), as far as some rounds lead, and the slopes (rows, c) there."""
+def minimise(squares: Squares, v: Array, rounds: int) -> tuple[Place, Array, bool]:
+    """Where the squares are least near v (c,), as far as some rounds lead, the slopes (rows, c) there, and whether more
+    rounds would lead no further."""
     residuals, seen = squares.look(v[None])
     place = Place(v, residuals[0], seen[0], float(squares.weighed(v[None], residuals)[0]))
     slopes = squares.slopes(place.v)
@@ -105,7 +106,9 @@ def minimise(squares: Squares, v: Array, rounds: int) -> tuple[Place, Array]:
         elif fresh:
             break
         slopes, fresh = squares.slopes(place.v), True
-    return place, slopes[0] if fresh else squares.slopes(place.v)[0]
+    else:
+        return place, slopes[0] if fresh else squares.slopes(place.v)[0], False
+    return place, slopes[0] if fresh else squares.slopes(place.v)[0], True
 
 
 def _best(squares: Squares, place: Place, tried: list[Step]) -> tuple[Step, Place]:

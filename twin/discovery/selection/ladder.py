@@ -39,7 +39,8 @@ BEGUN, FAR = 3, 1.2
 """Rounds in which a fit of what is late comes within this many times another's squares, if it ever does: water that is
 late explains at once what nothing else can."""
 NOTHING_YET = 0.5
-"""Thresholds, squared, by which such a fit may then be worse than none, to be gone on with."""
+"""Thresholds, squared, by which such a fit may then be worse than none, to be gone on with, and by which it has to be
+better where it has come down to less than what is typical."""
 FORMED = 2.0
 """Misfit, over what noise leaves, that may be of an effect's own form (`of_own_form`)."""
 EXCHANGES, EXCHANGED = 2, 3
@@ -177,8 +178,15 @@ def _late(part: Part, entries: list[Entry], best: float) -> list[tuple[Fit, tupl
         return entry.shape.onset_s <= EARLY_S and abs(entry.size) < entry.candidate.lumped
 
     begun = fitted(part, [(e,) for e in entries], BEGUN)
-    far = min(FAR * best, part.contest.misfit + NOTHING_YET * part.threshold**2)
-    found = fitted(part, [group for f, group in begun if f.total < far])
+    little, none = NOTHING_YET * part.threshold**2, part.contest.misfit
+
+    def hopeless(found: Fit) -> bool:
+        (entry,) = found.entries
+        small = abs(entry.size) < entry.candidate.typical
+        return found.total > min(FAR * best, none - little if small else none + little)
+
+    near = [(f, group) for f, group in begun if not hopeless(f)]
+    found = [*(t for t in near if t[0].done), *fitted(part, [group for f, group in near if not f.done])]
     return [(f, group) for f, group in found if not usual(f.entries[0])]
 
 
