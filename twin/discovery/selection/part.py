@@ -53,6 +53,8 @@ class Part:
     entries: list[Entry]
     fits: dict[tuple[object, ...], Fit] = field(default_factory=dict, repr=False)
     """What was fitted before, with and without what the twin knows of its structure: searches ask again."""
+    forms: dict[Law, list[Law]] = field(default_factory=dict, repr=False)
+    """Laws of the forms near another's, which searches come by again and again."""
 
     @classmethod
     def of(cls, known: Basis, grid: Grid) -> Part:
@@ -80,8 +82,9 @@ class Part:
             given: vectors (e, sites, b) of effects that are already known.
         """
         while entry.candidate.near is not None:
-            laws = self.basis.book.laws(self.grid, self.run, entry.candidate.near())
-            better = scan(self.contest, laws, given)
+            if entry.law not in self.forms:
+                self.forms[entry.law] = self.basis.book.laws(self.grid, self.run, entry.candidate.near())
+            better = scan(self.contest, self.forms[entry.law], given)
             if not better or better[0].gain < entry.gain:
                 break
             entry = better[0]
