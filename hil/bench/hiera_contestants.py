@@ -80,7 +80,7 @@ def sheet(features: Features, case: Case) -> Sheet:
     rows = [_labelled(features, case, frame, end) for frame, end in zip(frames, ends, strict=True)]
     theta, known, floor = (np.stack([row[k] for row in rows]) for k in range(3))
     labels = tuple(
-        Label(end, t, k, bool(case.campaign.amiss[end - TARGET : end].any()), e.tokens())
+        Label(end, t, k, bool(case.campaign.amiss[end - TARGET : end].any()), e.kept())
         for end, t, k, e in zip(ends, theta, known, evidence, strict=True)
     )
     n = max(len(frames), 1)

@@ -81,7 +81,7 @@ class _Network:
 def _windows(features: Features, given: Sheet) -> Windows:
     nominal = given.case.campaign.nominal
     rows = [
-        one(features.explained(frame, nominal, found.theta, found.steps), found, nominal)
+        one(features, features.explained(frame, nominal, found.theta, found.steps), found, nominal)
         for frame, found in zip(given.frames, given.evidence, strict=True)
     ]
     windows = concatenate(rows)

@@ -52,20 +52,23 @@ def told(proposed: Proposed) -> str:
         parts += [f"{code} holds {', '.join(names)}" for code, names in codes.items()]
     else:
         parts += [str(proposed.document["reasons"][0]) + ": all held"]
+    if proposed.document.get("adrift"):
+        parts += ["the live twin is far off, and takes on what is held too"]
     return "; ".join(parts)
 
 
 class Proposals:
-    """Turns proposals into lanes, parameters with bands, and a line whenever other gates are closed than before."""
+    """Turns proposals into lanes, parameters with bands, and a line whenever other gates are closed than before, or the
+    live twin has come to be far off."""
 
     def __init__(self) -> None:
-        self._held: dict[str, dict[str, str]] = {}
+        self._told: dict[str, tuple[dict[str, str], bool]] = {}
         self._state: dict[str, str] = {}
 
     @property
     def calibrators(self) -> tuple[str, ...]:
         """Those that have proposed."""
-        return tuple(self._held)
+        return tuple(self._told)
 
     def batches(self, proposals: list[ProposalRow], units: Mapping[str, str]) -> Iterator[Batch]:
         """`units`: of parameters, as far as known."""
@@ -77,9 +80,10 @@ class Proposals:
                 state = gate_state(row.document)
                 if state != self._state.get(calibrator):
                     changes.append((row.time_s, state))
-                if row.document["held"] != self._held.get(calibrator):
+                now = row.document["held"], bool(row.document.get("adrift"))
+                if now != self._told.get(calibrator):
                     texts.append((row.time_s, told(Proposed(calibrator, row.time_s, row.document))))
-                self._state[calibrator], self._held[calibrator] = state, row.document["held"]
+                self._state[calibrator], self._told[calibrator] = state, now
             if changes:
                 yield States(path("gates", calibrator), np.array([t for t, _ in changes]), [s for _, s in changes])
             if texts:

@@ -1,8 +1,9 @@
 """What anybody could do without a network: its rivals on the windows that it is scored on.
 
 The cheapest is the evidence itself, shrunk: each deviation of the fit is what remains of it if most parameters have not
-moved. How much to shrink is learned from the training windows, a law a parameter. And a network that gains nothing from
-a record would be as good with the record of another rig, or with none.
+moved. How much to shrink is learned from the training windows, a law a parameter. The nearest is what the network
+starts from, untrained (`sparse`). And a network that gains nothing from a record would be as good with the record of
+another rig, or with none.
 """
 
 from __future__ import annotations
@@ -123,20 +124,20 @@ def _mean(values: Array, good: np.ndarray) -> float:
 def estimates(config: Any, train: Windows, windows: Windows) -> dict[str, tuple[Array, Array]]:
     """Rival -> means and standard deviations (N, P) of deviations, from the evidence of `windows` alone."""
 
-    p = config.parameters
-
-    def told(rows: Windows) -> tuple[Array, Array]:
-        """Deviations and standard errors (N, P) of the fit, from the end of the static numbers."""
-        tokens = rows.meta[:, -2 * p - 1 : -1].astype(np.float64)
-        return tokens[:, :p], tokens[:, p:]
+    def told(rows: Windows) -> list[Array]:
+        """Of the fit, deviations and standard errors; if few have moved, means, standard deviations and chances: (N, P)
+        each, from the end of the static numbers."""
+        return np.split(rows.meta[:, -config.told : -1].astype(np.float64), 5, axis=1)
 
     least = LEAST_SD * np.array(config.bounds)
-    laws = Shrinkage.learned(*told(train), train.theta.astype(np.float64), train.known)
-    fit, sd = told(windows)
+    before, before_sd, *_ = told(train)
+    laws = Shrinkage.learned(before, before_sd, train.theta.astype(np.float64), train.known)
+    fit, sd, mean, few_sd, _ = told(windows)
     labels = np.where(train.known, np.nan_to_num(train.theta), 0.0).astype(np.float64)
     spread = np.sqrt((labels**2).sum(axis=0) / np.maximum(train.known.sum(axis=0), 1))
     return {
         "commissioned": (np.zeros_like(fit), np.broadcast_to(spread + least, fit.shape)),
         "Gauss-Newton": (fit, sd + least),
         "Gauss-Newton, shrunk": laws.of(fit, sd),
+        "few parameters moved": (mean, np.hypot(few_sd, least)),
     }

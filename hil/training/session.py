@@ -143,15 +143,14 @@ def _finish(
     """Envelope, leakage and metrics of the averaged weights, and everything written."""
     from twin.calibrators.hiera_unet.batches import Batch
     from twin.calibrators.hiera_unet.checkpoint import Member, save
-    from twin.calibrators.hiera_unet.envelope import envelope
+    from twin.calibrators.hiera_unet.envelope import envelope, place
     from twin.calibrators.hiera_unet.leakage import leakage
     from twin.calibrators.hiera_unet.score import outcome
 
     network, simulate, told = trainer.average.eval(), trainer.physics.simulate, trainer.physics.told
     rows = np.random.default_rng(0).permutation(len(data.train))[: min(len(data.train), 1500)]
-    seen = outcome(network, data.train.take(rows), simulate, told, hidden=False)
-    unseen = outcome(network, data.conformal, simulate, told, hidden=False)
-    hull = envelope(seen.features, unseen.features)
+    seen = data.train.take(rows)
+    hull = envelope(place(seen.x, seen.m), place(data.conformal.x, data.conformal.m))
     probe = Batch.of(data.conformal.take(slice(0, LEAKED)), trainer.device)
     metrics = {
         mode: outcome(network, data.test, simulate, told, causal=causal, hidden=hidden).metrics()

@@ -16,7 +16,7 @@ TOLD = np.array([False, False, True, True, True])
 def config(**other: Any) -> Config:
     """A network as small as the stages allow."""
     sizes: dict[str, Any] = {
-        "groups": GROUPS, "bounds": (1.1, 1.1), "tolerances": (0.3, 0.3), "meta": 7, "evidence": True,
+        "groups": GROUPS, "bounds": (1.1, 1.1), "tolerances": (0.3, 0.3), "meta": 13, "evidence": True,
         "group_dim": 8, "dims": (16, 16, 32, 32), "depths": (1, 1, 1, 1), "head_dim": 16, **other,
     }  # fmt: skip
     return named("small", **sizes)
@@ -37,7 +37,9 @@ def windows(count: int, seed: int = 0, healthy: float = 0.5) -> Windows:
     x = np.concatenate([u[..., None], np.roll(u, 7, axis=1)[..., None], measured - base, measured[..., :1] - 40.0], -1)
     sd = np.full((count, 2), 0.1)
     evidence = theta + 0.1 * rng.normal(size=theta.shape)
-    meta = np.concatenate([rng.normal(size=(count, 2)), evidence, sd, np.ones((count, 1))], 1)
+    meta = np.concatenate(
+        [rng.normal(size=(count, 2)), evidence, sd, 0.9 * evidence, 0.9 * sd, 0.0 * sd + 0.5, np.ones((count, 1))], 1
+    )
     last = slice(n - target, n)
     return Windows(
         x=x.astype(np.float32),

@@ -92,7 +92,7 @@ def test_a_known_label_is_what_the_evidence_finds_on_clean_data():
     for one in found:
         last = one.labels[-1]
         if not one.campaign.amiss.any() or "T_" in one.campaign.what[0]:
-            errors.append((last.tokens[2 : 2 + count] - last.theta)[last.known])
+            errors.append((last.fit[2 : 2 + count] - last.theta)[last.known])
             priors.append(np.broadcast_to(features().deviations.prior_sd, (count,))[last.known])
     assert len(errors) >= 2
     assert np.median(np.abs(np.concatenate(errors))) < 0.25 * np.median(np.concatenate(priors))

@@ -34,7 +34,7 @@ def member(seed: int = 0) -> Member:
     with torch.no_grad():
         for p in net.parameters():
             p.add_(0.03 * torch.randn_like(p))
-    width = len(net.config.queries) * net.config.query_dim
+    width = 2 * net.config.channels
     hull = Envelope(np.zeros(width), np.eye(width), 2.0)
     return Member(net, IDENTITY, hull, {"seed": seed, "command": "hil train"})
 

@@ -10,7 +10,8 @@ import pytest
 from twin.calibrators.hiera_unet import conformal
 from twin.calibrators.hiera_unet.config import HieraError
 from twin.calibrators.hiera_unet.conformal import Factors, fit, one_a_window, quantile
-from twin.calibrators.hiera_unet.envelope import envelope
+from twin.calibrators.hiera_unet.envelope import envelope, place
+from twin.calibrators.hiera_unet.windows import TARGET
 
 
 def errors(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -72,3 +73,20 @@ def test_the_envelope_holds_the_unseen_and_not_the_strange() -> None:
     hull = envelope(rng.normal(size=(600, 20)) @ mix, rng.normal(size=(400, 20)) @ mix)
     assert (hull.distance(rng.normal(size=(1000, 20)) @ mix) > 1.0).mean() < 0.03
     assert (hull.distance(rng.normal(size=(100, 20)) @ mix * 3.0) > 1.0).mean() > 0.95
+
+
+def test_a_place_is_that_of_the_context_whatever_is_known_of_the_target() -> None:
+    rng = np.random.default_rng(0)
+    x, m = rng.normal(size=(40, 1440, 3)), rng.random((40, 1440, 3)) > 0.3
+    m[0, :, 1] = False
+    found = place(np.where(m, x, 0.0), m)
+    hidden, other = m.copy(), x.copy()
+    hidden[:, -TARGET:] = False
+    other[:, -TARGET:] = 9.0
+    np.testing.assert_array_equal(place(other, hidden), found)
+    assert np.isnan(found[0, [1, 4]]).all() and np.isfinite(found[1:]).all()
+    np.testing.assert_allclose(found[1, 3], x[1, :-TARGET, 0][m[1, :-TARGET, 0]].std())
+    hull = envelope(found, found)
+    gone = found.copy()
+    gone[:, 2] = np.nan
+    assert (hull.distance(gone) <= hull.distance(found) + 0.2).all() and hull.distance(found + 9.0).min() > 1.0

@@ -10,11 +10,12 @@ import pytest
 from tests.twin.hiera.records import NETWORK, deviation, features, made
 from twin.calibrators.hiera_unet.evidence import (
     LARGEST_LOG_CONDITION,
+    believed,
     estimate,
+    fitted_by,
     identifiable,
     tell,
     tokens,
-    told_by_tokens,
 )
 from twin.calibrators.hiera_unet.parameters import FACTOR, LOSS, REACH, SUM, Deviations
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
@@ -78,7 +79,7 @@ def test_the_target_is_not_used():
     _, found = fitted(series)
     _, other = fitted(replace(series, measured=altered))
     np.testing.assert_array_equal(found.theta, other.theta)
-    np.testing.assert_array_equal(found.tokens(), other.tokens())
+    np.testing.assert_array_equal(found.tokens(DEVIATIONS), other.tokens(DEVIATIONS))
 
 
 def test_without_data_the_prior_comes_back():
@@ -86,8 +87,8 @@ def test_without_data_the_prior_comes_back():
     _, found = fitted(replace(series, measured=np.full_like(series.measured, np.nan)))
     assert (found.theta == 0.0).all() and (found.sd == DEVIATIONS.prior_sd).all()
     assert not found.told.any()
-    assert found.tokens().size == tokens(P)
-    assert found.tokens()[-1] == LARGEST_LOG_CONDITION
+    assert found.tokens(DEVIATIONS).size == tokens(P)
+    assert found.tokens(DEVIATIONS)[-1] == LARGEST_LOG_CONDITION
 
 
 def test_conduction_beside_the_flow_is_never_told():
@@ -114,7 +115,7 @@ def test_two_parameters_with_one_effect_are_not_told_apart():
 def test_estimates_stay_inside_the_reach():
     _, found = fitted(made(N, deviation(modules_power__power=REACH, fins__UA_100=-0.9)))
     assert (np.abs(found.theta) <= REACH + 1e-9).all()
-    assert np.isfinite(found.tokens()).all()
+    assert np.isfinite(found.tokens(DEVIATIONS)).all()
 
 
 def test_what_a_fit_leaves_is_noise_since_the_change_and_missing_before():
@@ -131,8 +132,24 @@ def test_what_a_fit_leaves_is_noise_since_the_change_and_missing_before():
     np.testing.assert_array_equal(told.x[:, others], frame.x[:, others])
 
 
-def test_tokens_tell_what_was_fitted():
+def test_what_is_kept_tells_what_was_fitted():
     _, found = fitted(made(N, deviation(fins__UA_100=-0.2)))
-    theta, steps = told_by_tokens(found.tokens(), P)
+    theta, steps = fitted_by(found.kept(), P)
     np.testing.assert_allclose(theta, found.theta)
     assert steps == found.steps
+
+
+def test_one_parameter_that_moved_is_believed_and_the_others_stay():
+    _, found = fitted(made(N, deviation(fins__UA_100=-0.2)))
+    few = believed(found.kept(), DEVIATIONS)
+    assert few.chance[UA] > 0.9 and few.mean[UA] == pytest.approx(-0.2, abs=0.02)
+    others = np.delete(np.arange(P), UA)
+    assert few.chance[others].max() < 0.5
+    assert np.abs(few.mean[others]).max() < 0.02
+
+
+def test_without_data_few_are_believed_to_have_moved():
+    series = made(N)
+    _, found = fitted(replace(series, measured=np.full_like(series.measured, np.nan)))
+    few = believed(found.kept(), DEVIATIONS)
+    assert (few.mean == 0.0).all() and (few.chance < 0.2).all()

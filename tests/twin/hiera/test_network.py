@@ -13,6 +13,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: the network
 
 from twin.calibrators.hiera_unet.config import PAPER, Config, HieraError, named  # noqa: E402
 from twin.calibrators.hiera_unet.encoder import Merge  # noqa: E402
+from twin.calibrators.hiera_unet.heads import LEAST_SD  # noqa: E402
 from twin.calibrators.hiera_unet.network import HieraUNet, Prediction, decayed  # noqa: E402
 
 SMALL = named("small", **PAPER)
@@ -131,12 +132,17 @@ def test_an_untrained_network_is_the_commissioned_twin() -> None:
 
 
 def test_with_evidence_it_starts_from_that() -> None:
-    config = replace(SMALL, meta=2 + 2 * 4 + 1, evidence=True)
+    config = replace(SMALL, meta=2 + 5 * 4 + 1, evidence=True)
     torch.manual_seed(0)
     inputs = batch(config)
-    inputs["meta"][:, 2:6] = torch.tensor([0.1, -0.05, 0.0, 0.3])
-    theta = run(HieraUNet(config), inputs).theta
-    np.testing.assert_allclose(theta[0].numpy(), [0.1, -0.05, 0.0, 0.3], atol=1e-6)
+    inputs["meta"][:, 10:14] = torch.tensor([0.1, -0.05, 0.0, 0.3])
+    inputs["meta"][:, 14:18] = sd = torch.tensor([0.02, 0.01, 0.1, 0.05])
+    found = run(HieraUNet(config), inputs)
+    np.testing.assert_allclose(found.theta[0].numpy(), [0.1, -0.05, 0.0, 0.3], atol=1e-6)
+    least = LEAST_SD * np.array(config.bounds)
+    np.testing.assert_allclose(
+        np.exp(0.5 * found.log_variance[0].numpy()) * config.bounds, np.hypot(sd.numpy(), least), rtol=1e-5
+    )
 
 
 def test_deviations_stay_within_reach_of_their_bounds() -> None:

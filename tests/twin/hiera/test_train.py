@@ -176,3 +176,15 @@ def test_a_correction_that_conserves_energy_has_no_price() -> None:
     np.testing.assert_allclose(price(apart), 1000.0 / (119 * 5.0) / 17.5, rtol=1e-3)
     np.testing.assert_allclose(price(warmer), 1.0 / 17.5, rtol=1e-5)
     assert float(losses.balance_loss(apart, storage, exchange, 700.0, ~judged, 5.0)) == 0.0
+
+
+def test_what_is_said_to_be_sure_and_is_far_off_pulls_no_harder_than_the_rest() -> None:
+    bounds, known = torch.ones(1), torch.ones(1, 1, dtype=torch.bool)
+    for sure in (-11.0, -6.0, -2.0):
+        theta, spread = torch.zeros(1, 1, requires_grad=True), torch.full((1, 1), sure, requires_grad=True)
+        losses.gaussian_loss(theta - 0.5, spread, bounds, known).backward()
+        assert theta.grad is not None and spread.grad is not None
+        assert abs(float(theta.grad)) <= losses.FAR and abs(float(spread.grad)) <= losses.FAR
+        near = torch.zeros(1, 1, requires_grad=True)
+        losses.gaussian_loss(near - 0.01 * torch.exp(0.5 * spread.detach()), spread.detach(), bounds, known).backward()
+        assert near.grad is not None and abs(float(near.grad)) < abs(float(theta.grad))

@@ -64,13 +64,13 @@ class Campaign:
 
 @dataclass(frozen=True)
 class Label:
-    """What is known of a window, and its evidence: theta (P,), known (P,), changed, tokens (`Evidence.tokens`)."""
+    """What is known of a window, and its evidence: theta (P,), known (P,), changed, fit (`Evidence.kept`)."""
 
     end: int
     theta: Array
     known: np.ndarray
     changed: bool
-    tokens: Array
+    fit: Array
 
 
 def simulated(family: Family, seed: int, number: int) -> Campaign:
@@ -189,4 +189,4 @@ def label(features: Features, campaign: Campaign, end: int) -> Label:
     known &= np.isfinite(theta) & (np.ptp(rows, axis=0) < STEADY)
     evidence = estimate(features, frame, campaign.nominal)
     changed = bool(campaign.amiss[end - TARGET : end].any())
-    return Label(end, theta, known, changed, evidence.tokens())
+    return Label(end, theta, known, changed, evidence.kept())

@@ -21,7 +21,8 @@ from twin.calibrators.hiera_unet.config import Config, HieraError
 from twin.calibrators.hiera_unet.envelope import Envelope
 from twin.calibrators.hiera_unet.network import HieraUNet
 
-FORMAT = 1
+FORMAT = 2
+"""2: evidence holds what is believed if few parameters have moved, and heads correct that."""
 
 
 @dataclass(frozen=True)
@@ -89,19 +90,15 @@ def load(path: Path, identity: Identity | None = None, config: Config | None = N
             or channel table.
     """
     card = path.with_suffix(".json")
+    document = _document(card)
     try:
-        document = json.loads(card.read_text(encoding="utf-8"))
         found = Identity(
             document["twin"], document["table"], tuple(document["parameters"]), tuple(document["outputs"])
         )  # fmt: skip
         own = Config.of(document["config"])
         digest, limit = document["weights"]["sha256"], float(document["envelope_limit"])
-    except FileNotFoundError as error:
-        raise HieraError(f"there is no model card {card}; train a network with `hil train`") from error
     except (ValueError, KeyError, TypeError) as error:
         raise HieraError(f"model card {card} cannot be read ({error}); train again") from error
-    if document.get("format") != FORMAT:
-        raise HieraError(f"model card {card} has format {document.get('format')}, not {FORMAT}; train again")
     _refuse_others(path, found, own, identity, config)
     if not path.exists():
         raise HieraError(f"the weights {path} of model card {card} are missing; put them beside the card")
@@ -121,6 +118,21 @@ def load(path: Path, identity: Identity | None = None, config: Config | None = N
             "there; train again"
         ) from error
     return Member(network.eval(), found, hull, document)
+
+
+def _document(card: Path) -> dict[str, Any]:
+    try:
+        document: dict[str, Any] = dict(json.loads(card.read_text(encoding="utf-8")))
+    except FileNotFoundError as error:
+        raise HieraError(f"there is no model card {card}; train a network with `hil train`") from error
+    except (ValueError, TypeError) as error:
+        raise HieraError(f"model card {card} cannot be read ({error}); train again") from error
+    if document.get("format") != FORMAT:
+        raise HieraError(
+            f"model card {card} has format {document.get('format')}, not {FORMAT}: networks of that one read other "
+            "evidence; train again"
+        )
+    return document
 
 
 def _refuse_others(path: Path, found: Identity, own: Config, identity: Identity | None, config: Config | None) -> None:

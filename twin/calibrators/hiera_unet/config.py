@@ -22,9 +22,10 @@ class Config:
         bounds: (P,) range of each parameter deviation in its own unit (1.1 for a log-multiplier that may triple).
         tolerances: (Y,) engineering tolerance of each output in its own unit; errors are weighed with them.
         regimes: number of operating regimes. clock: numbers that tell the time of day and year.
-        meta: static numbers a window. With `evidence` the last 2 P + 1 of them are an independent estimate of the
-            deviations, its standard deviations, and the logarithm of its condition number.
-        evidence: whether the parameter head corrects that estimate; without, it starts from the commissioned twin.
+        meta: static numbers a window. With `evidence` the last 5 P + 1 of them are an independent fit of the deviations
+            and its standard errors, what is believed of them if few have moved (means, standard deviations, chances),
+            and the logarithm of the fit's condition number.
+        evidence: whether the parameter head corrects that belief; without, it starts from the commissioned twin.
         gated: whether a skip passes a gate; without, it is concatenated directly.
         step_s: length of a step. context, target: steps seen, and steps to explain at their end.
         margin: steps before the target that the decoder works out as well, so that cropping alters nothing.
@@ -70,10 +71,10 @@ class Config:
                 )
             if stage < len(self.merges):
                 tokens //= self.merges[stage]
-        if self.evidence and self.meta < 2 * self.parameters + 1:
+        if self.evidence and self.meta < self.told:
             raise HieraError(
                 f"configuration {self.name!r}: {self.meta} static numbers cannot hold the evidence of "
-                f"{self.parameters} parameters ({2 * self.parameters + 1} numbers); set meta or evidence"
+                f"{self.parameters} parameters ({self.told} numbers); set meta or evidence"
             )
         if (self.target + self.margin) % self.strides[1] or self.target + self.margin > self.context:
             raise HieraError(
@@ -88,6 +89,11 @@ class Config:
     @property
     def parameters(self) -> int:
         return len(self.bounds)
+
+    @property
+    def told(self) -> int:
+        """Static numbers that are evidence, at their end."""
+        return 5 * self.parameters + 1
 
     @property
     def outputs(self) -> int:

@@ -19,7 +19,7 @@ def mixed(means: Sequence[Array], variances: Sequence[Array]) -> tuple[Array, Ar
 def together(members: Sequence[Outcome]) -> Outcome:
     """What an ensemble says of the windows that each member has been asked about.
 
-    `scale` is that of the Laplace law with the mixture's variance, `features` those of all members side by side.
+    `scale` is that of the Laplace law with the mixture's variance.
     """
     first = members[0]
     error, variance = mixed([o.error for o in members], [2.0 * o.scale**2 for o in members])
@@ -33,7 +33,6 @@ def together(members: Sequence[Outcome]) -> Outcome:
         theta_sd=np.sqrt(spread),
         theta_error=theta - first.theta + first.theta_error,
         evidence_error=first.evidence_error,
-        features=np.concatenate([o.features for o in members], axis=1),
         changed=first.changed,
         delta=np.mean([o.delta for o in members], axis=0),
     )

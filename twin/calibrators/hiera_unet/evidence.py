@@ -5,18 +5,22 @@ stretches before the target that double from some minutes to nearly two hours. A
 contradicts the longer ones: the longest fit that explains its data nearly as well as the shortest does is taken
 (Lepski's principle: Lepskii, Theory Probab. Appl. 35 (1991) 454). Its standard errors are widened for residuals that
 are larger than noise and not white.
+
+A fit moves every parameter. What is believed if few have moved (`sparse`) follows from its normal equations alone, and
+stands beside it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twin.calibrators.hiera_unet.features import Features, Frame
-from twin.calibrators.hiera_unet.parameters import REACH
+from twin.calibrators.hiera_unet.parameters import REACH, Deviations
 from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.signals import stuck
+from twin.calibrators.hiera_unet.sparse import Likelihood, Posterior, Usual, posterior
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.calibrators.identifiability import condition, told_by
 from twin.calibrators.structure_error import ALIKE_S, MODEL_K
@@ -37,6 +41,12 @@ CORRELATED_STEPS = ALIKE_S / STEP_S
 """Steps over which a healthy twin's error stays alike: so many count as one."""
 MOST = 8
 LARGEST_LOG_CONDITION = 8.0
+LASTING, TAKEN_ON = 0.25, 10.0
+"""Steps that count as one where few parameters explain a record: this share of those fitted, and so many times what
+residuals ask for. A fit takes on the better part of what the twin lacks, which no residual shows, and what it lacks
+lasts (docs/decisions/0034)."""
+MOVED, SLAB, SPIKE = (0.04, 0.05, 0.1), 0.3, 0.01
+"""Of training's rigs: chance that a deviation has moved, by law; its standard deviation if it has, and if not."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +58,7 @@ class Evidence:
         told: (P,) bool, parameters that the fitted data tells (`tell`).
         chi: mean square of the residuals in units of noise. steps: how much of the context was fitted.
         start: full state at the first fitted step, under theta. state: at the first target step.
+        likelihood: of the deviations, the initial state taken out, `widened` steps counting as one.
         evaluations: linearisations.
     """
 
@@ -59,23 +70,58 @@ class Evidence:
     steps: int
     start: Array
     state: Array
+    likelihood: Likelihood
+    widened: float
     evaluations: int
 
-    def tokens(self) -> Array:
-        """(2 + 2 P + 1,): log chi, fitted share of the context, deltas, standard errors, log10 condition."""
+    def kept(self) -> Array:
+        """What a store keeps, all that `tokens_of` needs (4 + 3 P + P (P + 1) / 2,): log chi, log of the fitted share
+        of the context, deltas, standard errors, log10 condition, log of the widening, likelihood."""
         share = self.steps / (CONTEXT - TARGET)
         condition = min(np.log10(max(self.condition, 1.0)), LARGEST_LOG_CONDITION)
-        return np.concatenate([[np.log(self.chi), np.log(share)], self.theta, self.sd, [condition]])
+        first = [np.log(self.chi), np.log(share)]
+        last = [condition, np.log(self.widened)]
+        return np.concatenate([first, self.theta, self.sd, last, self.likelihood.plain()])
+
+    def tokens(self, deviations: Deviations) -> Array:
+        """What the network reads, see `tokens_of`."""
+        return tokens_of(self.kept(), deviations)
 
 
 def tokens(count: int) -> int:
-    """How many tokens `Evidence.tokens` gives for `count` parameters."""
-    return 2 + 2 * count + 1
+    """How many numbers `tokens_of` gives for `count` parameters."""
+    return 2 + 5 * count + 1
 
 
-def told_by_tokens(tokens: Array, count: int) -> tuple[Array, int]:
-    """theta (P,) and the steps that were fitted, out of `Evidence.tokens`."""
-    return tokens[2 : 2 + count], round(float(np.exp(tokens[1])) * (CONTEXT - TARGET))
+def tokens_of(kept: Array, deviations: Deviations) -> Array:
+    """(2 + 5 P + 1,) out of `Evidence.kept`: log chi, log share; deltas and standard errors of the fit; means, standard
+    deviations and chances if few parameters have moved; log10 condition."""
+    count = len(deviations)
+    few = believed(kept, deviations)
+    fit, condition = kept[: 2 + 2 * count], kept[2 + 2 * count]
+    return np.concatenate([fit, few.mean, few.sd, few.chance, [condition]])
+
+
+def believed(kept: Array, deviations: Deviations) -> Posterior:
+    """What `Evidence.kept` says of deviations if few of them have moved."""
+    count = len(deviations)
+    widened = float(np.exp(kept[3 + 2 * count]))
+    data = Likelihood.of_plain(kept[4 + 2 * count :], count)
+    steps = fitted_by(kept, count)[1]
+    share = widened / (CORRELATED_STEPS + LASTING * steps + TAKEN_ON * widened)
+    few = posterior(Likelihood(data.information * share, data.pull * share), usual(deviations))
+    return replace(few, mean=np.clip(few.mean, -REACH, REACH))
+
+
+def usual(deviations: Deviations) -> Usual:
+    """How many parameters move in training's rigs, and how far."""
+    count = len(deviations)
+    return Usual(np.array(MOVED)[deviations.law], np.full(count, SLAB), np.full(count, SPIKE))
+
+
+def fitted_by(kept: Array, count: int) -> tuple[Array, int]:
+    """theta (P,) and the steps that were fitted, out of `Evidence.kept`."""
+    return kept[2 : 2 + count], round(float(np.exp(kept[1])) * (CONTEXT - TARGET))
 
 
 @dataclass(frozen=True)
@@ -124,7 +170,10 @@ def _commissioned(features: Features) -> Belief:
 def nothing(features: Features, frame: Frame, belief: Belief) -> Evidence:
     """What is known without any data: the prior."""
     none = np.zeros(len(belief.sd), dtype=bool)
-    return Evidence(belief.mean, belief.sd, 1e16, none, 1.0, HORIZONS[-1], frame.start, frame.state, 0)
+    return Evidence(
+        belief.mean, belief.sd, 1e16, none, 1.0, HORIZONS[-1], frame.start, frame.state,
+        Likelihood.nothing(len(belief.sd)), 1.0, 0,
+    )  # fmt: skip
 
 
 def _data(features: Features, frame: Frame, first: int, last: int) -> Data:
@@ -192,7 +241,21 @@ def _conclude(
     covariance = np.linalg.inv(fit.normal / widened + prior)[:count, :count]
     told, number = tell(fit.normal, scaling.prior_sd(), widened)
     sd = np.minimum(np.sqrt(np.diag(covariance)), belief.sd)
-    return Evidence(fit.v[:count].copy(), sd, number, told, chi, steps, fit.state, fit.data.end.copy(), evaluations)
+    likely = _likelihood(fit, features.state_at(frame, first, values)[:nodes], count, widened)
+    return Evidence(
+        fit.v[:count].copy(), sd, number, told, chi, steps, fit.state, fit.data.end.copy(), likely, widened, evaluations
+    )
+
+
+def _likelihood(fit: Fit, state: Array, count: int, widened: float) -> Likelihood:
+    """Of the `count` deviations, by the normal equations at the fit; the initial state was `state` (k,) +- STATE_SD."""
+    normal, slope = fit.normal / widened, fit.data.jtr / widened
+    own = normal[count:, count:] + np.eye(len(state)) * STATE_SD**-2
+    gain = np.linalg.solve(own, normal[count:, :count]).T
+    information = normal[:count, :count] - gain @ normal[count:, :count]
+    pulled = slope[count:] + (fit.v[count:] - state) * STATE_SD**-2
+    information = 0.5 * (information + information.T)
+    return Likelihood(information, information @ fit.v[:count] - (slope[:count] - gain @ pulled))
 
 
 def tell(normal: Array, plausible: Array, widened: float = 1.0) -> tuple[np.ndarray, float]:

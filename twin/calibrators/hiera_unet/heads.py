@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -11,6 +14,30 @@ from twin.calibrators.hiera_unet.config import Config
 
 OVERREACH = 1.25
 """A tanh cannot reach its bound and dies near it, so deviations are 1.25 bounds times tanh."""
+LEAST_SD = 0.004
+"""Least standard deviation of a deviation, in units of its bound."""
+LARGEST_LOG = 6.0
+"""Of a variance, so that an exponential never overflows."""
+
+
+@dataclass(frozen=True)
+class Evident:
+    """What the static numbers say of deviations, (B, P) each: a fit and its standard errors; means, standard deviations
+    and chances that they moved, if few have (`sparse`)."""
+
+    fit: Tensor
+    fit_sd: Tensor
+    mean: Tensor
+    sd: Tensor
+    chance: Tensor
+
+
+def evidence_of(config: Config, meta: Tensor) -> Evident | None:
+    """The evidence among the static numbers (B, M); None for a network without."""
+    if not config.evidence:
+        return None
+    fit, fit_sd, mean, sd, chance = meta[:, -config.told : -1].float().chunk(5, -1)
+    return Evident(fit, fit_sd, mean, sd, chance)
 
 
 class Queries(nn.Module):
@@ -44,10 +71,10 @@ class Queries(nn.Module):
 class ParameterHead(nn.Module):
     """Deviations and their log-variances from the pooled features of stride 30 and the queries' answers.
 
-    Without evidence, theta = reach tanh(change). With it, theta = reach tanh(trust atanh(evidence / reach) + change),
-    where trust, between 0 and 2, says how far an independent estimate is believed; the head then sees the static
-    numbers too. The last layer starts at zero: no change and a trust of 1, so the twin is as commissioned, or as the
-    evidence has it.
+    Without evidence, theta = reach tanh(change). With it, theta = reach tanh(trust atanh(mean / reach) + change), where
+    mean is what is believed if few parameters have moved, and trust, between 0 and 2, says how far; log-variances are
+    then changes of that belief's, and the head sees the static numbers too. The last layer starts at zero: no change
+    and a trust of 1, so the twin is as commissioned, or as that belief has it.
     """
 
     def __init__(self, config: Config) -> None:
@@ -59,27 +86,34 @@ class ParameterHead(nn.Module):
         self.out = nn.Linear(config.head_hidden, (2 + config.evidence) * config.parameters)
         self.register_buffer("bounds", torch.tensor(config.bounds), persistent=False)
 
-    def forward(self, d3: Tensor, valid: Tensor, answers: Tensor, meta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, d3: Tensor, valid: Tensor, answers: Tensor, meta: Tensor) -> tuple[Tensor, Tensor]:
         """
         Args:
             d3: (B, n, d3). valid: (B, n). answers: (B, Q, d4). meta: (B, M), its end the evidence.
 
         Returns:
-            Deviations (B, P) in their own units, log-variances (B, P) in units of the bounds, and the features of
-            the queries (B, Q * query_dim), by which the training envelope is drawn.
+            Deviations (B, P) in their own units, and log-variances (B, P) in units of the bounds.
         """
         weight = valid / valid.sum(1, keepdim=True).clamp(min=1e-6)
-        features = self.reduce(answers).flatten(1)
-        pooled = torch.cat([(d3 * weight[..., None]).sum(1), features], -1)
+        seen = torch.cat([(d3 * weight[..., None]).sum(1), self.reduce(answers).flatten(1)], -1)
+        pooled = F.layer_norm(seen, seen.shape[-1:])
         top: Tensor = OVERREACH * self.bounds
         if not self.config.evidence:
             change, log_variance = self.out(F.gelu(self.hidden(pooled))).float().chunk(2, -1)
-            return top * torch.tanh(change), log_variance, features
+            return top * torch.tanh(change), _no_less(log_variance)
         pooled = torch.cat([pooled, meta.to(pooled.dtype)], -1)
-        change, log_variance, trust = self.out(F.gelu(self.hidden(pooled))).float().chunk(3, -1)
-        p = self.config.parameters
-        evidence = torch.atanh((meta[:, -2 * p - 1 : -p - 1].float() / top).clamp(-0.99, 0.99))
-        return top * torch.tanh(2.0 * torch.sigmoid(trust) * evidence + change), log_variance, features
+        change, wider, trust = self.out(F.gelu(self.hidden(pooled))).float().chunk(3, -1)
+        given = evidence_of(self.config, meta)
+        assert given is not None
+        believed = torch.atanh((given.mean / top).clamp(-0.99, 0.99))
+        theta = top * torch.tanh(2.0 * torch.sigmoid(trust) * believed + change)
+        return theta, _no_less(2.0 * torch.log(given.sd.clamp(min=1e-4) / self.bounds) + wider)
+
+
+def _no_less(log_variance: Tensor) -> Tensor:
+    """The same with the variance of `LEAST_SD` added."""
+    least = torch.full_like(log_variance, 2.0 * math.log(LEAST_SD))
+    return torch.logaddexp(log_variance.clamp(max=LARGEST_LOG), least)
 
 
 class OutputHead(nn.Module):

@@ -14,8 +14,10 @@ BETA = 0.5
 predicted steps lose their say, and the mean stalls."""
 LOG_RANGE = 6.0
 """Log-scales beyond this are cut off, so that an exponential never overflows."""
+FAR = 3.0
+"""Standard deviations beyond which a parameter's error counts by its size."""
 RESOLUTION = 0.02
-"""Least scale in units of the bound or tolerance."""
+"""Least scale of an output, in units of the tolerance."""
 
 
 def known_only(error: Tensor, known: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -81,10 +83,17 @@ def laplace_loss(error: Tensor, log_scale: Tensor, tolerances: Tensor) -> Tensor
 
 
 def gaussian_loss(error: Tensor, log_variance: Tensor, bounds: Tensor, known: Tensor) -> Tensor:
-    """Negative log-likelihood of parameter errors (B, P), in units of the bounds, over what is known, by beta."""
-    v = torch.exp(log_variance.clamp(-2 * LOG_RANGE, LOG_RANGE)) + RESOLUTION**2
+    """Negative log-likelihood of parameter errors (B, P), in units of the bounds, over what is known, by beta.
+
+    What the network says is the whole variance, so that its intervals are what it was judged by. Errors beyond `FAR`
+    standard deviations count by their size, not its square: of a deviation that is said to be sure to four thousandths
+    of its bound and has moved by a third, the gradient would be a thousand times the usual one.
+    """
+    v = torch.exp(log_variance.clamp(-2 * LOG_RANGE, LOG_RANGE))
     e, good = known_only(error, known)
-    return mean_of(0.5 * (torch.log(v) + (e / bounds) ** 2 / v) * v.detach() ** BETA, good)
+    away = (e / bounds).abs() / v.sqrt()
+    square = torch.where(away < FAR, away**2, FAR * (2.0 * away - FAR))
+    return mean_of(0.5 * (torch.log(v) + square) * v.detach() ** BETA, good)
 
 
 def correction_price(delta: Tensor, tolerances: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,6 +14,7 @@ from twin.calibrators.hiera_unet.checkpoint import Identity, Member, load
 from twin.calibrators.hiera_unet.config import HieraError
 from twin.calibrators.hiera_unet.conformal import Factors
 from twin.calibrators.hiera_unet.ensemble import mixed
+from twin.calibrators.hiera_unet.envelope import place
 from twin.calibrators.hiera_unet.gates import LEAKS
 from twin.calibrators.hiera_unet.leakage import leakage
 from twin.calibrators.hiera_unet.windows import Windows
@@ -58,6 +59,7 @@ class Ensemble:
     def ask(self, window: Windows) -> Said:
         """About one window (N = 1), on the causal branch with everything measured in sight."""
         thetas, variances, deltas, scales, distances, attention = [], [], [], [], [], []
+        where = place(window.x, window.m)
         with torch.inference_mode():
             for member in self.members:
                 config = member.network.config
@@ -67,7 +69,7 @@ class Ensemble:
                 variances.append(np.exp(p.log_variance[0].clamp(-12, 6).double().numpy()) * bounds**2)
                 deltas.append(p.delta[0].double().numpy())
                 scales.append(np.exp(p.log_scale[0].clamp(-6, 6).double().numpy()) * tolerances)
-                distances.append(float(member.envelope.distance(p.features.double().numpy())[0]))
+                distances.append(float(member.envelope.distance(where)[0]))
                 attention.append(p.attention[0].double().numpy())
         theta, theta_variance = mixed(thetas, variances)
         delta, variance = mixed(deltas, [2.0 * s**2 for s in scales])

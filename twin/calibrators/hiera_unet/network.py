@@ -17,13 +17,13 @@ class Prediction:
     """What the network says of B windows.
 
     Without evidence the calibrated output is f_DT(u, theta) + delta, eq. 8. With it, it is f_DT(u, theta_e) + delta,
-    where theta_e is the evidence: what a fit explains of this record, whatever it had to bend for it. What of that is
-    a parameter that moved, and what the twin lacks, is for theta to say.
+    where theta_e is the fit: what explains this record, whatever it had to bend for it. What of that is a parameter
+    that moved, and what the twin lacks, is for theta to say.
 
     Attributes:
         theta: (B, P) deviations in their own units. log_variance: (B, P) of theta / bound.
         delta: (B, 120, Y) corrections in the outputs' units. log_scale: (B, 120, Y) of the Laplace scale / tolerance.
-        attention: (B, Q, 12) what each query looked at. features: (B, Q * query_dim), place in the envelope.
+        attention: (B, Q, 12) what each query looked at.
     """
 
     theta: Tensor
@@ -31,7 +31,6 @@ class Prediction:
     delta: Tensor
     log_scale: Tensor
     attention: Tensor
-    features: Tensor
 
 
 class HieraUNet(nn.Module):
@@ -74,19 +73,13 @@ class HieraUNet(nn.Module):
         scales = self.encoder(x * m, m, regime.long(), clock, meta, causal)
         answers, attention = self.queries(scales[-1].h, scales[-1].valid)
         d3, d1 = self.decoder(scales, answers.mean(1), causal, crop)
-        theta, log_variance, features = self.parameter_head(d3, scales[2].valid, answers, meta)
+        theta, log_variance = self.parameter_head(d3, scales[2].valid, answers, meta)
         delta, log_scale = self.output_head(d1)
-        return Prediction(theta, log_variance, delta, log_scale, attention, features)
+        return Prediction(theta, log_variance, delta, log_scale, attention)
 
     def count(self) -> int:
         """Number of weights."""
         return sum(p.numel() for p in self.parameters())
-
-
-def evidence_of(config: Config, meta: Tensor) -> Tensor | None:
-    """The deviations (B, P) of the evidence among the static numbers (B, M); None for a network without."""
-    p = config.parameters
-    return meta[:, -2 * p - 1 : -p - 1].float() if config.evidence else None
 
 
 def _start(module: nn.Module) -> None:

@@ -10,8 +10,9 @@ import numpy as np
 import torch
 
 from twin.calibrators.hiera_unet.batches import Batch, Simulate
+from twin.calibrators.hiera_unet.heads import evidence_of
 from twin.calibrators.hiera_unet.hiding import blind
-from twin.calibrators.hiera_unet.network import HieraUNet, evidence_of
+from twin.calibrators.hiera_unet.network import HieraUNet
 from twin.calibrators.hiera_unet.windows import Windows
 from twin.network import Array
 
@@ -29,7 +30,7 @@ class Outcome:
         error, scale: (N, 120, Y), calibrated output minus goal, and Laplace scale, in the outputs' units.
         before, rival: (N, 120, Y), commissioned twin minus goal, and the twin with the evidence alone minus goal.
         theta, theta_sd, theta_error, evidence_error: (N, P) in the parameters' units; errors only where known.
-        features: (N, F) place in the envelope. changed: (N,).
+        changed: (N,).
         delta: (N, 120, Y) correction.
     """
 
@@ -41,7 +42,6 @@ class Outcome:
     theta_sd: Array
     theta_error: Array
     evidence_error: Array
-    features: Array
     changed: Array
     delta: Array
 
@@ -95,17 +95,16 @@ def outcome(
             p = network(b.x, m, b.regime, b.clock, b.meta, causal=causal)
             true = np.where(b.rows.known, b.rows.theta, np.nan)
             given = evidence_of(config, b.meta)
-            twin = simulate(p.theta if given is None else given, b.rows)
+            twin = simulate(p.theta if given is None else given.fit, b.rows)
             rival = torch.full_like(twin, torch.nan) if given is None else twin - b.goal
             y = twin + p.delta
-            own = torch.full_like(p.theta, torch.nan) if given is None else given
+            own = torch.full_like(p.theta, torch.nan) if given is None else given.fit
             rows = {
                 "error": y - b.goal,
                 "scale": torch.exp(p.log_scale.clamp(-6, 6)) * tolerances,
                 "before": b.base - b.goal,
                 "rival": rival,
                 "theta": p.theta,
-                "features": p.features,
                 "delta": p.delta,
             }
             for name, value in rows.items():

@@ -37,6 +37,9 @@ CYCLE_S = 300.0
 RECORDS = 288
 """Proposals that are remembered: a day's."""
 NORMAL90 = 1.645
+LATEST, FAR_OFF = 60, 4.0
+"""Latest steps over which the live twin is held against a fit, and the factor between their mean squares from which it
+is adrift."""
 DELIVERED = ("level", "reading")
 """Formulas of the channels that are inputs and thermometers as a record delivers them; all others are made of these, or
 of a meter that a rig need not have."""
@@ -50,8 +53,10 @@ class Proposal:
     Attributes:
         time_s: of the latest sample that it has seen. said, sd: (P,) the network's parameters and standard errors in
             their own units. closed: (P,) bool, those that gates hold which look at this proposal alone. held: (P,)
-            bool, those that may not move: these, and what proposals before do not bear out. values: (P,) what is to be
-            taken on: the record fitted from `said`, what is held where it stands. reasons: closed gates.
+            bool, those of which nothing may be said: these, and what proposals before do not bear out. values: (P,)
+            what the live twin takes on: the record fitted from `said`, what is held where it stands. reasons: closed
+            gates. adrift: whether the live twin is so far off that it takes on what is held, too: of two parameters
+            that a record does not tell apart neither can be believed, but both together read right.
         half_width: (Y,) K mean half widths of the outputs' 90 % intervals. condition: see `Calibration`.
         attention: (Q, 12), what each query looked at. evaluations: simulations and forward passes.
     """
@@ -67,6 +72,7 @@ class Proposal:
     condition: float
     attention: Array
     evaluations: int
+    adrift: bool = False
 
     @property
     def spread(self) -> Array:
@@ -86,6 +92,7 @@ class Proposal:
             "reasons": [str(r) for r in self.reasons],
             "half_width_K": self.half_width.tolist(),
             "condition": self.condition,
+            "adrift": self.adrift,
         }
 
 
@@ -154,7 +161,7 @@ class HieraUNetCalibrator:
         What only waits for the next proposal to say the same is no reason to leave the state where it is.
         """
         proposal = self.propose(window)
-        if proposal.closed.all():
+        if proposal.closed.all() and not proposal.adrift:
             return None
         values, _, _, end = self._taken_on(window, proposal)
         return values, end
@@ -185,31 +192,46 @@ class HieraUNetCalibrator:
         seen = self._evidently(past, ahead)
         alone = gates.reasons(seen, self.ids)
         closed = gates.held(alone, self.ids)
-        found = (*alone, *self._doubts(alone, said, ~closed))
-        held, values = gates.held(found, self.ids), deviations.values(said.theta, nominal)
         now = live[deviations.index]
-        took = taken(
-            self.features, ahead.frame, nominal, said.theta, said.theta_sd, held, deviations.theta(now, nominal)
-        )
+        own = deviations.theta(now, nominal)
+        found = (*alone, *self._doubts(alone, said, ~closed, own))
+        held, values = gates.held(found, self.ids), deviations.values(said.theta, nominal)
+        adrift = all(r.parameter for r in found) and self._adrift(ahead, own)
+        stays = held & (not adrift)
+        took = taken(self.features, ahead.frame, nominal, said.theta, said.theta_sd, stays, own)
         proposal = Proposal(
             time_s=self.history.last_s,
             said=values,
             sd=said.theta_sd * deviations.scaling(nominal).slope(values),
             closed=closed,
             held=held,
-            values=np.where(held, now, deviations.values(took.theta, nominal)),
+            values=np.where(stays, now, deviations.values(took.theta, nominal)),
             reasons=found,
             half_width=seen.half_width,
             condition=evidence.condition,
             attention=said.attention,
             evaluations=sum(e.evaluations for e in (past.evidence, evidence, took)) + 2 * len(self.ensemble.members),
+            adrift=adrift,
         )
         self._spread = seen.half_width / NORMAL90
         self.records.append(proposal.document(self.ids))
         self._untold.append(self.records[-1])
         return proposal
 
-    def _doubts(self, alone: tuple[Reason, ...], said: Said, allowed: np.ndarray) -> tuple[Reason, ...]:
+    def _adrift(self, ahead: _Reading, live: Array) -> bool:
+        """Whether the twin with deviations `live` (P,) is far off over the stretch that the latest fit explains."""
+        frame, found, last = ahead.frame, ahead.evidence, CONTEXT - TARGET
+        rows = slice(max(last - found.steps, frame.begin, last - LATEST), last)
+        squares = []
+        for theta in (live, found.theta):
+            full = self.features.deviations.full(theta, ahead.row.nominal[0])
+            stretch = slice(max(last - found.steps, frame.begin), last)
+            run = self.features.kernel.trace(full, found.start, frame.time[stretch], frame.held[stretch])[0][0]
+            left = _rms((frame.measured[stretch] - run)[-(rows.stop - rows.start) :] / step_noise(self.features))
+            squares.append(float(np.nanmean(left**2)) if np.isfinite(left).any() else 0.0)
+        return squares[0] > FAR_OFF * max(squares[1], 1.0)
+
+    def _doubts(self, alone: tuple[Reason, ...], said: Said, allowed: np.ndarray, live: Array) -> tuple[Reason, ...]:
         """Gates that close on what was proposed before; of a record that cannot be read nothing is remembered."""
         if any(r.code in gates.UNREADABLE for r in alone):
             self._spoken = ()
@@ -218,7 +240,7 @@ class HieraUNetCalibrator:
         now = Spoken(self.history.last_s, said.theta, half, allowed)
         before = agreement.lately(self._spoken, now.time_s)
         self._spoken = (*before, now)
-        return agreement.doubts(before, now, self.ids)
+        return agreement.doubts(before, now, live, self.ids)
 
     def _read(self, series: Series) -> _Reading:
         """What a fit and the members say of the window that ends with a series."""
@@ -226,7 +248,7 @@ class HieraUNetCalibrator:
         frame = self.features.frame(series, len(series), nominal)
         evidence = estimate(self.features, frame, nominal)
         frame = self.features.explained(frame, nominal, evidence.theta, evidence.steps)
-        row = one(frame, evidence, nominal)
+        row = one(self.features, frame, evidence, nominal)
         return _Reading(frame, evidence, row, self.ensemble.ask(row))
 
     def _evidently(self, past: _Reading, ahead: _Reading) -> Evidently:
@@ -317,7 +339,7 @@ def _rms(left: Array) -> Array:
     return np.where(count > 0, np.sqrt(squares.sum(axis=0) / np.maximum(count, 1)), np.nan)
 
 
-def one(frame: Frame, evidence: Evidence, nominal: Array) -> Windows:
+def one(features: Features, frame: Frame, evidence: Evidence, nominal: Array) -> Windows:
     """A window as a batch of one; truth, labels and what is not known of it are NaN."""
     count, sensors = len(evidence.theta), frame.target.shape[1]
     single = np.float32
@@ -326,7 +348,7 @@ def one(frame: Frame, evidence: Evidence, nominal: Array) -> Windows:
         m=frame.m[None],
         regime=frame.regime[None],
         clock=frame.clock[None].astype(single),
-        meta=np.concatenate([frame.figures, evidence.tokens()])[None].astype(single),
+        meta=np.concatenate([frame.figures, evidence.tokens(features.deviations)])[None].astype(single),
         target=frame.target[None].astype(single),
         truth=np.full((1, TARGET, sensors), np.nan, dtype=single),
         base=frame.base[None].astype(single),

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from twin.calibrators.hiera_unet.campaigns import Campaign, Label
-from twin.calibrators.hiera_unet.evidence import told_by_tokens
+from twin.calibrators.hiera_unet.evidence import fitted_by, tokens_of
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.series import Series
 from twin.calibrators.hiera_unet.windows import TARGET, Windows
 from twin.network import Array, Network, TwinFileError
 
-FORMAT = 1
+FORMAT = 2
 MANIFEST = "manifest.json"
 SPLITS = ("train", "conformal", "test")
 
@@ -62,7 +62,7 @@ def write_shard(path: Path, kept: Sequence[Kept]) -> str:
         arrays[f"extra_{name}"] = _stacked(list(lost))
     flat = [label for k in kept for label in k.labels]
     arrays["end"] = np.array([x.end for x in flat], dtype=np.int64)
-    for name in ("theta", "known", "tokens"):
+    for name in ("theta", "known", "fit"):
         arrays[f"label_{name}"] = np.stack([getattr(x, name) for x in flat])
     arrays["label_changed"] = np.array([x.changed for x in flat])
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -96,7 +96,7 @@ def read_shard(path: Path) -> list[Kept]:
         labels = tuple(
             Label(
                 int(a["end"][i]), a["label_theta"][i], a["label_known"][i], bool(a["label_changed"][i]),
-                a["label_tokens"][i],
+                a["label_fit"][i],
             )
             for i in own
         )  # fmt: skip
@@ -119,13 +119,13 @@ def windows_of(features: Features, kept: Iterable[Kept]) -> Windows:
 
 
 def _row(features: Features, campaign: Campaign, label: Label) -> Mapping[str, np.ndarray]:
-    theta, steps = told_by_tokens(label.tokens, len(features.deviations))
+    theta, steps = fitted_by(label.fit, len(features.deviations))
     bare = features.frame(campaign.series, label.end, campaign.nominal)
     frame = features.explained(bare, campaign.nominal, theta, steps)
     single = np.float32
     return {
         "x": frame.x.astype(single), "m": frame.m, "regime": frame.regime, "clock": frame.clock.astype(single),
-        "meta": np.concatenate([frame.figures, label.tokens]).astype(single),
+        "meta": np.concatenate([frame.figures, tokens_of(label.fit, features.deviations)]).astype(single),
         "target": frame.target.astype(single),
         "truth": campaign.truth[label.end - TARGET : label.end].astype(single),
         "base": frame.base.astype(single), "state": frame.state, "inputs": frame.held[-TARGET:],

@@ -20,8 +20,9 @@ from twin.calibrators.hiera_unet import losses
 from twin.calibrators.hiera_unet.balance import Balance
 from twin.calibrators.hiera_unet.batches import Batch, Simulate
 from twin.calibrators.hiera_unet.config import Config, HieraError
+from twin.calibrators.hiera_unet.heads import evidence_of
 from twin.calibrators.hiera_unet.hiding import hide
-from twin.calibrators.hiera_unet.network import HieraUNet, Prediction, decayed, evidence_of
+from twin.calibrators.hiera_unet.network import HieraUNet, Prediction, decayed
 from twin.calibrators.hiera_unet.plan import Plan
 from twin.calibrators.hiera_unet.sampling import Sampler
 from twin.calibrators.hiera_unet.windows import Windows
@@ -119,7 +120,7 @@ class Trainer:
         # fill the clipped gradient, and corrections would not be learned.
         theta = w.through * p.theta + (1.0 - w.through) * p.theta.detach()
         moved = batch.base if structural else self.physics.simulate(theta, batch.rows)
-        twin = moved if given is None else self.physics.simulate(given, batch.rows)
+        twin = moved if given is None else self.physics.simulate(given.fit, batch.rows)
         error = twin + p.delta - batch.goal
         price, slow = losses.correction_price(p.delta, tolerances)
         parts = {"data": losses.data_loss(error, tolerances), "delta": price}
