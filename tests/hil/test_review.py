@@ -29,9 +29,11 @@ from hil.review import (
     write_review,
 )
 from hil.review import show as show_module
+from hil.review.beside import told
 from hil.review.looks import path
 from hil.review.plan import make_plan
 from hil.review.viewer import HOST, _free_port, binary, listens
+from hil.tracking import Proposed
 from tests.hil.synthetic_journal import COMMISSIONED, SENSORS, Truth, make, put_ticks, write
 
 TICKS = 2000
@@ -111,6 +113,16 @@ def test_bands_and_proposals_equal_the_journal(truth: Truth, journal: Path, rrd:
     words = [text or "" for _, text in read_words(rrd, "/proposals/pso")]
     assert words[0] == "SHORT_RECORD: withheld: all held"
     assert all(text.startswith("takes on ") and "LOW_SENSITIVITY holds " in text for text in words[1:])
+
+
+def test_a_proposal_of_a_twin_that_is_far_off_says_so() -> None:
+    document = {
+        "values": {"fan": 2.0, "loss": 1.0}, "standard_errors": {"fan": 0.1, "loss": 0.1},
+        "held": {"loss": "LOW_SENSITIVITY"}, "reasons": ["LOW_SENSITIVITY: the record does not tell loss: held"],
+    }  # fmt: skip
+    still, adrift = (told(Proposed("pso", 9.0, {**document, "adrift": far})) for far in (False, True))
+    assert "LOW_SENSITIVITY holds loss" in still and "far off" not in still
+    assert adrift == f"{still}; the live twin is far off, and takes on what is held too"
 
 
 def test_stamps_are_kept_to_the_nanosecond(tmp_path: Path) -> None:

@@ -220,15 +220,10 @@ class HieraUNetCalibrator:
         return proposal
 
     def _adrift(self, ahead: _Reading, live: Array) -> bool:
-        """Whether the twin with deviations `live` (P,) is far off over the stretch that the latest fit explains."""
-        frame, found, last = ahead.frame, ahead.evidence, CONTEXT - TARGET
-        rows = slice(max(last - found.steps, frame.begin, last - LATEST), last)
-        squares = []
-        for theta in (live, found.theta):
-            full = self.features.deviations.full(theta, ahead.row.nominal[0])
-            stretch = slice(max(last - found.steps, frame.begin), last)
-            run = self.features.kernel.trace(full, found.start, frame.time[stretch], frame.held[stretch])[0][0]
-            left = _rms((frame.measured[stretch] - run)[-(rows.stop - rows.start) :] / step_noise(self.features))
+        """Whether the twin with deviations `live` (P,) is far off the latest minutes that the latest fit explains."""
+        noise, squares = step_noise(self.features), []
+        for theta in (live, ahead.evidence.theta):
+            left = _rms(self._misses(ahead, theta)[-LATEST:] / noise)
             squares.append(float(np.nanmean(left**2)) if np.isfinite(left).any() else 0.0)
         return squares[0] > FAR_OFF * max(squares[1], 1.0)
 
@@ -283,11 +278,15 @@ class HieraUNetCalibrator:
 
     def _left(self, ahead: _Reading) -> Array:
         """What a fit of the latest stretch leaves of it (Y,), root mean square, K; of ten minutes at most."""
+        return _rms(self._misses(ahead, ahead.evidence.theta)[-TARGET:])
+
+    def _misses(self, ahead: _Reading, theta: Array) -> Array:
+        """Measured less what deviations (P,) make of the latest stretch that was fitted (n, Y), K."""
         frame, found, last = ahead.frame, ahead.evidence, CONTEXT - TARGET
         rows = slice(max(last - found.steps, frame.begin), last)
-        full = self.features.deviations.full(found.theta, ahead.row.nominal[0])
-        fitted = self.features.kernel.trace(full, found.start, frame.time[rows], frame.held[rows])[0][0]
-        return _rms((frame.measured[rows] - fitted)[-TARGET:])
+        full = self.features.deviations.full(theta, ahead.row.nominal[0])
+        run = self.features.kernel.trace(full, found.start, frame.time[rows], frame.held[rows])[0][0]
+        return np.asarray(frame.measured[rows] - run)
 
     def _taken_on(self, window: Window, proposal: Proposal) -> tuple[Array, Array, Array, Array]:
         """The window with what is not held: values (q,), state at its start, readings (n, m), state at its end."""
