@@ -17,7 +17,8 @@ from twin.network import Array, Network, TwinFileError
 from twin.stretches import parts, stretches
 
 BIN_S = 10.0
-LEAST_BINS = 120
+MOST_BINS = 10_800
+"""Bins beyond which they are made twice as long, or more: what is told of days is told by blocks of minutes."""
 
 
 class TooShortError(TwinFileError):
@@ -58,7 +59,7 @@ class Grid:
 def on_grid(
     network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike, least_s: float = BIN_S
 ) -> Grid:
-    """Means over bins of `least_s`, or of the record's own step where that is longer.
+    """Means over bins of `least_s`, or of the record's own step where that is longer; of a record of days, of several.
 
     Args:
         time_s: (N,) s. inputs: (N, c); in a gap temperatures follow a straight line, all else holds. measured: (N, m)
@@ -74,6 +75,7 @@ def on_grid(
         raise TooShortError("the record has fewer than two samples; diagnosis needs at least two windows of data")
     period = float(np.median(np.diff(t)))
     step = max(least_s, period)
+    step *= max(np.ceil((t[-1] - t[0]) / step / MOST_BINS), 1.0)
     bins = int(np.floor((t[-1] - t[0]) / step + 1e-9)) + 1
     if bins * step < 2.0 * network.rules.window_s:
         raise TooShortError(

@@ -14,11 +14,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from twin.discovery.diagnosis import SensorError
-from twin.discovery.refit.fitting import Fit, fit
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection.part import Part
+from twin.discovery.selection.part import Part, fitted
 from twin.discovery.selection.ranking import Finding, rank
 from twin.gauss_newton import SE90
 from twin.network import Network
@@ -88,11 +87,7 @@ def first_alone(finding: Finding, part: Part) -> Finding:
     for entry in part.entries:
         if len(singles) < FITTED:
             singles.setdefault(entry.candidate.id, entry)
-    trials: list[tuple[Fit, tuple[Entry, ...]]] = []
-    for entry in singles.values():
-        part.reset()
-        trials.append((fit(part.contest, Model.of(part.basis.probe, (entry,)), part.state), (entry,)))
-    order = rank(trials, part.contest, finding.start)
+    order = rank(fitted(part, [(entry,) for entry in singles.values()]), part.contest, finding.start)
     best = order[0].fit
     part.reset()
     folds = validate(part.contest, Model.of(part.basis.probe, best.entries), best)

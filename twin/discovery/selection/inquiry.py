@@ -42,6 +42,8 @@ may stay that brings the tunables back to where commissioning had them, and so m
 WELL_SEEN, KEPT = LAST_SHARE - 0.01, 6
 """Share of a part within which a search looks for an onset wherever the part's blocks may end, and bins that no fit
 sees even so."""
+MORE = 1.1
+"""Times a score, beyond what a longer record makes of it, from which the part held out shows more than the rest did."""
 LATE = 0.85
 """Share of the part that a fit sees, beyond which an onset leaves it too little of what follows."""
 
@@ -118,7 +120,9 @@ class Inquiry:
         found = self._with_lesser(found)
         near = _near(found.finding) and not found.finding.formed
         beside = _beside(self.whole, found.finding) if near else None
-        more = beside is not None and beside.z > found.finding.ladder[-1].best_z
+        # What is there all along scores more the longer a record is.
+        usual = MORE * np.sqrt(bins / found.split) * found.finding.ladder[-1].best_z
+        more = beside is not None and beside.z > usual
         if beside is not None and more and (later := max(most, self._amid(beside))) > found.split:
             fuller = self._with_lesser(self._searched(self._train(later), later, found.doubted))
             if self._is_better(fuller, found):
@@ -193,9 +197,12 @@ class Inquiry:
         return finding
 
     def _with_lesser(self, found: Answer) -> Answer:
-        """The answer, with what wins little beside it where that foretells."""
+        """The answer, with what wins little beside it where that foretells.
+
+        Without a healthy record it is not asked: there, what wins little is of the first effect's form (`caution`).
+        """
         finding, train = found.finding, found.train
-        if finding.fit is None or finding.beside is None or found.doubted:
+        if self.known.plain is None or finding.fit is None or finding.beside is None or found.doubted:
             return found
         if all_told(finding.fit, finding.contest) or _of_form(finding.beside, finding.entries):
             return found
