@@ -282,7 +282,7 @@ class LiveDiagnosis:
         self._child = Child(_serve, self._config, "diagnosis")
         self._child.listen(self._receive)
         if self._config.healthy is None:
-            self._event("WARN", "diagnosis: no --healthy record, so small effects are not seen")
+            self._event("WARN", "diagnosis: no healthy record, so small effects are not seen")
 
     def _event(self, level: str, text: str) -> None:
         self._journal.event(self._tick, self._time_s, level, text)

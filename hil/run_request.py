@@ -110,7 +110,7 @@ def prepare(request: RunRequest) -> Prepared:
     if request.effects is not None:
         notes = [*notes, *_check_effects(request.effects, profile)]
     if request.diagnose_s is not None:
-        notes = [*notes, *_check_diagnosis(request, network)]
+        notes = [*notes, *_check_diagnosis(request, twin, network)]
     return Prepared(rig, profile, twin, network, tuple(notes))
 
 
@@ -171,16 +171,21 @@ def chosen(calibrators: tuple[str, ...] | None, card: Path | None) -> tuple[tupl
     return names, tuple(name for name in DEFAULT[1:] if card is None or name in FITTING)
 
 
-def _check_diagnosis(request: RunRequest, network: Network | None) -> list[str]:
+def _check_diagnosis(request: RunRequest, twin: Path | None, network: Network | None) -> list[str]:
     """Remarks on a diagnosis that is asked for; raises ConfigurationError or RecordError."""
-    if network is None:
+    if network is None or twin is None:
         raise ConfigurationError("--diagnose asks why a twin is wrong, and this run has none; take --no-twin out")
-    if request.healthy is None:
-        return ["--diagnose without --healthy takes the noise floor from the run itself: small effects are not seen"]
+    from hil.commissioned import commissioned_on
     from hil.diagnosing import read_columns
 
-    read_columns(network, request.healthy, None)
-    return []
+    if request.healthy is not None:
+        read_columns(network, request.healthy, None)
+        return []
+    kept = commissioned_on(twin)
+    if kept.path is not None:
+        return []
+    none = "--diagnose without --healthy takes the noise floor from the run itself: small effects are not seen"
+    return [kept.why, none] if kept.why else [none]
 
 
 def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:

@@ -14,6 +14,7 @@ from drivers.rig import RigConnection
 from drivers.rig_model import Rig
 from hil import adoption
 from hil.adoption import Adoption
+from hil.commissioned import commissioned_on, copy_record
 from hil.control import serving
 from hil.engine import Engine, Outcome, Status
 from hil.journal import Header, JournalReader, JournalWriter
@@ -81,6 +82,7 @@ async def run_session(
         folder.write_manifest(manifest)
         if ready.twin is not None:
             folder.keep_twin([entry.path for entry in chain(ready.twin)])
+            copy_record(ready.twin, folder.path)
         return await _guarded(_Run(folder, manifest, request, ready, claim, tracking, observer, announce))
 
 
@@ -332,7 +334,8 @@ def _start_diagnosis(
 ) -> LiveDiagnosis | None:
     if request.diagnose_s is None:
         return None
-    config = LiveConfig(folder.twin, folder.journal, request.healthy, request.diagnose_s, request.adopt)
+    healthy = request.healthy or commissioned_on(folder.twin).path
+    config = LiveConfig(folder.twin, folder.journal, healthy, request.diagnose_s, request.adopt)
     live = LiveDiagnosis(config, journal, announce)
     live.start()
     return live

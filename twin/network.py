@@ -73,6 +73,8 @@ class Revision:
         window_s: the part of the record that was fitted. held_out_s: the part, never fitted, that the errors are of.
         error_before_K, error_after_K: sensor -> RMSE of a free run in K.
         error_fitted_K: the same of the part that was fitted.
+        record: SHA-256 of the file with the healthy record that it was commissioned on, "" where none was kept;
+            ``record_file`` is its name beside the twin file.
         effects: what was added or altered, one phrase each. evidence: why, in one sentence.
         checksum: SHA-256 of the file's text without this line; entered by `twin.twinfile.save`.
     """
@@ -89,6 +91,8 @@ class Revision:
     evidence: str = ""
     parent_file: str = ""
     error_fitted_K: Mapping[str, float] = field(default_factory=dict)
+    record: str = ""
+    record_file: str = ""
     checksum: str = field(default="", compare=False)
 
 

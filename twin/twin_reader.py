@@ -283,7 +283,7 @@ class Reader:
         if isinstance(number, bool) or not isinstance(number, int) or number < 0:
             self.fail((*keys, "number"), f"must be a whole number from 0 on, not {number!r}")
         values: dict[str, Any] = {"number": number}
-        for key in ("parent", "made_by", "evidence", "parent_file", "checksum"):
+        for key in ("parent", "made_by", "evidence", "parent_file", "record", "record_file", "checksum"):
             values[key] = self.string(table.get(key, ""), (*keys, key))
         for key in ("notes", "effects"):
             sentences = table.get(key, [])

@@ -36,7 +36,7 @@ COMMISSIONING_SEED = 77
 @dataclass(frozen=True, slots=True)
 class Size:
     """How much is tried: numbers of cases, of further healthy records and of further ones with two effects, length in
-    h, with or without the wires."""
+    h, with or without the wires, and whether the diagnosis is given the healthy records."""
 
     cases: tuple[int, ...]
     healthy: tuple[int, ...]
@@ -45,6 +45,7 @@ class Size:
     twin: str = "loop"
     ablations: bool = True
     doubles: tuple[int, ...] = ()
+    known_healthy: bool = True
 
     @property
     def jobs(self) -> tuple[tuple[str, int], ...]:
@@ -72,7 +73,7 @@ class Trial:
         twin_key = sources(PROJECT / "twin", [PROJECT / "profiles" / "twins" / f"{size.twin}.toml"])
         base = work / f"{how}-{size.twin}-{size.hours:g}h-seed{seed}-rig{rig_key}"
         self._rigs = base / "rigs"
-        self._base = base / f"engine{twin_key}"
+        self._base = base / (f"engine{twin_key}" + ("" if size.known_healthy else "-alone"))
         self._sealed, self._open = self._base / "sealed", self._base / "open"
         for folder in (self._rigs, self._sealed, self._open):
             folder.mkdir(parents=True, exist_ok=True)
@@ -104,7 +105,12 @@ class Trial:
             else:
                 sealed = self._over_the_wire(case, record, asked)
             self._ledger.write(name, "sealed", sealed)
-            given = {"record": str(record), "twin": str(twin), "healthy": str(good), "hour": HOUR}
+            given = {
+                "record": str(record),
+                "twin": str(twin),
+                "healthy": str(good) if self.size.known_healthy else "",
+                "hour": HOUR,
+            }
             try:
                 handed_in = self._answerer.ask(**given, out=str(folder))
                 path, took = Path(handed_in["answer"]), (float(handed_in["seconds"]), float(handed_in["cpu_s"]))
@@ -121,7 +127,10 @@ class Trial:
                     made = str(record) if self.size.direct else ""
                     shown = self._injector.ask(do="without", record=made, folder=str(folder), **asked)["records"]
                     ablation = self._ablation.ask(
-                        **given, effects=hidden["effects"], labels=hidden["labels"], records=shown
+                        **{**given, "healthy": str(good)},
+                        effects=hidden["effects"],
+                        labels=hidden["labels"],
+                        records=shown,
                     )
                 except WorkerError as error:
                     ablation = {"failed": str(error), "linear": [], "raw": []}

@@ -1,4 +1,4 @@
-"""The side that does not know: a record, a twin and a healthy record in, `diagnosis.json` out.
+"""The side that does not know: a record, a twin and a healthy record (or none) in, `diagnosis.json` out.
 
 python -m hil.bench.discovery_answerer
 """
@@ -21,7 +21,7 @@ def answer(request: Request) -> Request:
     began, used = time.monotonic(), time.process_time()
     network = with_clock(load(Path(request["twin"])))
     record, _ = read_columns(network, Path(request["record"]), request["hour"])
-    healthy, _ = read_columns(network, Path(request["healthy"]), request["hour"])
+    healthy = read_columns(network, Path(request["healthy"]), request["hour"])[0] if request["healthy"] else None
     diagnosis = diagnose(network, record, healthy)
     path = write_document(diagnosis.document(), Path(request["out"]))
     return {"answer": str(path), "seconds": time.monotonic() - began, "cpu_s": time.process_time() - used}

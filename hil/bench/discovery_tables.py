@@ -42,7 +42,8 @@ def _how(size: Size) -> str:
         if size.direct
         else "replayed by the loop of `hil run` over Modbus and CAN"
     )
-    return f"records of {size.hours:g} h, {wires}; twin {size.twin}.toml, commissioned on ten healthy hours"
+    kept = "" if size.known_healthy else ", which the diagnosis is not given"
+    return f"records of {size.hours:g} h, {wires}; twin {size.twin}.toml, commissioned on ten healthy hours{kept}"
 
 
 def _share(name: str, hits: int, of: int) -> tuple[Cell, ...]:
@@ -268,5 +269,5 @@ def _failures(done: Sequence[Finished], size: Size) -> Table:
     columns = ("case", "failure", "truth", "load", "verdict", "answer", "z", "z of the truth", "confidence")
     how = "direct" if size.direct else "wire"
     named = "--case NUMBER, --healthy-case NUMBER or --double-case NUMBER"
-    again = f"one again: --{how} --hours {size.hours:g} --twin {size.twin} {named}"
+    again = f"one again: --{how} --hours {size.hours:g} --twin {size.twin} {'' if size.known_healthy else '--no-healthy '}{named}"
     return Table("failures", "Failures", columns, tuple(rows), (again,))

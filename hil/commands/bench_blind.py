@@ -99,6 +99,7 @@ def ablations_command(data: Path, name: str, minutes: float, seed: int, out: Pat
 @click.option(
     "--records", is_flag=True, help="Public records ($HIL_DATA) from twins that lack most, in place of the trial."
 )
+@click.option("--no-healthy", is_flag=True, help="Keep the healthy records from the diagnosis.")
 @click.option("--no-ablations", is_flag=True, help="Leave out the comparison with parts of the method left out.")
 @click.option(
     "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/discovery"),
@@ -120,6 +121,7 @@ def discovery_command(
     direct: bool,
     twin: str,
     records: bool,
+    no_healthy: bool,
     no_ablations: bool,
     work: Path,
     quick: bool,
@@ -150,7 +152,7 @@ def discovery_command(
     numbers = only if alone else tuple(range(12 if quick else cases))
     further = only_healthy if alone else tuple(range(healthy))
     pairs = only_doubles if alone else tuple(range(doubles))
-    size = discovery.Size(numbers, further, hours, direct, twin, not no_ablations, pairs)
+    size = discovery.Size(numbers, further, hours, direct, twin, not no_ablations, pairs, not no_healthy)
     with Steps("diagnosing", 1.0, quiet=as_json) as steps:
         done = discovery.measure(size, seed, work, steps.update)
     finish("discovery", seed, tables(done, size), discovery.left_out(), out, as_json)

@@ -31,6 +31,8 @@ def command(
 ) -> None:
     """Fit the tunables of a twin to RECORD, a healthy one, and write them as a new revision.
 
+    What the twin reads of RECORD is kept beside it, as <OUT>.healthy.parquet: `hil diagnose` asks it what is usual.
+
     A fifth of the record, its end unless that alone shows some pump or fan speed, is kept out of the fit; errors before
     and after are of a free run over it.
 
@@ -40,17 +42,19 @@ def command(
       hil commission commissioning.parquet --datasheet datasheet.json --out my_twin.toml
       hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
+    from hil.commissioned import beside, save_with_record
     from hil.record import read_record
     from hil.record_units import beyond_declared
     from twin.commission import commission
     from twin.datasheet import from_datasheet
     from twin.network import TwinFileError
-    from twin.twinfile import load, save
+    from twin.twinfile import load
 
     if twin is None and datasheet is None:
         raise click.UsageError("give --twin, --datasheet or both: what the fit starts from")
-    if out.exists():
-        raise click.UsageError(f"{out} exists already; a twin is never overwritten, give --out another name")
+    for path in (out, beside(out)):
+        if path.exists():
+            raise click.UsageError(f"{path} exists already; a twin is never overwritten, give --out another name")
     network = from_datasheet(datasheet, twin) if datasheet is not None else load(twin or "")
     data = read_record(record)
     data.require(*network.input_columns)
@@ -62,16 +66,17 @@ def command(
         network, data.time_s, inputs, measured,
         seed=seed, initial_sd=initial_sd, made_by=f"hil commission {record.name}",
     )  # fmt: skip
-    save(result.network, out)
+    kept = save_with_record(result.network, data, out)
     if as_json:
-        click.echo(json.dumps(_document(result, out), indent=1))
+        click.echo(json.dumps(_document(result, out, kept), indent=1))
         return
-    _show(result, (*data.messages, *beyond_declared(network, data.columns)), out)
+    _show(result, (*data.messages, *beyond_declared(network, data.columns)), out, kept)
 
 
-def _document(result: Commission, out: Path) -> dict[str, object]:
+def _document(result: Commission, out: Path, kept: Path) -> dict[str, object]:
     return {
         "twin": str(out),
+        "healthy": str(kept),
         "values": dict(result.values),
         "interval90": {name: list(interval) for name, interval in result.interval90.items()},
         "cannot_tell": list(result.cannot_tell),
@@ -87,7 +92,7 @@ def _known(error: float) -> float | None:
     return error if isfinite(error) else None
 
 
-def _show(result: Commission, messages: tuple[str, ...], out: Path) -> None:
+def _show(result: Commission, messages: tuple[str, ...], out: Path, kept: Path) -> None:
     from rich.table import Table
 
     from hil.record_time import span
@@ -123,4 +128,4 @@ def _show(result: Commission, messages: tuple[str, ...], out: Path) -> None:
         to.print(f"without a reading there, so not in the table: {', '.join(unread)}", soft_wrap=True)
     for note in result.notes:
         to.print(note)
-    to.print(f"written: {out}", soft_wrap=True)
+    to.print(f"written: {out}, and beside it the record for later: {kept.name}", soft_wrap=True)

@@ -29,7 +29,10 @@ STEPS = 6.0
 @click.command()
 @click.argument("target", type=INPUT_PATH, metavar="RUN|RECORD")
 @click.option("--twin", type=INPUT_FILE, help="Twin file; of a run, the one that it ran with.")
-@click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, the one it was commissioned on.")
+@click.option(
+    "--healthy", type=INPUT_FILE, help="Record of the rig in good order; by default the one that the twin kept."
+)
+@click.option("--no-healthy", is_flag=True, help="Take the noise floor from RECORD alone.")
 @click.option("--with", "more", type=INPUT_FILE, multiple=True, help="A later record of the rig; may be repeated.")
 @click.option(
     "--at-rest",
@@ -54,6 +57,7 @@ def command(
     target: Path,
     twin: Path | None,
     healthy: Path | None,
+    no_healthy: bool,
     more: tuple[Path, ...],
     at_rest: bool,
     rig: Path | None,
@@ -71,20 +75,22 @@ def command(
     Writes diagnosis.json, a page with pictures, and a new revision of the twin beside the old one. Exit code 0 where
     the twin is adequate, 1 where something was found.
 
-    Without --healthy a commissioned twin is held against what its file says of its commissioning. A twin that never was
+    What is usual is told by the healthy record that `hil commission` kept beside the twin, or by --healthy; without
+    either a commissioned twin is held against what its file says of its commissioning. A twin that never was
     commissioned is grown instead, on records of up to 4000 samples and on steady states (--at-rest): effects that are
     there from the beginning are added, in sets, in the order in which the record asks for them.
 
     \b
     Example:
-      hil diagnose runs/<a run> --healthy runs/<a healthy run>/record.parquet
-      hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet
-      hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet --with experiment.parquet
+      hil diagnose runs/<a run>
+      hil diagnose campaign.parquet --twin my_twin.toml --healthy runs/<a healthy run>/record.parquet
+      hil diagnose campaign.parquet --twin my_twin.toml --with experiment.parquet
       hil diagnose short_test.csv --twin first_guess.toml --with another_test.csv
       hil diagnose operating_points.csv --at-rest --twin first_guess.toml
-      hil diagnose my_load.csv --forecast --twin my_twin.toml --healthy commissioning.parquet
-      hil diagnose campaign.parquet --twin my_twin.toml --healthy commissioning.parquet --bootstrap 40
+      hil diagnose my_load.csv --forecast --twin my_twin.toml
+      hil diagnose campaign.parquet --twin my_twin.toml --bootstrap 40
     """
+    from hil.commissioned import Kept, commissioned_on
     from hil.diagnosing import (
         answer,
         clock_beside,
@@ -109,11 +115,15 @@ def command(
 
     if at_rest and (healthy or more or forecast):
         raise click.UsageError("--at-rest goes without --healthy, --with and --forecast; put all states into one file")
-    if bootstrap and not healthy:
-        raise click.UsageError("--bootstrap draws records like the healthy one: give it with --healthy")
+    if healthy and no_healthy:
+        raise click.UsageError("--no-healthy goes without --healthy: there is one or there is none")
     began = time.monotonic()
     subject = subject_of(target, twin, out)
     network = load(subject.twin)
+    named, kept = healthy, Kept() if healthy or no_healthy or at_rest else commissioned_on(subject.twin)
+    healthy = healthy or kept.path
+    if bootstrap and not healthy:
+        raise click.UsageError("--bootstrap draws records like the healthy one: give it with --healthy")
     hour = clock_of(clock) if clock else clock_beside(subject.record)
     told = with_clock(network) if hour is not None and not at_rest else network
     good = read_healthy(told, subject.twin, healthy, hour) if healthy else None
@@ -131,7 +141,7 @@ def command(
     later = further_columns(told, more, hour)
     stages = 0
     with Steps("diagnosing", STEPS, quiet=as_json) as steps:
-        for message in messages:
+        for message in (*((kept.why,) if kept.why else ()), *messages):
             steps.say(message)
 
         def say(what: str) -> None:
@@ -171,9 +181,7 @@ def command(
         _show(to, diagnosis)
         if planned:
             to.print(f"run it: {invocation()} run {planned}", soft_wrap=True)
-            again = f"{invocation()} diagnose {target} --twin {subject.twin}" + (
-                f" --healthy {healthy}" if healthy else ""
-            )
+            again = f"{invocation()} diagnose {target} --twin {subject.twin}" + (f" --healthy {named}" if named else "")
             before = "".join(f" --with {path}" for path in more)
             to.print(f"then:   {again}{before} --with <the new run>/record.parquet", soft_wrap=True)
         if diagnosis.empirical is not None:

@@ -12,7 +12,7 @@ from twin.discovery.diagnosis import Course, Fold, SensorError
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
-from twin.discovery.selection.caution import unconfirmed
+from twin.discovery.selection.caution import as_under_another_load, imagined, unconfirmed
 from twin.discovery.selection.ladder import search
 from twin.discovery.selection.part import Part
 from twin.discovery.selection.ranking import Finding, unusual
@@ -96,3 +96,31 @@ def test_sizes_far_beyond_the_typical_have_to_win_more(weak: Finding) -> None:
     assert unusual((replace(entry, size=typical),)) < 0.01
     assert unusual((replace(entry, size=70.0 * typical),)) == pytest.approx(12.25)
     assert unusual((replace(entry, size=1e6 * typical), entry)) < 20.1
+
+
+def test_a_commissioned_twin_may_leave_more_of_a_rig_that_moves_more(bench: Bench) -> None:
+    """In squares beyond the thermometers' own noise: twice that of 0.08 K is well within, three times is not."""
+    revision = replace(bench.network.revision, error_after_K={"T_tank_C": float(np.hypot(0.05, 0.08))})
+    known = replace(bench.network, revision=revision)
+
+    def left(structure_K: float) -> dict[str, SensorError]:
+        before = float(np.hypot(0.05, structure_K))
+        return {"T_tank_C": SensorError(before, before, before, 0.05)}
+
+    assert as_under_another_load(known, left(0.16))
+    assert not as_under_another_load(known, left(0.24))
+    assert not as_under_another_load(bench.network, left(0.16))  # nothing is known of its commissioning
+
+
+def test_an_effect_has_to_be_right_about_what_it_changes() -> None:
+    assert imagined(gained=-0.02, apart=0.2)
+    assert not imagined(gained=0.19, apart=0.2)
+    assert not imagined(gained=0.0, apart=0.05)  # too little changes there to tell
+
+
+def test_nothing_is_searched_for_in_a_twin_that_is_as_good_as_when_commissioned(bench: Bench) -> None:
+    revision = replace(bench.network.revision, error_after_K={s.name: 1e-3 for s in bench.network.sensors}, number=1)
+    network = replace(bench.network, revision=revision)
+    heard: list[str] = []
+    assert diagnose(network, bench.record(16.0, seed=9), say=heard.append).verdict == "adequate"
+    assert "re-tuning" in heard and not [what for what in heard if what.startswith("fitting")]

@@ -214,6 +214,15 @@ def test_too_little_and_nothing_at_all_are_refused_in_a_sentence(bench: Bench) -
         on_grid(bench.network, long.time_s, long.inputs, np.full_like(long.measured, np.nan))
 
 
+def test_days_are_looked_at_in_longer_bins(bench: Bench) -> None:
+    """As many as a day and a quarter has, with the noise of their means."""
+    for hours, step_s in ((16.0, 10.0), (40.0, 20.0)):
+        record = bench.record(hours)
+        grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+        assert grid.step_s == step_s and grid.span_s == pytest.approx(hours * 3600.0, abs=step_s)
+        assert grid.sigma == pytest.approx(bench.network.sigma / np.sqrt(step_s / 5.0))
+
+
 def test_a_stream_and_heat_share_a_place_unless_they_begin_together(bench: Bench) -> None:
     known = {(c.kind, c.where, c.driver): c for c in catalogue(bench.network)}
 

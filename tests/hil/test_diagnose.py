@@ -50,11 +50,10 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_undeclared_heat_is_found_added_and_the_twin_is_right_again(runs: dict[str, Path]) -> None:
     record, twin = runs["heated"] / "record.parquet", runs["twin"]
     out = runs["place"] / "found"
-    done = hil(
-        "diagnose", record, "--twin", twin, "--healthy", runs["healthy"] / "record.parquet", "--out", out, "--json"
-    )
+    done = hil("diagnose", record, "--twin", twin, "--out", out, "--json")
     assert done.returncode == 1, done.stderr  # something was found
     printed = json.loads(done.stdout)
+    assert printed["healthy"] == str(twin.with_name("rig.healthy.parquet"))  # kept by the commissioning
     assert printed["verdict"] == "effect found"
     (effect,) = printed["effects"]
     assert (effect["kind"], effect["where"], effect["driver"]) == ("heat_source", "modules", "constant")
@@ -74,10 +73,7 @@ def test_undeclared_heat_is_found_added_and_the_twin_is_right_again(runs: dict[s
     off = np.sqrt(np.nanmean((run - measured[begin:])[1800:] ** 2, axis=0))
     assert (off < 2.0 * revised.sigma).all()
     # It may be asked again, with the same healthy record: the rig was not as it is now before the heat came.
-    again = hil(
-        "diagnose", record, "--twin", twin.with_name("rig.r2.toml"), "--healthy",
-        runs["healthy"] / "record.parquet", "--dry", "--json",
-    )  # fmt: skip
+    again = hil("diagnose", record, "--twin", twin.with_name("rig.r2.toml"), "--dry", "--json")
     assert again.returncode == 1, again.stderr
     (effect,) = json.loads(again.stdout)["effects"]
     assert (effect["kind"], effect["where"], effect["onset_s"]) == ("unknown", "modules", 0.0)

@@ -20,7 +20,15 @@ from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.readings import Stuck, stuck
 from twin.discovery.records.standstill import Standstill, standstill
 from twin.discovery.scoring.contest import Contest, block_edges
-from twin.discovery.selection.caution import as_commissioned, first_alone, nothing, retuned_alone, unconfirmed
+from twin.discovery.selection.caution import (
+    as_commissioned,
+    as_under_another_load,
+    first_alone,
+    imagined,
+    nothing,
+    retuned_alone,
+    unconfirmed,
+)
 from twin.discovery.selection.held_out import binned
 from twin.discovery.selection.inquiry import Inquiry
 from twin.discovery.selection.ladder import weighed
@@ -97,13 +105,17 @@ def diagnose(
         notes += decided
     off = on_unseen(finding)
     good_as_ever = healthy is None and as_commissioned(network, off)
-    if good_as_ever or (finding.fit is not None and not more and unconfirmed(finding, off)):
+    doubtful = finding.fit is not None and not more and unconfirmed(finding, off)
+    if healthy is None and finding.fit is not None and not more:
+        doubtful = doubtful or imagined(*inquiry.foretold(finding, split))
+    if good_as_ever or doubtful:
         finding = nothing(finding)
         off = retuned_alone(off)
     elif healthy is None and finding.fit is not None and not more:
         finding = first_alone(finding, answer.train)
         off = on_unseen(finding)
     if finding.fit is None:
+        good_as_ever = good_as_ever or (healthy is None and as_under_another_load(network, off))
         notes += _hidden(whole, known)
         unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
         notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []

@@ -34,8 +34,8 @@ from twin.discovery.thermometers.members import apart
 from twin.network import Array, Network
 
 _USUAL = (
-    "re-tuned, the twin is as good on the part that no fit saw as when it was commissioned; whether what it left as it "
-    "was means anything, only a healthy record could tell"
+    "re-tuned, the twin is off on the part that no fit saw by no more than one as good as when it was commissioned may "
+    "be under another load; whether what it left as it was means anything, only a healthy record could tell"
 )
 
 

@@ -14,6 +14,8 @@ from twin.discovery.selection.held_out import MUCH_WORSE, worse
 if TYPE_CHECKING:
     from twin.discovery.selection.ranking import Finding
 
+RETUNED = 1.5
+"""Times the error of the re-tuned twin that the commissioned one has, where the one is told beside the other."""
 _DRIVEN = {"threshold": "a temperature that switches it"}
 
 
@@ -41,10 +43,14 @@ def summarise(
     if verdict == "adequate":
         best = finding.ladder[0].best_z
         tried = ", which was not confirmed" if best >= finding.threshold else ""
+        stale = max(errors, key=lambda n: errors[n].stale / errors[n].noise) if errors else ""
+        moved = bool(stale) and errors[stale].stale > RETUNED * errors[stale].before
+        off = f" On the part that no fit saw, {stale} is off by {errors[stale].stale:.2g} K" if moved else ""
         return (
-            "The twin is adequate: nothing in this record asks for an effect that it lacks "
-            f"(best score {best:.1f}{tried}; noise alone reaches {finding.threshold:.1f} in one record of a hundred)."
-        )
+            f"{'Re-tuned, the' if moved else 'The'} twin is adequate: nothing in this record asks for an effect that "
+            f"it lacks (best score {best:.1f}{tried}; noise alone reaches {finding.threshold:.1f} in one record of a "
+            "hundred)."
+        ) + (f"{off}, re-tuned by {errors[stale].before:.2g} K." if moved else "")
     worst = max(errors, key=lambda n: errors[n].before / errors[n].noise) if errors else ""
     fit_text = ""
     if worst and finding.fit is not None:

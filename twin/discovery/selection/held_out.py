@@ -94,6 +94,21 @@ class HeldOut:
         off = np.array([_rms(self._off(run, split, j)) for j in range(len(self.network.sensors))])
         return float(np.nansum((off / np.maximum(self.network.sigma, self._usual(finding, split))) ** 2))
 
+    def foretold(self, finding: Finding, split: int) -> tuple[float, float]:
+        """From bin `split` on, by how much an answer is nearer than re-tuning alone, and how far apart the two are.
+
+        Mean squares of all sensors together, in those of their noise: alike for an effect that is there.
+        """
+        late = self.record.time_s >= self.grid.time[split]
+        alone = self._run(finding, finding.retuned.values, finding.retuned.state)[late]
+        answered, measured = self._answered(finding)[late], self._measured[late]
+        gained = (measured - alone) ** 2 - (measured - answered) ** 2
+        apart = np.where(np.isfinite(measured), (answered - alone) ** 2, np.nan)
+        seen = np.isfinite(measured).any(axis=0)
+        each = (np.nanmean(x[:, seen], axis=0) / self.network.sigma[seen] ** 2 for x in (gained, apart))
+        nearer, between = (float(x.sum()) for x in each)
+        return nearer, between
+
     def _answered(self, finding: Finding) -> Array:
         found = finding.fit or finding.retuned
         return self._run(finding, found.values, found.state, found.entries)

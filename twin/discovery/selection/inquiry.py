@@ -18,9 +18,9 @@ from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import holds
 from twin.discovery.scoring.search import Entry, scan
 from twin.discovery.scoring.sweep import LAST_SHARE
-from twin.discovery.selection.caution import weak
+from twin.discovery.selection.caution import as_commissioned, weak
 from twin.discovery.selection.held_out import HeldOut, contradicted
-from twin.discovery.selection.ladder import EXACT_SHARE, SECOND_SHARE, all_told, search
+from twin.discovery.selection.ladder import EXACT_SHARE, SECOND_SHARE, all_told, search, unaided
 from twin.discovery.selection.part import Part, fitted, plainly
 from twin.discovery.selection.ranking import Finding, enough, stand
 from twin.elements.base import Candidate
@@ -91,6 +91,10 @@ class Inquiry:
         """Errors of a finding from bin `split` on."""
         return self._held_out.errors(finding, split)
 
+    def foretold(self, finding: Finding, split: int) -> tuple[float, float]:
+        """How much of what it changes from bin `split` on a finding is right about (`HeldOut.foretold`)."""
+        return self._held_out.foretold(finding, split)
+
     @cached_property
     def _held_out(self) -> HeldOut:
         return HeldOut(self.network, self.record, self.grid, self.known.plain)
@@ -105,6 +109,10 @@ class Inquiry:
         split = int(bins * (1.0 - held_out))
         most = max(split, int(bins * (1.0 - held_out * STILL_HELD)))
         train = self._train(split)
+        if self.known.plain is None:
+            calm = unaided(train)
+            if as_commissioned(self.network, self.on_unseen(calm, split)):
+                return Answer(calm, train, split, False)
         found = None if _begins_late(self.whole, train, split) else self._searched(train, split)
         later, why, doubted = self._later(found, train, split, most)
         notes = []

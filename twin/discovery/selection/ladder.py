@@ -56,12 +56,10 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         second_share: of the first effect's gain, what a further one has to win at most.
     """
     probe, contest, threshold = part.basis.probe, part.contest, part.threshold
-    start_chi = contest.misfit / max(contest.count, 1)
-    ladder = [Rung("as commissioned", start_chi, part.best_z)]
-    part.reset()
     say("re-tuning")
-    ((retuned, _),) = fitted(part, [()])
-    part.reset()
+    nothing = unaided(part)
+    ladder = list(nothing.ladder)
+    start_chi = ladder[0].chi
     chosen: tuple[Entry, ...] = ()
     best: Fit | None = None
     entries, first_gain = part.entries, 0.0
@@ -142,19 +140,7 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         beside = None
     if climbed:
         say("leaving out blocks of time")
-    found = Finding(
-        entries=(),
-        fit=None,
-        retuned=retuned,
-        ranked=(),
-        scanned=tuple(part.entries),
-        start=ladder[0].chi * contest.count,
-        count=contest.count,
-        ladder=tuple(ladder),
-        contest=contest,
-        state=part.state,
-        null=part.null,
-    )
+    found = replace(nothing, ladder=tuple(ladder))
     shorter: Finding | None = None
     for rung, (fitted_best, order) in enumerate(climbed, start=2):
         part.reset()
@@ -165,6 +151,27 @@ def search(part: Part, say: Callable[[str], None], second_share: float = SECOND_
         )  # fmt: skip
     part.reset()
     return found if shorter is None else replace(shorter, beside=beside, formed=formed)
+
+
+def unaided(part: Part) -> Finding:
+    """The finding of no effect: re-tuning alone."""
+    part.reset()
+    ((retuned, _),) = fitted(part, [()])
+    part.reset()
+    contest = part.contest
+    return Finding(
+        entries=(),
+        fit=None,
+        retuned=retuned,
+        ranked=(),
+        scanned=tuple(part.entries),
+        start=contest.misfit,
+        count=contest.count,
+        ladder=(Rung("as commissioned", contest.misfit / max(contest.count, 1), part.best_z),),
+        contest=contest,
+        state=part.state,
+        null=part.null,
+    )
 
 
 def _late(part: Part, entries: list[Entry], best: float) -> list[tuple[Fit, tuple[Entry, ...]]]:
