@@ -269,5 +269,6 @@ def _failures(done: Sequence[Finished], size: Size) -> Table:
     columns = ("case", "failure", "truth", "load", "verdict", "answer", "z", "z of the truth", "confidence")
     how = "direct" if size.direct else "wire"
     named = "--case NUMBER, --healthy-case NUMBER or --double-case NUMBER"
-    again = f"one again: --{how} --hours {size.hours:g} --twin {size.twin} {'' if size.known_healthy else '--no-healthy '}{named}"
+    named = named if size.known_healthy else f"--no-healthy {named}"
+    again = f"one again: --{how} --hours {size.hours:g} --twin {size.twin} {named}"
     return Table("failures", "Failures", columns, tuple(rows), (again,))
