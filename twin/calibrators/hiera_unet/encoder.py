@@ -40,11 +40,11 @@ class GroupEmbed(nn.Module):
         self.layers = nn.ModuleList(nn.Linear(2 * size, dim) for size in groups)
 
     def forward(self, x: Tensor, m: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, n, C) values and mask -> tokens (B, n, G, d), validity (B, n, G)."""
-        parts = zip(x.split(self.groups, -1), m.split(self.groups, -1), strict=True)
-        pairs = [(torch.cat([v * k, 1.0 - k], -1), k.mean(-1)) for v, k in parts]
-        tokens = [layer(both) for layer, (both, _) in zip(self.layers, pairs, strict=True)]
-        return torch.stack(tokens, -2), torch.stack([valid for _, valid in pairs], -1)
+        """(B, n, C) values and mask -> tokens (B, G, n, d), validity (B, G, n)."""
+        known, lost = (part.split(self.groups, -1) for part in (x * m, 1.0 - m))
+        pairs = zip(self.layers, known, lost, strict=True)
+        tokens = torch.stack([layer(torch.cat([v, gone], -1)) for layer, v, gone in pairs], 1)
+        return tokens, torch.stack([k.mean(-1) for k in m.split(self.groups, -1)], 1)
 
 
 class Merge(nn.Module):
@@ -127,7 +127,7 @@ class Encoder(nn.Module):
         """
         tokens, group_valid = self.embed(x, m)
         tokens = self.local(tokens, group_valid, causal)
-        h = self.fuse(tokens.flatten(2)) + self.regime(regime) + self.clock(clock)
+        h = self.fuse(tokens.transpose(1, 2).flatten(2)) + self.regime(regime) + self.clock(clock)
         valid = m.mean(-1)
         time = torch.arange(h.shape[1], device=h.device, dtype=torch.float32)[None]
         shares = nn.functional.one_hot(regime, self.config.regimes).to(h.dtype)
