@@ -11,7 +11,6 @@ import json
 import platform
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
@@ -25,7 +24,6 @@ from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
 from hil.record import Record, read_record
 from hil.record_time import span
 from hil.record_units import beyond_declared
-from hil.run_folder import RunFolder
 from hil.segments import Parts
 from twin.discovery.answer.unused import with_unused
 from twin.discovery.diagnosis import Diagnosis
@@ -45,32 +43,6 @@ PROPOSAL = "empirical.toml"
 
 class DiagnosingError(ValueError):
     """What is to be diagnosed is not there; the message is one plain sentence."""
-
-
-@dataclass(frozen=True)
-class Subject:
-    """What is diagnosed: the record's file, the twin's file and the folder for results."""
-
-    record: Path
-    twin: Path
-    out: Path
-
-
-def subject_of(target: Path, twin: Path | None, out: Path | None) -> Subject:
-    """Resolve a record file or a run folder; raises DiagnosingError where a part is missing."""
-    if target.is_dir():
-        record, own = target / "record.parquet", target / "twin.toml"
-        if not record.is_file():
-            if RunFolder(target).was_cut:
-                raise DiagnosingError(f"{target} was cut and has no record yet; `hil resume {target}` goes on with it")
-            raise DiagnosingError(f"{target} holds no record.parquet; give a run folder of a finished run, or a record")
-        chosen = twin or own
-        if not chosen.is_file():
-            raise DiagnosingError(f"{target} holds no twin.toml; name the twin with --twin")
-        return Subject(record, chosen, out or target / "diagnosis")
-    if twin is None:
-        raise DiagnosingError(f"{target} is a record and does not say which twin it belongs to; name it with --twin")
-    return Subject(target, twin, out or Path(f"diagnosis-{target.parent.name or target.stem}-{target.stem}"))
 
 
 def clock_of(text: str) -> float:

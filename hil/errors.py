@@ -32,6 +32,7 @@ def exit_code(error: BaseException) -> int | None:
         "TwinFileError",
         "EffectFileError",
         "DiagnosingError",
+        "SubjectError",
         "DiagnosisFolderError",
         "HieraError",
     }:

@@ -100,13 +100,13 @@ def command(
         read_columns,
         read_healthy,
         revise,
-        subject_of,
         with_clock,
         write,
         write_proposal,
     )
     from hil.experiment_file import limits_of, rig_of, write_experiment
     from hil.forecasting import foretell
+    from hil.subject import subject_of
     from hil.terminal import Steps, console, invocation
     from twin.discovery.healthy.health import NotHealthyError
     from twin.discovery.records.grid import TooShortError
@@ -118,7 +118,11 @@ def command(
     if healthy and no_healthy:
         raise click.UsageError("--no-healthy goes without --healthy: there is one or there is none")
     began = time.monotonic()
-    subject = subject_of(target, twin, out)
+    subject = subject_of(target, twin)
+    folder = (
+        subject.run / "diagnosis" if subject.run else Path(f"diagnosis-{target.absolute().parent.name}-{target.stem}")
+    )
+    folder = out or folder
     network = load(subject.twin)
     named, kept = healthy, Kept() if healthy or no_healthy or at_rest else commissioned_on(subject.twin)
     healthy = healthy or kept.path
@@ -170,10 +174,10 @@ def command(
         files = {"record": subject.record, "twin": subject.twin, "healthy record": healthy}
         files |= {f"later record {number}": path for number, path in enumerate(more, start=1)}
         extra["provenance"] = provenance(files)
-        shown = write(diagnosis, told.sensor_names, subject.out, extra)
+        shown = write(diagnosis, told.sensor_names, folder, extra)
         extra["page"] = str(shown)
-        proposal = write_proposal(diagnosis, network, subject.record, subject.out)
-        planned = write_experiment(diagnosis, subject.out, allowed)
+        proposal = write_proposal(diagnosis, network, subject.record, folder)
+        planned = write_experiment(diagnosis, folder, allowed)
     if as_json:
         click.echo(json.dumps({**diagnosis.document(), **extra}, indent=1))
     else:
@@ -196,7 +200,7 @@ def command(
             to.print(f"page with pictures: {shown}", soft_wrap=True)
         to.print(f"{time.monotonic() - began:.1f} s")
     if review and not dry:
-        _review(subject.out, quiet=as_json)
+        _review(folder, quiet=as_json)
     if diagnosis.verdict != "adequate":
         sys.exit(FOUND)
 

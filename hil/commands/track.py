@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.commands.paths import INPUT_FILE
+from hil.commands.paths import INPUT_FILE, INPUT_PATH
 from hil.commands.tracking_options import CALIBRATORS, NETWORK, NETWORK_MODE
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ BLOCK_ROWS = 1200
 
 
 @click.command()
-@click.argument("record", type=INPUT_FILE)
-@click.option("--twin", type=INPUT_FILE, required=True, help="Twin file, usually one that `hil commission` wrote.")
+@click.argument("target", type=INPUT_PATH, metavar="RUN|RECORD")
+@click.option("--twin", type=INPUT_FILE, help="Twin file; of a run, the one that it ran with.")
 @CALIBRATORS
 @NETWORK
 @NETWORK_MODE
@@ -35,8 +35,8 @@ BLOCK_ROWS = 1200
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
 def command(
-    record: Path,
-    twin: Path,
+    target: Path,
+    twin: Path | None,
     calibrators: tuple[str, ...],
     card: Path | None,
     network_mode: NetworkMode,
@@ -44,12 +44,13 @@ def command(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Replay RECORD (Parquet or CSV) past a static twin and tracked ones, and print their errors per sensor.
+    """Replay RUN or RECORD (Parquet or CSV) past a static twin and tracked ones, and print their errors per sensor.
 
     \b
     Example:
       hil commission commissioning.parquet --datasheet datasheet.json --out my_twin.toml
       hil track campaign.parquet --twin my_twin.toml
+      hil track runs/<a run>
     """
     import time
 
@@ -57,6 +58,7 @@ def command(
     from hil.adoption import manifest as adoption_manifest
     from hil.record import read_record, require_record_suffix
     from hil.run_request import check_calibrators, chosen
+    from hil.subject import subject_of
     from hil.terminal import Steps, console, show_comparison
     from hil.tracking import TrackingConfig, Twins, disturbance, too_coarse, window_kind, window_words
 
@@ -64,8 +66,9 @@ def command(
         require_record_suffix(out)
     check_calibrators(calibrators)
     names, optional = chosen(calibrators or None, card)
-    data = read_record(record)
-    twins = Twins(TrackingConfig(twin, tuple(data.columns), names, seed, optional, card=card))
+    subject = subject_of(target, twin)
+    data = read_record(subject.record)
+    twins = Twins(TrackingConfig(subject.twin, tuple(data.columns), names, seed, optional, card=card))
     data.require(*twins.network.input_columns)
     began = time.monotonic()
     outputs: dict[str, list[NDArray[np.float64]]] = {}
@@ -94,7 +97,7 @@ def command(
         _write_predictions(out, data.time_s, twins.network.sensor_names, outputs)
     advise = Advice(twins.network).news
     advice = [] if network_mode == "shadow" else [(p.time_s, said) for p in proposals if (said := advise(p))]
-    adopted = _adopted(network_mode, twin, data, proposals)
+    adopted = _adopted(network_mode, subject.twin, data, proposals)
     if as_json:
         document = {
             "errors_K": dataclasses.asdict(comparison.errors),
@@ -112,7 +115,7 @@ def command(
         click.echo(json.dumps(document, indent=1))
         return
     to = console()
-    show_comparison(to, comparison, f"RMSE in K over {data.time_s[-1] / 3600:.1f} h of {record}")
+    show_comparison(to, comparison, f"RMSE in K over {data.time_s[-1] / 3600:.1f} h of {subject.record}")
     for line in twins.tuning():
         to.print(line, markup=False, soft_wrap=True)
     for name, counts in windows.items():
