@@ -40,6 +40,8 @@ class Courses:
 
     def beyond(self, candidate: Candidate) -> tuple[list[Shape], Array]:
         """The shapes of a candidate other than steps, and their courses (b, j)."""
+        if candidate.shapes == ("step",):
+            return [], self.growths[:, :0]
         if not candidate.begins:
             return self.grown, self.growths
         if candidate.slow_s not in self._fading:
