@@ -61,7 +61,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
 
 def test_the_folder_holds_everything_and_says_what_it_came_from(finished):
     names = {path.name for path in finished.folder.path.iterdir()}
-    kept = {"twin.toml", "twin.before-1.toml"}
+    kept = {"twin.toml", "twin.before-1.toml", "virtual.healthy.parquet"}
     assert names == {"run.json", "journal.sqlite", "record.parquet", "review.rrd", "report.html"} | kept
     manifest = finished.folder.read_manifest()
     assert (manifest["exit_status"], manifest["safe"], manifest["ticks"]) == ("done", True, 3000)
