@@ -26,11 +26,12 @@ from twin.discovery.selection.caution import (
     first_alone,
     imagined,
     nothing,
+    of_lumping,
     retuned_alone,
     unconfirmed,
 )
 from twin.discovery.selection.held_out import binned
-from twin.discovery.selection.inquiry import Inquiry
+from twin.discovery.selection.inquiry import Inquiry, all_along
 from twin.discovery.selection.ladder import weighed
 from twin.discovery.selection.part import Part
 from twin.discovery.selection.ranking import Finding
@@ -107,6 +108,7 @@ def diagnose(
     good_as_ever = healthy is None and as_commissioned(network, off)
     doubtful = finding.fit is not None and not more and unconfirmed(finding, off)
     if healthy is None and finding.fit is not None and not more:
+        doubtful = doubtful or of_lumping(finding, network, off) or all_along(finding, answer.train)
         doubtful = doubtful or imagined(*inquiry.foretold(finding, split))
     if good_as_ever or doubtful:
         finding = nothing(finding)

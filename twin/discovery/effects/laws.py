@@ -6,7 +6,8 @@ twin is; nodes that nothing reads take the twin's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -47,17 +48,25 @@ def temperatures(network: Network, grid: Grid, run: Run) -> Array:
 class Book:
     """The candidates of a network with their formulas, which are made once for all records.
 
+    Args:
+        late_at_once: whether what is late may be told of all of a record. Only a healthy record says how much of it is
+            what a twin of mixed volumes leaves; without one it is told where it came in.
+
     Attributes:
         candidates: all but those of `put_in`, other forms of some of them with a temperature of their own to begin at.
     """
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: Network, late_at_once: bool = True) -> None:
         self.network = network
-        every = catalogue(network)
+        self._late_at_once = late_at_once
+        every = tuple(self._as_told(c) for c in catalogue(network))
         self.candidates = tuple(c for c in every if not c.begins)
         self.put_in = tuple(c for c in every if c.begins)
         self._base = Formulas(network)
         self._made: dict[str, Formulas] = {}
+
+    def _as_told(self, candidate: Candidate) -> Candidate:
+        return candidate if self._late_at_once or not candidate.lumped else replace(candidate, lumped=math.inf)
 
     def _formulas(self, candidate: Candidate, changed: Network) -> Formulas:
         """Formulas of the network with a candidate; those that add the same elements share them."""
@@ -81,7 +90,7 @@ class Book:
         known = temperatures(network, grid, run)
         base = self._base.heats(known, grid.inputs, network.values, grid.step_s)
         found = []
-        for candidate in self.candidates if only is None else only:
+        for candidate in self.candidates if only is None else map(self._as_told, only):
             if candidate.kind == "sensor" and not candidate.adds:
                 law = Law(candidate, None, _reading(network, candidate, grid, run))
             elif candidate.begins:

@@ -134,7 +134,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
     ids = network.tunables("commission" if "commission" in network.sets else None)
     if not ids:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
-    probe, book = Probe(network, ids), Book(network)
+    probe, book = Probe(network, ids), Book(network, late_at_once=healthy is not None)
     if healthy is not None:
         health, of = _healthy(network, probe, book, healthy)
         same = health.noise.step_s == record.step_s

@@ -19,6 +19,9 @@ WORTH_GROWING = 4.0
 """Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
 CAME_IN = 25.0
 """Gain over being there all along, from which what a lumped twin may seem to lack is something that came in."""
+CAME_IN_SHARE = 0.1
+"""The same as a share of its gain, where nothing tells how much of it a lumped twin leaves: the beginning of a record
+has moments of its own."""
 _TINY = 1e-12
 
 
@@ -87,7 +90,7 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
         others, courses = known.beyond(law.candidate)
         p, score, bottom, growing = _beside(contest, law, beside)
         size, gain = _gains(law, score @ steps, bottom)
-        if law.candidate.lumped and gain.max() - gain[0] < CAME_IN:
+        if law.candidate.lumped and not _came_in(law, gain):
             gain[np.abs(size) < law.candidate.lumped] = 0.0
         best = int(np.argmax(gain))
         put_in = bool(law.candidate.begins)
@@ -106,6 +109,12 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
                 found.append(_entry(law, others[best], p * courses[:, best], size[best], bottom[best], gain[best]))
     found.sort(key=lambda e: -e.gain)
     return found
+
+
+def _came_in(law: Law, gain: Array) -> bool:
+    """Whether gains (i,) by onset say that a law was not there all along; by more, where no size is beyond doubt."""
+    more = gain.max() - gain[0]
+    return bool(more >= CAME_IN and (law.candidate.lumped < np.inf or more >= CAME_IN_SHARE * gain.max()))
 
 
 def able_to_begin(contest: Contest, entry: Entry, given: Array) -> tuple[float, float]:

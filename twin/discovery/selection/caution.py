@@ -65,6 +65,12 @@ def as_under_another_load(network: Network, errors: Mapping[str, SensorError]) -
     return bool(ours) and beyond <= OTHER_LOAD * then
 
 
+def of_lumping(finding: Finding, network: Network, errors: Mapping[str, SensorError]) -> bool:
+    """Whether something late is in an answer where all that is left may be of a twin of mixed volumes under another
+    load."""
+    return any(e.candidate.lumped for e in finding.entries) and as_under_another_load(network, errors)
+
+
 def imagined(gained: float, apart: float) -> bool:
     """Whether an effect is wrong about what it changes in the part that no fit saw (`HeldOut.foretold`)."""
     return apart > TELLS and gained < RIGHT * apart

@@ -297,6 +297,12 @@ def came_in(found: Fit, i: int, part: Part) -> bool:
     return other.total - found.total > part.threshold**2
 
 
+def all_along(finding: Finding, part: Part) -> bool:
+    """Whether something late in a finding, which a twin of mixed volumes leaves, may have been there all along."""
+    late = [i for i, e in enumerate(finding.entries) if e.candidate.lumped]
+    return finding.fit is not None and any(not came_in(finding.fit, i, part) for i in late)
+
+
 def _as_used(finding: Finding, part: Part) -> Finding:
     """The finding with values that foretell best by themselves: a twin does not know what its structure leaves."""
     return finding if finding.fit is None else replace(finding, fit=_by_itself(finding.fit, part))
