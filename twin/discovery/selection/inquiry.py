@@ -110,6 +110,7 @@ class Inquiry:
         most = max(split, int(bins * (1.0 - held_out * STILL_HELD)))
         train = self._train(split)
         if self.known.plain is None:
+            self.say("re-tuning")
             calm = unaided(train)
             if as_commissioned(self.network, self.on_unseen(calm, split)):
                 return Answer(calm, train, split, False)
