@@ -31,7 +31,7 @@ from twin.discovery.selection.caution import (
     unconfirmed,
 )
 from twin.discovery.selection.held_out import binned
-from twin.discovery.selection.inquiry import Inquiry, all_along
+from twin.discovery.selection.inquiry import Answer, Inquiry, all_along
 from twin.discovery.selection.ladder import weighed
 from twin.discovery.selection.part import Part
 from twin.discovery.selection.ranking import Finding
@@ -106,11 +106,7 @@ def diagnose(
         notes += decided
     off = on_unseen(finding)
     good_as_ever = healthy is None and as_commissioned(network, off)
-    doubtful = finding.fit is not None and not more and unconfirmed(finding, off)
-    if healthy is None and finding.fit is not None and not more:
-        doubtful = doubtful or of_lumping(finding, network, off) or all_along(finding, answer.train)
-        doubtful = doubtful or imagined(*inquiry.foretold(finding, split))
-    if good_as_ever or doubtful:
+    if good_as_ever or (finding.fit is not None and not more and _doubtful(inquiry, answer, finding, off)):
         finding = nothing(finding)
         off = retuned_alone(off)
     elif healthy is None and finding.fit is not None and not more:
@@ -142,6 +138,17 @@ def diagnose(
     found = beside_unvisited(conclude(case, tuple(notes)), network, record, healthy)
     # What stood still is found anew there, and told as that.
     return explained_by_one(found, network, replace(record, inputs=given.inputs), single, again)
+
+
+def _doubtful(inquiry: Inquiry, answer: Answer, finding: Finding, off: dict[str, SensorError]) -> bool:
+    """Whether a finding is too little to be told or, without a healthy record, may be what the twin always leaves."""
+    if unconfirmed(finding, off):
+        return True
+    if inquiry.known.plain is not None:
+        return False
+    if of_lumping(finding, inquiry.network, off) or all_along(finding, answer.train):
+        return True
+    return imagined(*inquiry.foretold(finding, answer.split))
 
 
 def _hidden(whole: Part, known: Basis) -> list[str]:
