@@ -197,8 +197,7 @@ class HieraUNetCalibrator:
         found = (*alone, *self._doubts(alone, said, ~closed, own))
         held, values = gates.held(found, self.ids), deviations.values(said.theta, nominal)
         adrift = all(r.parameter for r in found) and self._adrift(ahead, own)
-        # What no window of the training told, the network knows nothing of either.
-        stays = held & np.isnan(self.ensemble.parameters) if adrift else held
+        stays = held & (not adrift)
         took = taken(self.features, ahead.frame, nominal, said.theta, said.theta_sd, stays, own)
         proposal = Proposal(
             time_s=self.history.last_s,
