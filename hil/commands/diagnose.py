@@ -194,6 +194,8 @@ def command(
             )
             if proposal and not revision:
                 to.print(f"look at {proposal}; the same again with --empirical adopts it", soft_wrap=True)
+        if kept.path is not None:
+            to.print(f"what is usual, from the record that the twin was commissioned on: {kept.path}", soft_wrap=True)
         if revision:
             to.print(f"revision of the twin: {shlex.quote(str(revision))}", soft_wrap=True, markup=False)
         if not dry:

@@ -156,6 +156,8 @@ def _sentences(entry: Entry) -> list[str]:
     for what, span in (("fitted", revision.window_s), ("errors", revision.held_out_s)):
         if span is not None:
             lines.append(f"{what} over {span[0] / 3600:.2f} to {span[1] / 3600:.2f} h of the record")
+    if revision.record_file:
+        lines.append(f"the record is kept: {revision.record_file}")
     return [*lines, *revision.notes, *entry.remarks]
 
 
