@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.rigfile import file_sha256
 from hil.record import Record, write_record
-from twin.network import Network
+from twin.network import Network, TwinFileError
 from twin.revisions import chain
 from twin.twinfile import save
 
@@ -33,7 +33,7 @@ def save_with_record(network: Network, record: Record, out: Path) -> Path:
     """Save a commissioned twin as `out`, and what it reads of the record that it was commissioned on beside it.
 
     Raises:
-        TwinFileError, OSError: a file cannot be written.
+        TwinFileError: a file cannot be written.
     """
     from hil.diagnosing import CLOCK, clock_beside, start_hour  # which brings all of discovery: a run does without
 
@@ -45,7 +45,10 @@ def save_with_record(network: Network, record: Record, out: Path) -> Path:
     if hour is not None and CLOCK not in columns:
         columns[CLOCK] = ((hour + record.time_s / 3600.0) % 24.0).astype(np.float64)
     kept = beside(out)
-    write_record(Record(record.time_s, columns), kept)
+    try:
+        write_record(Record(record.time_s, columns), kept)
+    except OSError as error:
+        raise TwinFileError(f"{kept} cannot be written ({error.strerror}); give --out another folder") from error
     revision = dataclasses.replace(network.revision, record=file_sha256(kept), record_file=kept.name)
     save(dataclasses.replace(network, revision=revision), out)
     return kept
@@ -61,7 +64,7 @@ def commissioned_on(twin: Path) -> Kept:
         revision = entry.network.revision
         if not revision.record:
             continue
-        path = entry.path.with_name(revision.record_file)
+        path = entry.path.parent / Path(revision.record_file or beside(entry.path)).name
         if not path.is_file():
             missing = f"{path.name}, on which {entry.path.name} was commissioned, is not beside it any more"
             return Kept(None, f"{missing}; put it back, or name a healthy record with --healthy")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shlex
 import sys
@@ -145,7 +146,7 @@ def command(
     later = further_columns(told, more, hour)
     stages = 0
     with Steps("diagnosing", STEPS, quiet=as_json) as steps:
-        for message in (*((kept.why,) if kept.why else ()), *messages):
+        for message in messages:
             steps.say(message)
 
         def say(what: str) -> None:
@@ -159,6 +160,8 @@ def command(
             raise TwinFileError(f"{healthy}: {error}") from None
         except TwinFileError as error:
             raise TwinFileError(f"{subject.record}: {error}") from None
+    if kept.why:
+        diagnosis = dataclasses.replace(diagnosis, notes=(kept.why, *diagnosis.notes))
     if empirical and diagnosis.verdict == "unexplained" and diagnosis.empirical is None:
         raise TwinFileError(
             f"{subject.record}: no curve of anything in it foretells what is unexplained; none to adopt"

@@ -109,6 +109,8 @@ def test_a_commissioned_twin_may_leave_more_of_a_rig_that_moves_more(bench: Benc
 
     assert as_under_another_load(known, left(0.16))
     assert not as_under_another_load(known, left(0.24))
+    unread = {**left(0.05), "T_heater_C": SensorError(0.5, 0.5, 0.5, 0.05)}
+    assert not as_under_another_load(known, unread)  # nothing excuses a thermometer that commissioning did not read
     assert not as_under_another_load(bench.network, left(0.16))  # nothing is known of its commissioning
 
 

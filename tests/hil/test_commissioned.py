@@ -12,6 +12,7 @@ import pytest
 
 from hil.commissioned import beside, commissioned_on, copy_record, save_with_record
 from hil.record import Record, read_record
+from twin.network import TwinFileError
 from twin.revisions import save_revision
 from twin.twinfile import load
 
@@ -66,6 +67,13 @@ def test_a_record_that_is_gone_or_another_is_not_used_and_said(twin: Path) -> No
     beside(twin).unlink()
     kept = commissioned_on(twin)
     assert kept.path is None and "rig.healthy.parquet" in kept.why and "--healthy" in kept.why
+
+
+def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
+    network = load(PROJECT / "profiles" / "twins" / "loop.toml")
+    record = Record(np.arange(3.0), {"T_tank_C": np.full(3, 20.0)})
+    with pytest.raises(TwinFileError, match="--out another folder"):
+        save_with_record(network, record, tmp_path / "nowhere" / "rig.toml")
 
 
 def test_a_twin_that_was_never_commissioned_has_none(tmp_path: Path) -> None:

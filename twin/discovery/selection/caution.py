@@ -59,10 +59,9 @@ def as_under_another_load(network: Network, errors: Mapping[str, SensorError]) -
     """Whether the re-tuned twin leaves no more, where no fit saw it, than one as good as the twin file says may leave
     of a rig that moves more."""
     known = network.revision.error_after_K
-    ours = {name: e for name, e in errors.items() if name in known}
-    beyond = sum(max((e.before / e.noise) ** 2 - 1.0, 0.0) for e in ours.values())
-    then = sum(max((known[name] / e.noise) ** 2 - 1.0, 0.0) for name, e in ours.items())
-    return bool(ours) and beyond <= OTHER_LOAD * then
+    beyond = sum(max((e.before / e.noise) ** 2 - 1.0, 0.0) for e in errors.values())
+    then = sum(max((known.get(name, 0.0) / e.noise) ** 2 - 1.0, 0.0) for name, e in errors.items())
+    return then > 0.0 and beyond <= OTHER_LOAD * then
 
 
 def of_lumping(finding: Finding, network: Network, errors: Mapping[str, SensorError]) -> bool:
