@@ -1,9 +1,11 @@
-"""Blocks of the encoder and decoder: attention in windows with a relative-time bias, grouped layers, half kernels.
+"""Blocks of the encoder and decoder: attention in windows with a relative-time bias, half kernels.
 
 Tokens are (B, n, d). In one dimension neighbouring tokens are contiguous, so a window is a view: (B * n / w, w, d).
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
@@ -29,13 +31,13 @@ class LagBias(nn.Module):
         self.stride, self.half = stride, (knots - 1) // 2
         self.reach = float(torch.log1p(torch.tensor(float(window))))
         self.table = nn.Parameter(torch.zeros(knots, heads))
+        self.register_buffer("knots", torch.arange(-self.half, self.half + 1, dtype=torch.float32), persistent=False)
 
     def forward(self, time: Tensor) -> Tensor:
         """Time of the tokens in steps (..., w) -> bias (..., heads, w, w)."""
         dt = (time[..., :, None] - time[..., None, :]) / self.stride
         place = torch.sign(dt) * torch.log1p(dt.abs()) * (self.half / self.reach)
-        knots = torch.arange(-self.half, self.half + 1, device=time.device, dtype=time.dtype)
-        hats = (1.0 - (place.clamp(-self.half, self.half)[..., None] - knots).abs()).clamp(min=0.0)
+        hats = (1.0 - (place.clamp(-self.half, self.half)[..., None] - self.knots).abs()).clamp(min=0.0)
         return (hats @ self.table.to(hats.dtype)).movedim(-1, -3)
 
 
@@ -66,96 +68,77 @@ class Block(nn.Module):
                 metadata token would carry the future of one block into the past of the next.
         """
         b, n, d = x.shape
-        q, k, v = self._split(x.reshape(-1, window, d))
+        q, k, v = self.split(x.reshape(-1, window, d))
         score = score.expand(b, n // window, *score.shape[2:]).reshape(-1, *score.shape[2:])
         if read is not None:
-            _, more_k, more_v = (t.repeat_interleave(n // window, 0) for t in self._split(read))
+            _, more_k, more_v = (t.repeat_interleave(n // window, 0) for t in self.split(read))
             k, v = torch.cat([k, more_k], 2), torch.cat([v, more_v], 2)
             score = F.pad(score, (0, read.shape[1]))
-        # A float mask on purpose: it carries the bias, and a boolean one is no faster.
-        out = F.scaled_dot_product_attention(q, k, v, attn_mask=score.to(q.dtype))
-        x = x + self.proj(out.transpose(1, 2).reshape(b, n, d))
-        return x + self.mlp(self.norm2(x))
+        return self.after(x, attention(q, k, v, score))
 
-    def _split(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def split(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(B', w, d) -> q, k, v, each (B', heads, w, d / heads)."""
         q, k, v = self.qkv(self.norm1(x)).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
         return q, k, v
 
-
-class GroupLinear(nn.Module):
-    """A linear layer a group: (..., G, n, i) -> (..., G, n, o), no weight between groups."""
-
-    def __init__(self, groups: int, width_in: int, width_out: int) -> None:
-        super().__init__()
-        self.weight = nn.Parameter(torch.empty(groups, width_in, width_out))
-        self.bias = nn.Parameter(torch.zeros(groups, width_out))
-        nn.init.trunc_normal_(self.weight, std=0.02)
-
-    def forward(self, x: Tensor) -> Tensor:
-        return x @ self.weight + self.bias[:, None]
+    def after(self, x: Tensor, read: Tensor) -> Tensor:
+        """Tokens (B, n, d) and what their heads read (B', heads, w, d / heads) -> tokens."""
+        x = x + self.proj(read.transpose(1, 2).reshape(x.shape))
+        return x + self.mlp(self.norm2(x))
 
 
-class GroupNorm(nn.Module):
-    """Normalisation inside each group: one over all groups would already mix them."""
-
-    def __init__(self, groups: int, dim: int) -> None:
-        super().__init__()
-        self.weight, self.bias = nn.Parameter(torch.ones(groups, dim)), nn.Parameter(torch.zeros(groups, dim))
-
-    def forward(self, x: Tensor) -> Tensor:
-        """(..., G, n, d) -> the same."""
-        return torch.addcmul(self.bias[:, None], F.layer_norm(x, x.shape[-1:]), self.weight[:, None])
+def attention(q: Tensor, k: Tensor, v: Tensor, score: Tensor) -> Tensor:
+    """(B', heads, w, d / heads), `score` (B', heads or 1, w, keys) added."""
+    # A float mask on purpose: it carries the bias, and a boolean one is no faster.
+    return F.scaled_dot_product_attention(q, k, v, attn_mask=score.to(q.dtype))
 
 
-class GroupBlock(nn.Module):
-    """The first local block: what `Block` does, for each channel group by itself with one head."""
+class Local(nn.Module):
+    """The first block of all: a `Block` with one head for each channel group, which sees nothing of the others."""
 
-    def __init__(self, groups: int, dim: int, knots: int, window: int, ratio: int = 4) -> None:
+    def __init__(self, groups: int, dim: int, knots: int, window: int) -> None:
         super().__init__()
         self.window = window
-        self.norm1, self.norm2 = GroupNorm(groups, dim), GroupNorm(groups, dim)
-        self.qkv, self.proj = GroupLinear(groups, dim, 3 * dim), GroupLinear(groups, dim, dim)
-        self.up, self.down = GroupLinear(groups, dim, ratio * dim), GroupLinear(groups, ratio * dim, dim)
+        self.blocks = nn.ModuleList(Block(dim, 1) for _ in range(groups))
         self.bias = LagBias(groups, knots, window, 1)
 
-    def forward(self, x: Tensor, valid: Tensor, causal: bool) -> Tensor:
+    def forward(self, tokens: Sequence[Tensor], valid: Tensor, causal: bool) -> list[Tensor]:
         """
         Args:
-            x: (B, G, n, d). valid: (B, G, n), share of the group's channels that are there.
+            tokens: (B, n, d) of each group. valid: (B, G, n), share of a group's channels that are there.
         """
-        w, shape = self.window, x.shape
-        bias = self.bias(torch.arange(w, device=x.device, dtype=torch.float32))
-        score = masking(valid.unflatten(2, (-1, w)), causal)[..., 0, :, :] + bias[:, None]
-        q, k, v = self.qkv(self.norm1(x)).reshape(-1, w, 3 * shape[-1]).chunk(3, -1)
-        # So many windows of so little are faster multiplied as they are than by torch's own attention.
-        score = torch.baddbmm(score.flatten(0, 2).to(q.dtype), q, k.transpose(1, 2), alpha=shape[-1] ** -0.5)
-        x = x + self.proj(torch.bmm(score.softmax(-1), v).reshape(shape))
-        return x + self.down(F.gelu(self.up(self.norm2(x))))
+        w = self.window
+        bias = self.bias(torch.arange(w, device=valid.device, dtype=torch.float32))
+        score = masking(valid.unflatten(2, (-1, w)).transpose(1, 2), causal)[..., 0, :, :] + bias
+        parts = [block.split(x.reshape(-1, w, x.shape[-1])) for block, x in zip(self.blocks, tokens, strict=True)]
+        # One head a group: their attention is worked out together, and mixes nothing.
+        q, k, v = (torch.cat(part, 1) for part in zip(*parts, strict=True))
+        read = attention(q, k, v, score.flatten(0, 1)).split(1, 1)
+        return [block.after(x, own) for block, x, own in zip(self.blocks, tokens, read, strict=True)]
 
 
 class HalfConv(nn.Module):
     """Depth-wise convolution in time whose weights are one half kernel.
 
     Causal: y_t = sum_j w_j x_(t-j). Symmetric: the mean of that and its mirror image, y_t = sum_j w_j (x_(t-j) +
-    x_(t+j)) / 2; so both have the same response to anything slow.
+    x_(t+j)) / 2; so both have the same response to anything slow. `weight` has the oldest step first.
     """
 
     def __init__(self, dim: int, taps: int) -> None:
         super().__init__()
-        self.weight, self.bias = nn.Parameter(torch.empty(dim, taps)), nn.Parameter(torch.zeros(dim))
+        self.weight, self.bias = nn.Parameter(torch.empty(taps, dim)), nn.Parameter(torch.zeros(dim))
         nn.init.trunc_normal_(self.weight, std=taps**-0.5)
 
     def forward(self, x: Tensor, causal: bool) -> Tensor:
         """(B, n, d) -> (B, n, d)."""
-        dim, taps = self.weight.shape
-        past = self.weight.flip(-1)
-        if causal:
-            kernel, pad = past, (taps - 1, 0)
-        else:
-            kernel = torch.cat([past[:, :-1], 2.0 * past[:, -1:], self.weight[:, 1:]], -1) / 2.0
-            pad = (taps - 1, taps - 1)
-        return F.conv1d(F.pad(x.transpose(1, 2), pad), kernel[:, None, :], self.bias, groups=dim).transpose(1, 2)
+        past, now, reach = self.weight[:-1], self.weight[-1:], len(self.weight) - 1
+        kernel = self.weight if causal else torch.cat([past, 2.0 * now, past.flip(0)]) / 2.0
+        padded = F.pad(x, (0, 0, reach, 0 if causal else reach))
+        # So short a kernel is faster as a sum of shifted records than as torch's convolution.
+        y = self.bias
+        for j, weight in enumerate(kernel.unbind()):
+            y = torch.addcmul(y, padded[:, j : j + x.shape[1]], weight)
+        return y
 
 
 def upsample(coarse: Tensor, factor: int, causal: bool) -> Tensor:

@@ -21,8 +21,9 @@ from twin.calibrators.hiera_unet.config import Config, HieraError
 from twin.calibrators.hiera_unet.envelope import Envelope
 from twin.calibrators.hiera_unet.network import HieraUNet
 
-FORMAT = 2
-"""2: evidence holds what is believed if few parameters have moved, and heads correct that."""
+FORMAT = 3
+"""2: evidence holds what is believed if few parameters have moved, and heads correct that. 3: each group's first block
+is one like any other, and half kernels have the oldest step first."""
 
 
 @dataclass(frozen=True)
@@ -129,8 +130,8 @@ def _document(card: Path) -> dict[str, Any]:
         raise HieraError(f"model card {card} cannot be read ({error}); train again") from error
     if document.get("format") != FORMAT:
         raise HieraError(
-            f"model card {card} has format {document.get('format')}, not {FORMAT}: networks of that one read other "
-            "evidence; train again"
+            f"model card {card} has format {document.get('format')}, not {FORMAT}: its network is of another version; "
+            "train again"
         )
     return document
 

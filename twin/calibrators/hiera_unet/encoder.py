@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from twin.calibrators.hiera_unet.blocks import Block, GroupBlock, LagBias, masking
+from twin.calibrators.hiera_unet.blocks import Block, LagBias, Local, masking
 from twin.calibrators.hiera_unet.config import Config
 
 
@@ -39,11 +39,11 @@ class GroupEmbed(nn.Module):
         self.groups = groups
         self.layers = nn.ModuleList(nn.Linear(2 * size, dim) for size in groups)
 
-    def forward(self, x: Tensor, m: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, n, C) values and mask -> tokens (B, G, n, d), validity (B, G, n)."""
-        known, lost = (part.split(self.groups, -1) for part in (x * m, 1.0 - m))
+    def forward(self, x: Tensor, m: Tensor) -> tuple[list[Tensor], Tensor]:
+        """(B, n, C) values, 0 where missing, and mask -> tokens (B, n, d) of each group, validity (B, G, n)."""
+        known, lost = (part.split(self.groups, -1) for part in (x, 1.0 - m))
         pairs = zip(self.layers, known, lost, strict=True)
-        tokens = torch.stack([layer(torch.cat([v, gone], -1)) for layer, v, gone in pairs], 1)
+        tokens = [layer(torch.cat([v, gone], -1)) for layer, v, gone in pairs]
         return tokens, torch.stack([k.mean(-1) for k in m.split(self.groups, -1)], 1)
 
 
@@ -109,7 +109,7 @@ class Encoder(nn.Module):
         self.config = config
         count, dim = len(config.groups), config.group_dim
         self.embed = GroupEmbed(config.groups, dim)
-        self.local = GroupBlock(count, dim, config.knots, config.group_window)
+        self.local = Local(count, dim, config.knots, config.group_window)
         self.fuse = nn.Linear(count * dim, config.dims[0])
         self.regime = nn.Embedding(config.regimes, config.dims[0])
         self.clock = nn.Linear(config.clock, config.dims[0])
@@ -125,33 +125,34 @@ class Encoder(nn.Module):
         Args:
             x: (B, n, C). m: (B, n, C), 1 where x is there. regime: (B, n) integers. clock: (B, n, 6). meta: (B, M).
         """
+        x = x * m
         tokens, group_valid = self.embed(x, m)
         tokens = self.local(tokens, group_valid, causal)
-        h = self.fuse(tokens.transpose(1, 2).flatten(2)) + self.regime(regime) + self.clock(clock)
+        h = self.fuse(torch.cat(tokens, -1)) + self.regime(regime) + self.clock(clock)
         valid = m.mean(-1)
         time = torch.arange(h.shape[1], device=h.device, dtype=torch.float32)[None]
-        shares = nn.functional.one_hot(regime, self.config.regimes).to(h.dtype)
+        sums, shares = torch.cat([x, m], -1), nn.functional.one_hot(regime, self.config.regimes).to(h.dtype)
+        raw = sums
         out: list[Scale] = []
         for index, stage in enumerate(self.stages):
-            stride = self.config.strides[index]
-            raw = averaged(x, m, stride)
             if index:
                 factor = self.config.merges[index - 1]
+                sums = sums.unflatten(1, (-1, factor)).sum(2)
+                shares = shares.unflatten(1, (-1, factor)).mean(2)
+                raw = averaged(sums, self.config.strides[index])
                 h, merged = self.merges[index - 1](h, valid, raw)
                 time, valid = when(time, valid, factor), merged
             last = index == len(self.stages) - 1
             read = self.meta(meta).unflatten(-1, (self.config.meta_tokens, -1)) if last else None
             h = stage(h, valid, time if index else time[:, : self.config.windows[0]], causal, read)
-            out.append(Scale(h, valid, raw, shares if stride == 1 else shares.unflatten(1, (-1, stride)).mean(2)))
+            out.append(Scale(h, valid, raw, shares))
         return tuple(out)
 
 
-def averaged(x: Tensor, m: Tensor, stride: int) -> Tensor:
-    """Mask-weighted means of the channels over `stride` steps, then their availability: (B, n / stride, 2 C)."""
-    if stride == 1:
-        return torch.cat([x * m, m], -1)
-    there = m.unflatten(1, (-1, stride)).sum(2)
-    total = (x * m).unflatten(1, (-1, stride)).sum(2)
+def averaged(sums: Tensor, stride: int) -> Tensor:
+    """Sums over `stride` steps of the channels, 0 where missing, and of their masks (B, n, 2 C) -> means, then
+    availability."""
+    total, there = sums.chunk(2, -1)
     return torch.cat([total / there.clamp(min=1.0), there / stride], -1)
 
 

@@ -70,7 +70,7 @@ class HieraUNet(nn.Module):
             crop: see `Decoder`.
         """
         m = m.to(x.dtype)
-        scales = self.encoder(x * m, m, regime.long(), clock, meta, causal)
+        scales = self.encoder(x, m, regime.long(), clock, meta, causal)
         answers, attention = self.queries(scales[-1].h, scales[-1].valid)
         d3, d1 = self.decoder(scales, answers.mean(1), causal, crop)
         theta, log_variance = self.parameter_head(d3, scales[2].valid, answers, meta)
