@@ -221,7 +221,8 @@ def _note(name: str, a: Accepted, network: Network) -> str:
 
 
 def closed_gates(proposals: list[Proposed]) -> str:
-    """How often gates held everything, and why, the commonest reason first; then what holds single parameters."""
+    """How often gates held everything, and why, the commonest reason first; what holds single parameters; which
+    thermometers were left aside."""
     if not proposals:
         return f"{NETWORK} has proposed nothing"
     whole: Counter[str] = Counter()
@@ -237,7 +238,29 @@ def closed_gates(proposals: list[Proposed]) -> str:
     parts += [f"{code} in {n} ({latest[code]})" for code, n in whole.most_common()]
     if single:
         parts.append("single parameters: " + ", ".join(f"{code} in {n}" for code, n in single.most_common()))
-    return "; ".join(parts)
+    return "; ".join([*parts, *_left_aside(proposals)])
+
+
+def _left_aside(proposals: list[Proposed]) -> list[str]:
+    """Every spell in which a thermometer was left aside."""
+    spells: dict[tuple[str, float], tuple[float, float]] = {}
+    for proposed in proposals:
+        for doubt in proposed.document.get("doubted", ()):
+            spells[doubt["sensor"], doubt["since_s"]] = doubt["off_K"], proposed.time_s
+    last_s = proposals[-1].time_s
+    told = []
+    for (sensor, since_s), (off_K, until_s) in spells.items():
+        until = "on" if until_s == last_s else f"to {until_s / 3600:.2f} h"
+        told.append(
+            f"{sensor} left aside from {since_s / 3600:.2f} h {until}: it had come to read {away(off_K)} than the "
+            "other thermometers and any parameter allow"
+        )
+    return told
+
+
+def away(off_K: float) -> str:
+    """By how much a thermometer reads off, in words."""
+    return f"{abs(off_K):.2f} K {'more' if off_K > 0.0 else 'less'}"
 
 
 def manifest(adoption: Adoption | None) -> dict[str, Any] | None:

@@ -50,6 +50,7 @@ class _Network:
                 outcome(m.network, windows, self._physics.simulate, self._physics.told, causal=True)
                 for m in self._ensemble.members
             ])  # fmt: skip
+            said = replace(said, theta_sd=self._ensemble.calibrated(said.theta_sd, windows.meta))
             self._latest = (given, said, (time.process_time() - began) / len(windows))
         return self._latest[1], self._latest[2]
 

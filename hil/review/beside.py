@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from hil.adoption import accepted
+from hil.adoption import accepted, away
 from hil.bands import NORMAL90
 from hil.journal_rows import BandRow, ProposalRow
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
@@ -54,15 +54,16 @@ def told(proposed: Proposed) -> str:
         parts += [str(proposed.document["reasons"][0]) + ": all held"]
     if proposed.document.get("adrift"):
         parts += ["the live twin is far off, and takes on what is held too"]
+    parts += [f"{d['sensor']} is left aside: {away(d['off_K'])}" for d in proposed.document.get("doubted", ())]
     return "; ".join(parts)
 
 
 class Proposals:
-    """Turns proposals into lanes, parameters with bands, and a line whenever other gates are closed than before, or the
-    live twin has come to be far off."""
+    """Turns proposals into lanes, parameters with bands, and a line whenever other gates are closed than before, the
+    live twin has come to be far off or other thermometers are left aside."""
 
     def __init__(self) -> None:
-        self._told: dict[str, tuple[dict[str, str], bool]] = {}
+        self._told: dict[str, tuple[dict[str, str], bool, list[str]]] = {}
         self._state: dict[str, str] = {}
 
     @property
@@ -80,7 +81,8 @@ class Proposals:
                 state = gate_state(row.document)
                 if state != self._state.get(calibrator):
                     changes.append((row.time_s, state))
-                now = row.document["held"], bool(row.document.get("adrift"))
+                doubted = [d["sensor"] for d in row.document.get("doubted", ())]
+                now = row.document["held"], bool(row.document.get("adrift")), doubted
                 if now != self._told.get(calibrator):
                     texts.append((row.time_s, told(Proposed(calibrator, row.time_s, row.document))))
                 self._state[calibrator], self._told[calibrator] = state, now

@@ -28,7 +28,7 @@ def assemble(data: Data, folder: Path, name: str) -> Path | None:
     from twin.calibrators.hiera_unet.binding import identity_of, physics_of
     from twin.calibrators.hiera_unet.checkpoint import load
     from twin.calibrators.hiera_unet.leakage import ALLOWED
-    from twin.calibrators.hiera_unet.members import FORMAT
+    from twin.calibrators.hiera_unet.members import FORMAT, chances
 
     identity = identity_of(data.network, data.table, data.deviations)
     physics = physics_of(data.network, data.table, data.deviations)
@@ -54,19 +54,21 @@ def assemble(data: Data, folder: Path, name: str) -> Path | None:
     for mode, (causal, hidden) in MODES.items():
         unseen = _outputs(networks, data.conformal, physics, causal, hidden)
         outputs = conformal.fit(conformal.one_a_window(unseen.error, unseen.scale, rng), data.conformal.regime[:, -1])
-        score = np.abs(unseen.theta_error) / unseen.theta_sd
-        told = np.isfinite(score).sum(axis=0) >= conformal.LEAST
-        factors = [conformal.quantile(score[:, k], conformal.CONFIDENCE) if told[k] else None for k in range(len(told))]
+        chance = chances(networks[0].config, data.conformal.meta, unseen.theta.shape[1])
+        factors = conformal.fit_parameters(unseen.theta_error, unseen.theta_sd, chance)
         test = _outputs(networks, data.test, physics, causal, hidden)
         blind = test if mode == "blind" else blind
         width = outputs.of(data.test.regime[:, -1])[:, None, :] * test.scale
-        theta_width = np.array([np.nan if f is None else f for f in factors]) * test.theta_sd
         document["modes"][mode] = {
             "outputs": outputs.document(),
-            "parameters": factors,
+            "parameters": None if factors is None else factors.document(),
             "test": test.metrics()
             | {"interval90": _coverage(test.error, width, data.test.regime[:, -1])}
-            | {"parameter_interval90": _inside(test.theta_error[:, None], theta_width[:, None])},
+            | {
+                "parameter_interval90": _parameters(
+                    test, factors, chances(networks[0].config, data.test.meta, chance.shape[1])
+                )
+            },
         }
     document["rivals"] = _rivals(networks, data, physics, blind)
     card = folder / f"{name}.json"
@@ -118,6 +120,23 @@ def _coverage(error: np.ndarray, half: np.ndarray, regime: np.ndarray) -> dict[s
     found["share_interval90"] = [float(v) for v in np.quantile(known, [0.05, 0.95])] if known else None
     found["by_regime"] = {str(r): _inside(error[regime == r], half[regime == r]) for r in np.unique(regime)}
     return found
+
+
+def _parameters(test: Any, factors: Any, chance: np.ndarray) -> dict[str, Any] | None:
+    """Shares of parameters inside their intervals, and mean widths: of all, of those that moved, of those that stayed,
+    and by bin; None without factors."""
+    from twin.calibrators.hiera_unet.conformal import by_chance
+    from twin.calibrators.hiera_unet.score import MOVED
+
+    if factors is None:
+        return None
+    bins = by_chance(chance)
+    half = test.theta_sd * factors.of(bins.reshape(-1)).reshape(bins.shape)
+    moved = np.abs(test.theta - test.theta_error) > MOVED
+    which = {"all": np.isfinite(half), "moved": moved, "stayed": ~moved} | {
+        f"bin {b}": bins == b for b in np.unique(bins)
+    }
+    return {name: _inside(test.theta_error[rows], half[rows]) for name, rows in which.items()}
 
 
 def _inside(error: np.ndarray, half: np.ndarray) -> dict[str, Any]:

@@ -123,6 +123,9 @@ def test_a_proposal_of_a_twin_that_is_far_off_says_so() -> None:
     still, adrift = (told(Proposed("pso", 9.0, {**document, "adrift": far})) for far in (False, True))
     assert "LOW_SENSITIVITY holds loss" in still and "far off" not in still
     assert adrift == f"{still}; the live twin is far off, and takes on what is held too"
+    doubted = {"sensor": "T_tank_C", "since_s": 3.0, "off_K": -0.48}
+    aside = told(Proposed("pso", 9.0, {**document, "doubted": [doubted]}))
+    assert aside == f"{still}; T_tank_C is left aside: 0.48 K less"
 
 
 def test_stamps_are_kept_to_the_nanosecond(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
 from twin.calibrators.hiera_unet.parameters import Deviations  # noqa: E402
 from twin.calibrators.hiera_unet.refined import RefinedCalibrator  # noqa: E402
 from twin.calibrators.hiera_unet.service import HieraUNetCalibrator  # noqa: E402
+from twin.calibrators.least_squares import LeastSquares  # noqa: E402
 from twin.kernel import simulate  # noqa: E402
 from twin.tracking import TwinTracker  # noqa: E402
 from twin.twinfile import load as load_twin  # noqa: E402
@@ -54,10 +55,10 @@ def ensemble_card(folder: Path, **other: Any) -> Path:
     names = {f"loop_small_{s}.safetensors" for s in (0, 1)}
     factors = {"confidence": 0.9, "overall": [2.0] * 4, "binned": {}, "counts": {}, "method": "split conformal"}
     document = {
-        "format": 1,
+        "format": 2,
         "name": "loop_small",
         "members": {n: load(folder / n).card["weights"]["sha256"] for n in sorted(names)},
-        "modes": {"online": {"outputs": factors, "parameters": [None] * 9}},
+        "modes": {"online": {"outputs": factors, "parameters": None}},
     }
     card = folder / "loop_small.json"
     card.write_text(json.dumps(document))
@@ -307,19 +308,21 @@ def changed(card: Path, **other: Any) -> Path:
 @pytest.mark.parametrize(
     ("outputs", "parameters", "words"),
     [
-        ({"overall": [2.0]}, [None] * 9, r"factors 2.0 for outputs, not a positive one for each of T_heater"),
-        ({"overall": [2.0, 2.0, 2.0, float("nan")]}, [None] * 9, r"nan for outputs, not a positive one"),
-        ({"overall": ["a"] * 4}, [None] * 9, "cannot be read"),
-        ({"binned": {"7": [2.0, 2.0]}}, [None] * 9, r"factors 2.0, 2.0 for outputs in bin 7"),
-        ({}, [1.0, 2.0], r"has 2 factors for parameters, not a positive one or null for each of"),
-        ({}, [-1.0] * 9, r"has 9 factors for parameters, not a positive one or null"),
+        ({"overall": [2.0]}, None, r"factors 2.0 for outputs, not a positive one for each of T_heater"),
+        ({"overall": [2.0, 2.0, 2.0, float("nan")]}, None, r"nan for outputs, not a positive one"),
+        ({"overall": ["a"] * 4}, None, "cannot be read"),
+        ({"binned": {"7": [2.0, 2.0]}}, None, r"factors 2.0, 2.0 for outputs in bin 7"),
+        ({}, {"overall": [1.0, 2.0]}, r"factors 1.0, 2.0 for parameters, not a positive one for all parameters"),
+        ({}, {"overall": [1.0], "binned": {"3": [-1.0]}}, r"factors -1.0 for parameters in bin 3, not a positive one"),
+        ({}, [None] * 9, "cannot be read"),
     ],
 )
-def test_a_card_has_a_factor_for_each_output_and_parameter(
-    tmp_path: Path, outputs: dict[str, Any], parameters: list[float], words: str
+def test_a_card_has_a_factor_for_each_output_and_one_for_parameters(
+    tmp_path: Path, outputs: dict[str, Any], parameters: Any, words: str
 ) -> None:
     card = ensemble_card(tmp_path)
-    own = json.loads(card.read_text())["modes"]["online"]["outputs"] | outputs
+    usual = json.loads(card.read_text())["modes"]["online"]["outputs"]
+    own, parameters = usual | outputs, usual | parameters if isinstance(parameters, dict) else parameters
     with pytest.raises(HieraError, match=words) as caught:
         load_ensemble(changed(card, modes={"online": {"outputs": own, "parameters": parameters}}), IDENTITY)
     assert "changed.json" in str(caught.value) and "hil train loop" in str(caught.value)
@@ -327,7 +330,7 @@ def test_a_card_has_a_factor_for_each_output_and_parameter(
 
 def test_a_card_of_another_format_or_of_too_few_or_unlike_members_is_refused(tmp_path: Path) -> None:
     card = ensemble_card(tmp_path)
-    with pytest.raises(HieraError, match=r"format 99, not 1; have `hil train loop` write it again"):
+    with pytest.raises(HieraError, match=r"format 99, not 2; have `hil train loop` write it again"):
         load_ensemble(changed(card, format=99), IDENTITY)
     with pytest.raises(HieraError, match="cannot be read"):
         load_ensemble(changed(card, members=3), IDENTITY)
@@ -389,11 +392,54 @@ def test_a_record_that_is_a_little_too_short_is_said_to_be_so() -> None:
     assert reason.sentence == "29.5 minutes of record have been seen, fewer than 30"
 
 
+def lying(hours: float = 2.4, since_s: float = 6000.0) -> tuple[Any, Any, Any, Any]:
+    """A healthy record in which the tank's thermometer reads 0.6 K more from a moment on; what it ought to read."""
+    t, u, y = record({}, hours)
+    true = y.copy()
+    y[t >= since_s, TANK] += 0.6
+    return t, u, y, true
+
+
+TANK = LOOP.sensor_names.index("T_tank_C")
+
+
+def test_a_thermometer_that_lies_is_left_aside_and_the_twin_reads_what_it_ought_to(ensemble: Ensemble) -> None:
+    t, u, y, true = lying()
+    tracker = TwinTracker(LOOP, calibrator(ensemble))
+    done = tracker.push(t, u, y)
+    after = t >= 6000.0 + 600.0
+    assert np.sqrt(np.mean((done.tracked - true)[after] ** 2)) < 0.08  # noise of 0.05 K included
+    told = done.proposals[-1]["doubted"]
+    assert [d["sensor"] for d in told] == ["T_tank_C"] and told[0]["off_K"] == pytest.approx(0.6, abs=0.1)
+    assert not any(p["doubted"] for p in done.proposals if p["time_s"] < 6000.0)
+    last = done.calibrations[-1]
+    assert last.calibrated and any(f.startswith("DOUBTED_SENSOR: T_tank_C has come to read 0.6") for f in last.flags)
+    alone = TwinTracker(LOOP, LeastSquares(LOOP)).push(t, u, y)
+    assert np.abs((alone.tracked - true)[after, TANK]).mean() > 0.3
+
+
+def test_least_squares_after_the_network_leaves_aside_what_the_network_does(ensemble: Ensemble) -> None:
+    t, u, y, true = lying()
+    done = TwinTracker(LOOP, RefinedCalibrator(LOOP, calibrator(ensemble))).push(t, u, y)
+    assert np.abs((done.tracked - true)[t >= 6000.0 + 1200.0, TANK]).mean() < 0.12
+
+
+def test_what_is_left_aside_is_so_after_going_on_from_a_saved_state(ensemble: Ensemble) -> None:
+    t, u, y, _ = lying()
+    cut = 7200
+    whole, first, second = (calibrator(ensemble) for _ in range(3))
+    until = TwinTracker(LOOP, whole).push(t, u, y).proposals
+    TwinTracker(LOOP, first).push(t[:cut], u[:cut], y[:cut])
+    second.restore(json.loads(json.dumps(first.state())))
+    assert second.state() == first.state() and second.state()["doubts"][0]["sensor"] == TANK
+    assert until[-1]["doubted"][0]["since_s"] == second.state()["doubts"][0]["since_s"]
+
+
 def test_the_interval_of_what_is_taken_on_reaches_as_far_as_it_was_moved(ensemble: Ensemble) -> None:
     sd, values, held = np.full(9, 3.0), np.full(9, 14.0), np.arange(9) > 0
     none = np.zeros(9)
     proposal = service.Proposal(0.0, np.full(9, 10.0), sd, held, held, values, (), none, 1.0, none, 0)
-    told = proposal.document(DEVIATIONS.ids)
+    told = proposal.document(LOOP, DEVIATIONS.ids)
     assert list(told["values"].values()) == [14.0, *[10.0] * 8]
     assert list(told["standard_errors"].values()) == [5.0, *[3.0] * 8]
 

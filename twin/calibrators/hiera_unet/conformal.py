@@ -2,6 +2,8 @@
 
 Split conformal prediction with normalised scores (Papadopoulos et al., ECML 2002), a factor for each bin of its own
 (Mondrian). Errors inside a window are alike, so a window gives one score an output: that of one step drawn at random.
+Parameters are in one bin if they are believed to have moved with like chances: few have, so that one factor for all
+would hold 90 % of those that stayed and half of those that did not.
 crepes does it where it is installed, `quantile` otherwise, with the same numbers.
 """
 
@@ -19,6 +21,8 @@ from twin.network import Array
 LEAST = 40
 """Scores below which a bin has no factor of its own."""
 CONFIDENCE = 0.90
+CHANCES = (0.05, 0.3, 0.7)
+"""Chances of having moved at which one bin of parameters ends and the next begins."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,20 @@ def fit(scores: Array, bins: np.ndarray, confidence: float = CONFIDENCE) -> Fact
             found = [quantile(own[:, q], confidence) if enough[q] else overall[q] for q in range(own.shape[1])]
             binned[b] = tuple(found)
     return Factors(confidence, overall, binned, counts, method)
+
+
+def by_chance(chance: Array) -> np.ndarray:
+    """Bins of parameters that are believed to have moved with these chances, of the same shape."""
+    return np.digitize(chance, CHANCES)
+
+
+def fit_parameters(error: Array, sd: Array, chance: Array) -> Factors | None:
+    """One factor a bin, from errors (N, P), NaN where no label counts, their standard deviations and chances of having
+    moved; None where too few are known."""
+    scores = (np.abs(error) / sd).reshape(-1, 1)
+    if not np.isfinite(quantile(scores[:, 0], CONFIDENCE)):
+        return None
+    return fit(scores, by_chance(chance).reshape(-1))
 
 
 def one_a_window(error: Array, scale: Array, rng: np.random.Generator) -> Array:

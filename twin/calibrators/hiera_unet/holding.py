@@ -17,7 +17,7 @@ from twin.calibrators.hiera_unet.evidence import Belief, estimate
 from twin.calibrators.hiera_unet.features import Features, Frame
 from twin.network import Array
 
-NARROWEST, HELD = 0.1, 0.01
+NARROWEST, HELD = 0.03, 0.01
 """Least standard deviation of the network's belief, and that of what is held, as shares of what was known before any
 data."""
 

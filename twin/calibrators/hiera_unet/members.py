@@ -11,17 +11,20 @@ import numpy as np
 import torch
 
 from twin.calibrators.hiera_unet.checkpoint import Identity, Member, load
-from twin.calibrators.hiera_unet.config import HieraError
-from twin.calibrators.hiera_unet.conformal import Factors
+from twin.calibrators.hiera_unet.config import Config, HieraError
+from twin.calibrators.hiera_unet.conformal import Factors, by_chance
 from twin.calibrators.hiera_unet.ensemble import mixed
 from twin.calibrators.hiera_unet.envelope import place
 from twin.calibrators.hiera_unet.gates import LEAKS
+from twin.calibrators.hiera_unet.heads import evidence_of
 from twin.calibrators.hiera_unet.leakage import leakage
 from twin.calibrators.hiera_unet.windows import Windows
 from twin.network import Array
 
-FORMAT = 1
+FORMAT = 2
+"""2: factors of parameters by the chance that they moved."""
 MODE = "online"
+NORMAL90 = 1.645
 LEAST = 2
 """Members: one alone has nobody to differ from, and its intervals lack that part."""
 
@@ -33,7 +36,7 @@ class Said:
     """What an ensemble says of one window on its causal branch.
 
     Attributes:
-        theta, theta_sd: (P,) deviations and standard deviations, aleatoric and epistemic together.
+        theta, theta_sd: (P,) deviations and standard deviations, aleatoric and epistemic together, calibrated.
         delta, scale: (120, Y) corrections, and Laplace scales of the members' mixture, K.
         distance: from the training envelope, 1 at its limit, the mean over members. attention: (Q, 12) for audit.
     """
@@ -48,12 +51,12 @@ class Said:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Members and their conformal factors: `factors` of outputs, `parameters` (P,) with NaN where not known."""
+    """Members and their conformal factors: `factors` of outputs, `parameters` by chance of having moved, if known."""
 
     name: str
     members: tuple[Member, ...]
     factors: Factors
-    parameters: Array
+    parameters: Factors | None
     card: dict[str, Any]
 
     def ask(self, window: Windows) -> Said:
@@ -73,10 +76,22 @@ class Ensemble:
                 attention.append(p.attention[0].double().numpy())
         theta, theta_variance = mixed(thetas, variances)
         delta, variance = mixed(deltas, [2.0 * s**2 for s in scales])
+        sd = self.calibrated(np.sqrt(theta_variance)[None], window.meta)[0]
         return Said(
-            theta, np.sqrt(theta_variance), delta, np.sqrt(variance / 2.0), float(np.mean(distances)),
+            theta, sd, delta, np.sqrt(variance / 2.0), float(np.mean(distances)),
             np.mean(attention, axis=0),
         )  # fmt: skip
+
+    def calibrated(self, sd: Array, meta: np.ndarray) -> Array:
+        """Standard deviations (N, P) of deviations, `NORMAL90` of which hold 90 % on windows that no training saw.
+
+        Args:
+            sd: (N, P) as the members say. meta: (N, M), their static numbers.
+        """
+        if self.parameters is None:
+            return sd
+        bins = by_chance(chances(self.members[0].network.config, meta, sd.shape[1]))
+        return np.asarray(sd * self.parameters.of(bins.reshape(-1)).reshape(sd.shape) / NORMAL90)
 
     def half_widths(self, said: Said, regime: int) -> Array:
         """Half widths (120, Y), K, of the outputs' intervals."""
@@ -87,12 +102,18 @@ class Ensemble:
         return max(leakage(m.network, *_tensors(window)) for m in self.members)
 
 
+def chances(config: Config, meta: np.ndarray, count: int) -> Array:
+    """Chances (N, P) that deviations moved, among the static numbers (N, M); 0 for a network without evidence."""
+    evident = evidence_of(config, torch.from_numpy(np.ascontiguousarray(meta)))
+    return np.zeros((len(meta), count)) if evident is None else np.asarray(evident.chance.double().numpy())
+
+
 def load_ensemble(card: Path, identity: Identity) -> Ensemble:
     """The ensemble of a card, for the twin and table that `identity` names.
 
     Raises:
-        HieraError: there is none, or too few members; its factors are not one for each output and parameter; a member
-            is missing or altered, belongs elsewhere or is of another configuration, or its parameters leak.
+        HieraError: there is none, or too few members; its factors are not one for each output, and one for parameters;
+            a member is missing or altered, belongs elsewhere or is of another configuration, or its parameters leak.
     """
     try:
         document: dict[str, Any] = dict(json.loads(card.read_text(encoding="utf-8")))
@@ -101,7 +122,7 @@ def load_ensemble(card: Path, identity: Identity) -> Ensemble:
         names: dict[str, str] = dict(document["members"])
         own = document["modes"][MODE]
         factors = Factors.read(own["outputs"])
-        parameters = np.array([np.nan if f is None else f for f in own["parameters"]], dtype=np.float64)
+        parameters = None if own["parameters"] is None else Factors.read(own["parameters"])
     except FileNotFoundError as error:
         raise HieraError(
             f"there is no trained network {card}; train one with `hil train loop` and name its card with --network, or "
@@ -132,20 +153,19 @@ def load_ensemble(card: Path, identity: Identity) -> Ensemble:
     return Ensemble(str(document["name"]), members, factors, parameters, document)
 
 
-def _check_factors(card: Path, factors: Factors, parameters: Array, identity: Identity) -> None:
-    """Raises HieraError: not one positive factor for each output, overall and in every bin, and for each parameter."""
-    outputs = {"outputs": factors.overall} | {f"outputs in bin {b}": own for b, own in factors.binned.items()}
-    for what, own in outputs.items():
-        if len(own) != len(identity.outputs) or not all(np.isfinite(f) and f > 0.0 for f in own):
-            raise HieraError(
-                f"the card {card} has the factors {', '.join(map(str, own))} for {what}, not a positive one for each "
-                f"of {', '.join(identity.outputs)}; {AGAIN}"
-            )
-    if len(parameters) != len(identity.parameters) or (np.isinf(parameters) | (parameters <= 0.0)).any():
-        raise HieraError(
-            f"the card {card} has {len(parameters)} factors for parameters, not a positive one or null for each of "
-            f"{', '.join(identity.parameters)}; {AGAIN}"
-        )
+def _check_factors(card: Path, factors: Factors, parameters: Factors | None, identity: Identity) -> None:
+    """Raises HieraError: not one positive factor for each output, or one for parameters, overall and in every bin."""
+    wanted = {"outputs": (factors, identity.outputs), "parameters": (parameters, ("all parameters",))}
+    for what, (found, names) in wanted.items():
+        if found is None:
+            continue
+        everywhere = {what: found.overall} | {f"{what} in bin {b}": own for b, own in found.binned.items()}
+        for where, own in everywhere.items():
+            if len(own) != len(names) or not all(np.isfinite(f) and f > 0.0 for f in own):
+                raise HieraError(
+                    f"the card {card} has the factors {', '.join(map(str, own))} for {where}, not a positive one for "
+                    f"{'each of ' * (len(names) > 1)}{', '.join(names)}; {AGAIN}"
+                )
 
 
 def _tensors(w: Windows) -> tuple[torch.Tensor, ...]:

@@ -1,10 +1,10 @@
 """The network proposes, least squares disposes, and keeps its own counsel.
 
-Least squares goes on as if it were alone: its twin, its prior and its state are its own, whatever becomes of the
-network's. Beside it stands a fit over the longest stretch up to now that one set of parameters explains (`evidence`),
-with what the network believes as the prior where its gates are open. That one counts only where it explains the latest
-minutes far better: when the rig changed inside the window, which least squares alone fits as a whole. Everywhere else
-the answer is that of least squares.
+Least squares goes on as if it were alone, but for thermometers that the network leaves aside: its twin, its prior and
+its state are its own, whatever becomes of the network's. Beside it stands a fit over the longest stretch up to now that
+one set of parameters explains (`evidence`), with what the network believes as the prior where its gates are open. That
+one counts only where it explains the latest minutes far better: when the rig changed inside the window, which least
+squares alone fits as a whole. Everywhere else the answer is that of least squares.
 """
 
 from __future__ import annotations
@@ -59,9 +59,10 @@ class RefinedCalibrator(LeastSquares):
 
     def calibrate(self, window: Window) -> Calibration:
         before = self._scaling.to_values(self._mean)
+        proposal = self.proposing.propose(window)
+        window = self.proposing.trusted(window)
         alone = super().calibrate(self._apart(window))
         self._left = _Left(float(window.time[-1]), window.inputs[-1].copy(), alone.end, self._full(alone))
-        proposal = self.proposing.propose(window)
         if any(r.code in gates.UNREADABLE for r in proposal.reasons):
             return _said(alone, window, "on its own: the network's gates are closed", proposal.evaluations)
         led = self._led(window, self._belief(proposal, before), alone)
@@ -87,7 +88,7 @@ class RefinedCalibrator(LeastSquares):
     def _led(self, window: Window, belief: Belief, alone: Calibration) -> Calibration:
         """The fit from a belief; before the stretch that it is of, readings are those of `alone`."""
         features, nominal = self.proposing.features, self.proposing.network.values
-        series = self.proposing.history.series().ahead(TARGET)
+        series = self.proposing.series().ahead(TARGET)
         frame = features.frame(series, len(series), nominal)
         found = estimate(features, frame, nominal, belief=belief)
         values = features.deviations.values(found.theta, nominal)

@@ -9,22 +9,23 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from twin.calibrators.base import Calibration, Estimate, Window, from_plain, plain
-from twin.calibrators.hiera_unet import agreement, gates
+from twin.calibrators.hiera_unet import agreement, contradicted, gates
 from twin.calibrators.hiera_unet.agreement import Spoken
 from twin.calibrators.hiera_unet.channels import table
+from twin.calibrators.hiera_unet.contradicted import Doubt
 from twin.calibrators.hiera_unet.evidence import Evidence, estimate, step_noise
 from twin.calibrators.hiera_unet.features import Features, Frame
 from twin.calibrators.hiera_unet.gates import Evidently, Reason
 from twin.calibrators.hiera_unet.history import History
 from twin.calibrators.hiera_unet.holding import NARROWEST, taken
-from twin.calibrators.hiera_unet.members import Ensemble, Said
+from twin.calibrators.hiera_unet.members import NORMAL90, Ensemble, Said
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.series import STEP_S, Series
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows
@@ -36,7 +37,6 @@ from twin.network import Array, Network
 CYCLE_S = 300.0
 RECORDS = 288
 """Proposals that are remembered: a day's."""
-NORMAL90 = 1.645
 LATEST, FAR_OFF = 60, 4.0
 """Latest steps over which the live twin is held against a fit, and the factor between their mean squares from which it
 is adrift."""
@@ -58,6 +58,7 @@ class Proposal:
             gates. adrift: whether the live twin is so far off that it takes on what is held, too: of two parameters
             that a record does not tell apart neither can be believed, but both together read right.
         half_width: (Y,) K mean half widths of the outputs' 90 % intervals. condition: see `Calibration`.
+        doubts: thermometers that were left aside.
         attention: (Q, 12), what each query looked at. evaluations: simulations and forward passes.
     """
 
@@ -73,13 +74,14 @@ class Proposal:
     attention: Array
     evaluations: int
     adrift: bool = False
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def spread(self) -> Array:
         """Standard errors (P,) of what is taken on, as far as the network knows: its own, and how far that is off."""
         return np.asarray(np.hypot(self.sd, np.where(self.held, 0.0, self.values - self.said)))
 
-    def document(self, ids: tuple[str, ...]) -> dict[str, Any]:
+    def document(self, network: Network, ids: tuple[str, ...]) -> dict[str, Any]:
         """Plain data for a log; `held` says by which gate's code."""
         own = {r.parameter: r.code for r in reversed(self.reasons) if r.parameter}
         whole = next((r.code for r in self.reasons if not r.parameter), "")
@@ -93,6 +95,7 @@ class Proposal:
             "half_width_K": self.half_width.tolist(),
             "condition": self.condition,
             "adrift": self.adrift,
+            "doubted": [d.document(network) for d in self.doubts],
         }
 
 
@@ -124,6 +127,7 @@ class HieraUNetCalibrator:
         self.records: deque[dict[str, Any]] = deque(maxlen=RECORDS)
         self._untold: list[dict[str, Any]] = []
         self._spoken: tuple[Spoken, ...] = ()
+        self._aside: tuple[Doubt, ...] = ()
         self._leakage: float | None = None
         self._spread = np.full(len(network.sensors), np.nan)
 
@@ -148,7 +152,8 @@ class HieraUNetCalibrator:
         return cls(network, ensemble, Features(network, channels, deviations))
 
     def calibrate(self, window: Window) -> Calibration:
-        return self._concluded(window, self.propose(window))
+        proposal = self.propose(window)
+        return self._concluded(self.trusted(window), proposal)
 
     def propose(self, window: Window) -> Proposal:
         """What the network says at the end of a window, or of the part of it that has gone by."""
@@ -163,8 +168,16 @@ class HieraUNetCalibrator:
         proposal = self.propose(window)
         if proposal.closed.all() and not proposal.adrift:
             return None
-        values, _, _, end = self._taken_on(window, proposal)
+        values, _, _, end = self._taken_on(self.trusted(window), proposal)
         return values, end
+
+    def trusted(self, window: Window) -> Window:
+        """The window without thermometers that the latest proposal left aside."""
+        return replace(window, measured=contradicted.without(window.time, window.measured, self._aside))
+
+    def series(self) -> Series:
+        """The record so far, without thermometers that the latest proposal left aside."""
+        return contradicted.trusted(self.history.series(), self._aside)
 
     def take(self) -> tuple[dict[str, Any], ...]:
         told, self._untold = tuple(self._untold), []
@@ -182,7 +195,8 @@ class HieraUNetCalibrator:
     def _propose(self, live: Array) -> Proposal:
         """One cycle on everything that was pushed; `live` is the full vector (p,) of what the twin has now."""
         nominal, deviations = self.network.values, self.features.deviations
-        series = self.history.series()
+        self._aside = contradicted.reviewed(self.features, self.history.series(), live, self._aside)
+        series = self.series()
         past = self._read(series)
         if self._leakage is None and len(past.frame.time) - past.frame.begin >= gates.SHORTEST_STEPS:
             # Loading only compares the card's own number: the network itself is asked before any gate can open.
@@ -212,9 +226,10 @@ class HieraUNetCalibrator:
             attention=said.attention,
             evaluations=sum(e.evaluations for e in (past.evidence, evidence, took)) + 2 * len(self.ensemble.members),
             adrift=adrift,
+            doubts=self._aside,
         )
         self._spread = seen.half_width / NORMAL90
-        self.records.append(proposal.document(self.ids))
+        self.records.append(proposal.document(self.network, self.ids))
         self._untold.append(self.records[-1])
         return proposal
 
@@ -303,7 +318,7 @@ class HieraUNetCalibrator:
         good = np.isfinite(misses)
         report = Report(
             covariance=np.diag(proposal.spread**2),
-            flags=tuple(str(r) for r in proposal.reasons),
+            flags=(*(d.sentence(self.network) for d in proposal.doubts), *(str(r) for r in proposal.reasons)),
             frozen=tuple(i for i, h in zip(self.ids, proposal.held, strict=True) if h),
             condition=proposal.condition,
         )
@@ -319,6 +334,7 @@ class HieraUNetCalibrator:
             "leakage": self._leakage,
             "spread": plain(self._spread),
             "spoken": [s.plain() for s in self._spoken],
+            "doubts": [d.plain() for d in self._aside],
             "records": list(self.records),
         }
 
@@ -327,6 +343,7 @@ class HieraUNetCalibrator:
         self._leakage = state["leakage"]
         self._spread = from_plain(state["spread"])
         self._spoken = tuple(Spoken.restored(s) for s in state.get("spoken", ()))
+        self._aside = tuple(Doubt.restored(d) for d in state.get("doubts", ()))
         self.records = deque(state["records"], maxlen=RECORDS)
 
 
