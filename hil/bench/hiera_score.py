@@ -121,24 +121,28 @@ def worse(scores: list[Score], rival: list[Score]) -> float:
     return float(np.mean(lost)) if lost else float("nan")
 
 
-def over_bound(scores: Iterable[Score], *, accepted: bool = False) -> float:
+def over_bound(scores: Iterable[Score], *, accepted: bool = False, told: bool = False) -> float:
     """Root mean square of parameter errors over their Cramer-Rao bounds: 1 is as good as can be.
 
     Args:
-        accepted: only of windows before which the contestant said that it was calibrated.
+        accepted: only of windows before which the contestant said that it was calibrated. told: only of parameters that
+            it gave an interval, so not of those that it held.
     """
-    values = _over_bound(scores, accepted)
+    values = _over_bound(scores, accepted, told)
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
 def median_over_bound(scores: Iterable[Score], *, accepted: bool = False) -> float:
     """Median of |error| over bound; 0.67 for an efficient estimate. The arguments are those of `over_bound`."""
-    values = np.abs(_over_bound(scores, accepted))
+    values = np.abs(_over_bound(scores, accepted, told=False))
     return float(np.median(values)) if values.size else float("nan")
 
 
-def _over_bound(scores: Iterable[Score], accepted: bool) -> Array:
-    chosen = [s.off[(s.after | s.before) & (s.calibrated | (not accepted))].ravel() for s in scores]
+def _over_bound(scores: Iterable[Score], accepted: bool, told: bool) -> Array:
+    chosen = []
+    for s in scores:
+        rows = (s.after | s.before) & (s.calibrated | (not accepted))
+        chosen.append(np.where(np.isfinite(s.sure) | (not told), s.off, np.nan)[rows].ravel())
     values = np.concatenate(chosen or [np.zeros(0)])
     return values[np.isfinite(values)]
 

@@ -121,16 +121,22 @@ def parameters(results: Results) -> Table:
                 continue
             value, low, high = judge.interval(told, judge.median_over_bound)
             count = int(sum(np.isfinite(s.off).sum() for s in told))
-            accepted = (judge.over_bound(of, accepted=True) for of in (told, _sound(told)))
-            rows.append((rig, name, count, value, _range(low, high, "{:.2f}"), judge.over_bound(told), *accepted))
+            figures = (
+                judge.over_bound(told),
+                judge.over_bound(told, accepted=True),
+                judge.over_bound(told, accepted=True, told=True),
+                judge.over_bound(_sound(told), accepted=True),
+            )
+            rows.append((rig, name, count, value, _range(low, high, "{:.2f}"), *figures))
     return Table(
         "parameters",
         "Parameter errors over their Cramer-Rao bounds, where the data tells them",
-        ("rig", "by", "numbers", "median", "from to", "RMS", "accepted", "as the twin"),
+        ("rig", "by", "numbers", "median", "from to", "RMS", "accepted", "not held", "as the twin"),
         tuple(rows),
         (
-            "Accepted: RMS over windows before which the contestant said that it was calibrated; as the twin: the same "
-            "of rigs that have no physics but the twin's, healthy ones and those with a tracked parameter changed.",
+            "Accepted: RMS over windows before which the contestant said that it was calibrated; not held: the same of "
+            "parameters that it gave an interval; as the twin: accepted ones of rigs that have no physics but the "
+            "twin's, healthy ones and those with a tracked parameter changed.",
             "0.67 is the median of an efficient estimate, 1 its RMS. The bound counts noise and an error of 0.02 K "
             "that lasts a minute; a rig that is not its twin is off by more, whoever looks.",
             BETWEEN,

@@ -89,6 +89,19 @@ def test_constant_widths_hold_their_share_of_exchangeable_errors():
     assert width == pytest.approx(2.0 * 1.645 * 0.25, rel=0.1)
 
 
+def test_what_is_held_does_not_count_as_accepted_and_told():
+    one = scored(commissioned)
+    off = np.full_like(one.off, 3.0)
+    off[:, 0] = 1.0
+    sure = np.where(off == 1.0, 0.5, np.nan)
+    everything = np.ones(len(off), dtype=bool)
+    given_up = replace(one, off=off, sure=sure, calibrated=everything, before=everything)
+    assert hiera_score.over_bound([given_up], accepted=True, told=True) == pytest.approx(1.0)
+    assert hiera_score.over_bound([given_up], accepted=True) > 2.0
+    nothing = replace(given_up, calibrated=~everything)
+    assert np.isnan(hiera_score.over_bound([nothing], accepted=True, told=True))
+
+
 def test_own_widths_are_brought_to_their_promise():
     rng, one = np.random.default_rng(1), scored(commissioned)
     scale = np.exp(rng.normal(size=(60, 10, 1, 1)))
