@@ -9,11 +9,12 @@ neither saw, and only where that part is then foretold as well as of a calibrate
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,7 +128,13 @@ def adopt(twin: Path, record: Record, proposals: list[Proposed], made_by: str) -
         return Adoption(None, f"no revision is saved: {none}; {closed_gates(seen)}")
     values = {name: a.value for name, a in taken.items()}
     late = record.time_s > until_s
-    misses = [_misses(n, record)[late] for n in (network, with_elements(network, {}, values))]
+    misses = [_misses(n, record) for n in (network, with_elements(network, {}, values))]
+    for a in _aside(proposals):
+        # What was left aside speaks neither for a revision nor against it.
+        rows = (record.time_s >= a.since_s) & (record.time_s <= a.until_s)
+        for miss in misses:
+            miss[rows, network.sensor_names.index(a.sensor)] = np.nan
+    misses = [miss[late] for miss in misses]
     before, after = (_errors(m, network) for m in misses)
     if why := _objection(before, after, misses, record.time_s[late], network):
         return Adoption(None, f"no revision is saved: with the {len(taken)} accepted parameters {why} at the end")
@@ -241,19 +248,34 @@ def closed_gates(proposals: list[Proposed]) -> str:
     return "; ".join([*parts, *_left_aside(proposals)])
 
 
-def _left_aside(proposals: list[Proposed]) -> list[str]:
-    """Every spell in which a thermometer was left aside."""
-    spells: dict[tuple[str, float], tuple[float, float]] = {}
+class _Aside(NamedTuple):
+    """A spell in which a thermometer was left aside; `until_s` is infinite where it still was in the last proposal."""
+
+    sensor: str
+    since_s: float
+    until_s: float
+    off_K: float
+
+
+def _aside(proposals: list[Proposed]) -> list[_Aside]:
+    spells: dict[tuple[str, float], _Aside] = {}
+    last_s = proposals[-1].time_s if proposals else 0.0
     for proposed in proposals:
+        until_s = math.inf if proposed.time_s == last_s else proposed.time_s
         for doubt in proposed.document.get("doubted", ()):
-            spells[doubt["sensor"], doubt["since_s"]] = doubt["off_K"], proposed.time_s
-    last_s = proposals[-1].time_s
+            sensor, since_s = doubt["sensor"], doubt["since_s"]
+            spells[sensor, since_s] = _Aside(sensor, since_s, until_s, doubt["off_K"])
+    return list(spells.values())
+
+
+def _left_aside(proposals: list[Proposed]) -> list[str]:
+    """Every spell in which a thermometer was left aside, in words."""
     told = []
-    for (sensor, since_s), (off_K, until_s) in spells.items():
-        until = "on" if until_s == last_s else f"to {until_s / 3600:.2f} h"
+    for a in _aside(proposals):
+        until = "on" if math.isinf(a.until_s) else f"to {a.until_s / 3600:.2f} h"
         told.append(
-            f"{sensor} left aside from {since_s / 3600:.2f} h {until}: it had come to read {away(off_K)} than the "
-            "other thermometers and any parameter allow"
+            f"{a.sensor} left aside from {a.since_s / 3600:.2f} h {until}: it had come to read {away(a.off_K)} than "
+            "the other thermometers and any parameter allow"
         )
     return told
 

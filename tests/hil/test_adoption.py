@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.adoption import IN_A_ROW, Advice, accepted, adopt, clearly_better
+from hil.adoption import IN_A_ROW, Advice, accepted, adopt, clearly_better, closed_gates
 from hil.record import Record
 from hil.tracking import Proposed
 from twin.kernel import simulate
@@ -75,6 +75,34 @@ def test_what_was_accepted_becomes_one_revision_that_can_be_reverted(twin: Path,
         assert revision.error_after_K[sensor] < 0.06 < before
     again = revert(done.path)
     assert diff(load(twin), load(again)).empty
+
+
+def doubting(seen: list[Proposed], since_s: float, until_s: float = np.inf) -> list[Proposed]:
+    """The same proposals with the tank's thermometer left aside."""
+    doubt = {"sensor": "T_tank_C", "since_s": since_s, "off_K": -0.8}
+    return [
+        Proposed(p.calibrator, p.time_s, p.document | {"doubted": [doubt] * (since_s < p.time_s <= until_s)})
+        for p in seen
+    ]
+
+
+def test_a_thermometer_that_was_left_aside_speaks_neither_for_a_revision_nor_against_it(
+    twin: Path, record: Record
+) -> None:
+    since = 5400.0
+    columns = dict(record.columns)
+    for name in load(LOOP).sensor_columns["T_tank_C"]:
+        columns[name] = columns[name] - 2.5 * (record.time_s >= since)
+    lying = Record(record.time_s, columns)
+    assert adopt(twin, lying, proposals(TRUE), "hil track it").path is None
+    done = adopt(twin, lying, doubting(proposals(TRUE), since), "hil track it")
+    assert done.path is not None
+    revision = load(done.path).revision
+    assert "T_tank_C" not in revision.error_after_K and max(revision.error_after_K.values()) < 0.06
+    assert "T_tank_C left aside from 1.50 h on: it had come to read 0.80 K less than the other" in revision.notes[-1]
+    until = closed_gates(doubting(proposals(TRUE), since, 7200.0))
+    assert until.endswith("T_tank_C left aside from 1.50 h to 2.00 h: it had come to read 0.80 K less than the other "
+                          "thermometers and any parameter allow")  # fmt: skip
 
 
 def test_only_what_came_before_the_end_is_saved_and_errors_are_of_the_end(twin: Path, record: Record) -> None:

@@ -25,6 +25,7 @@ from twin.calibrators.hiera_unet.features import Features  # noqa: E402
 from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble  # noqa: E402
 from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
 from twin.calibrators.hiera_unet.parameters import Deviations  # noqa: E402
+from twin.calibrators.hiera_unet.proposal import Proposal  # noqa: E402
 from twin.calibrators.hiera_unet.refined import RefinedCalibrator  # noqa: E402
 from twin.calibrators.hiera_unet.service import HieraUNetCalibrator  # noqa: E402
 from twin.calibrators.least_squares import LeastSquares  # noqa: E402
@@ -413,6 +414,7 @@ def test_a_thermometer_that_lies_is_left_aside_and_the_twin_reads_what_it_ought_
     assert [d["sensor"] for d in told] == ["T_tank_C"] and told[0]["off_K"] == pytest.approx(0.6, abs=0.1)
     assert not any(p["doubted"] for p in done.proposals if p["time_s"] < 6000.0)
     last = done.calibrations[-1]
+    assert last.kind == "calibrated" and last.error_before_K < 0.08
     assert last.calibrated and any(f.startswith("DOUBTED_SENSOR: T_tank_C has come to read 0.6") for f in last.flags)
     alone = TwinTracker(LOOP, LeastSquares(LOOP)).push(t, u, y)
     assert np.abs((alone.tracked - true)[after, TANK]).mean() > 0.3
@@ -438,7 +440,7 @@ def test_what_is_left_aside_is_so_after_going_on_from_a_saved_state(ensemble: En
 def test_the_interval_of_what_is_taken_on_reaches_as_far_as_it_was_moved(ensemble: Ensemble) -> None:
     sd, values, held = np.full(9, 3.0), np.full(9, 14.0), np.arange(9) > 0
     none = np.zeros(9)
-    proposal = service.Proposal(0.0, np.full(9, 10.0), sd, held, held, values, (), none, 1.0, none, 0)
+    proposal = Proposal(0.0, np.full(9, 10.0), sd, held, held, values, (), none, 1.0, none, 0)
     told = proposal.document(LOOP, DEVIATIONS.ids)
     assert list(told["values"].values()) == [14.0, *[10.0] * 8]
     assert list(told["standard_errors"].values()) == [5.0, *[3.0] * 8]

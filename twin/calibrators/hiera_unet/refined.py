@@ -20,8 +20,9 @@ from twin.calibrators.hiera_unet import gates
 from twin.calibrators.hiera_unet.evidence import HORIZONS, LEAST_CHI, Belief, Evidence, estimate, step_noise
 from twin.calibrators.hiera_unet.features import Frame
 from twin.calibrators.hiera_unet.holding import NARROWEST
+from twin.calibrators.hiera_unet.proposal import Proposal
 from twin.calibrators.hiera_unet.series import STEP_S, binned
-from twin.calibrators.hiera_unet.service import HieraUNetCalibrator, Proposal
+from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.calibrators.least_squares import LeastSquares
 from twin.calibrators.outcome import Report, conclude

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,10 +27,12 @@ from twin.calibrators.hiera_unet.history import History
 from twin.calibrators.hiera_unet.holding import NARROWEST, taken
 from twin.calibrators.hiera_unet.members import NORMAL90, Ensemble, Said
 from twin.calibrators.hiera_unet.parameters import Deviations
+from twin.calibrators.hiera_unet.proposal import Proposal
 from twin.calibrators.hiera_unet.series import STEP_S, Series
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows
 from twin.calibrators.outcome import Report, conclude
 from twin.calibrators.posterior import STATE_SD, weighted
+from twin.calibrators.windows import assemble
 from twin.gauss_newton import align
 from twin.network import Array, Network
 
@@ -44,59 +46,6 @@ DELIVERED = ("level", "reading")
 """Formulas of the channels that are inputs and thermometers as a record delivers them; all others are made of these, or
 of a meter that a rig need not have."""
 TRAINED = Path(__file__).resolve().parents[3] / "profiles" / "trained"
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """One cycle: what the network says at a moment, and what may be written of it.
-
-    Attributes:
-        time_s: of the latest sample that it has seen. said, sd: (P,) the network's parameters and standard errors in
-            their own units. closed: (P,) bool, those that gates hold which look at this proposal alone. held: (P,)
-            bool, those of which nothing may be said: these, and what proposals before do not bear out. values: (P,)
-            what the live twin takes on: the record fitted from `said`, what is held where it stands. reasons: closed
-            gates. adrift: whether the live twin is so far off that it takes on what is held, too: of two parameters
-            that a record does not tell apart neither can be believed, but both together read right.
-        half_width: (Y,) K mean half widths of the outputs' 90 % intervals. condition: see `Calibration`.
-        doubts: thermometers that were left aside.
-        attention: (Q, 12), what each query looked at. evaluations: simulations and forward passes.
-    """
-
-    time_s: float
-    said: Array
-    sd: Array
-    closed: np.ndarray
-    held: np.ndarray
-    values: Array
-    reasons: tuple[Reason, ...]
-    half_width: Array
-    condition: float
-    attention: Array
-    evaluations: int
-    adrift: bool = False
-    doubts: tuple[Doubt, ...] = ()
-
-    @property
-    def spread(self) -> Array:
-        """Standard errors (P,) of what is taken on, as far as the network knows: its own, and how far that is off."""
-        return np.asarray(np.hypot(self.sd, np.where(self.held, 0.0, self.values - self.said)))
-
-    def document(self, network: Network, ids: tuple[str, ...]) -> dict[str, Any]:
-        """Plain data for a log; `held` says by which gate's code."""
-        own = {r.parameter: r.code for r in reversed(self.reasons) if r.parameter}
-        whole = next((r.code for r in self.reasons if not r.parameter), "")
-        own = {} if whole else own
-        return {
-            "time_s": self.time_s,
-            "values": dict(zip(ids, np.where(self.held, self.said, self.values).tolist(), strict=True)),
-            "standard_errors": dict(zip(ids, self.spread.tolist(), strict=True)),
-            "held": {i: own.get(i, whole) for i, h in zip(ids, self.held, strict=True) if h},
-            "reasons": [str(r) for r in self.reasons],
-            "half_width_K": self.half_width.tolist(),
-            "condition": self.condition,
-            "adrift": self.adrift,
-            "doubted": [d.document(network) for d in self.doubts],
-        }
 
 
 class _Reading(NamedTuple):
@@ -172,8 +121,15 @@ class HieraUNetCalibrator:
         return values, end
 
     def trusted(self, window: Window) -> Window:
-        """The window without thermometers that the latest proposal left aside."""
-        return replace(window, measured=contradicted.without(window.time, window.measured, self._aside))
+        """The window without thermometers that the latest proposal left aside, and judged without them."""
+        if not self._aside:
+            return window
+        left = contradicted.without(window.time, window.measured, self._aside)
+        found = assemble(
+            window.number, window.time, window.inputs, left, window.state, window.parameters, window.live,
+            self.network.rules,
+        )  # fmt: skip
+        return replace(found, kind=window.kind) if found.kind == "skipped" else found
 
     def series(self) -> Series:
         """The record so far, without thermometers that the latest proposal left aside."""
