@@ -231,9 +231,9 @@ def test_own_weights_are_asked_where_their_card_is_named(
     for name in ("hiera_unet", "hiera_ls"):
         asked = hil("track", record, "--twin", LOOP, "--calibrator", name, "--network", card, "--json")
         assert asked.exit_code == 0 and list(json.loads(asked.stdout)["bands"]) == ["static", name], asked.output
-    card.write_text(card.read_text(encoding="utf-8").replace('"format": 1', '"format": 99'), encoding="utf-8")
+    card.write_text(card.read_text(encoding="utf-8").replace('"format": 2', '"format": 99'), encoding="utf-8")
     refused = hil("track", record, "--twin", LOOP, "--network", card)  # by the usual calibrators, too
-    assert refused.exit_code != 0 and "has format 99, not 1" in str(refused.exception)
+    assert refused.exit_code != 0 and "has format 99, not 2" in str(refused.exception)
     missing = hil("track", record, "--twin", LOOP, "--network", tmp_path / "no.json")
     assert missing.exit_code == 2 and "no.json: there is no such file" in missing.output
     unasked = hil("track", record, "--twin", LOOP, "--network", card, "--calibrator", "pso")
@@ -257,7 +257,7 @@ def test_a_run_names_its_network_and_goes_on_with_that_alone(tmp_path: Path) -> 
     with pytest.raises(RunFolderError, match="the run's network, is not there; say where it is with --network"):
         request_of(folder, manifest, {})
     assert request_of(folder, manifest, {"network": moved}).card == moved
-    moved.write_text(moved.read_text(encoding="utf-8").replace('"format": 1', '"format": 99'), encoding="utf-8")
+    moved.write_text(moved.read_text(encoding="utf-8").replace('"format": 2', '"format": 99'), encoding="utf-8")
     with pytest.raises(RunFolderError, match="is not what it was when the run began; put that network back"):
         request_of(folder, manifest, {"network": moved})
     before = list((tmp_path / "runs").iterdir())
