@@ -51,7 +51,7 @@ def follow(series: Series, since: int = 600, every: int = 60) -> list[tuple[int,
     doubts: tuple[Doubt, ...] = ()
     found = []
     for end in range(since, len(series) + 1, every):
-        doubts = reviewed(FEATURES, series.part(0, end), LOOP.values, doubts)
+        doubts = reviewed(FEATURES, series.part(0, end), (LOOP.values,), doubts)
         found.append((end, doubts))
     return found
 
@@ -101,6 +101,15 @@ def test_a_drift_is_doubted_once_it_is_far_enough() -> None:
     assert ONSET + 60 <= first <= ONSET + 480 and {d.sensor for d in dict(found)[first]} == {TANK}
 
 
+def test_a_twin_that_went_after_the_lie_is_held_against_what_it_was_before() -> None:
+    series = off(record(), 0, 0.6).part(0, ONSET + 200)
+    bent = LOOP.with_values({"heater_loss.hA": 0.05, "circuit.effectiveness_modules": 0.55, "fins.UA_100": 57.0}).values
+    assert reviewed(FEATURES, series, (bent,), ()) == ()
+    (doubt,) = reviewed(FEATURES, series, (bent, LOOP.values), ())
+    assert doubt.sensor == 0
+    assert reviewed(FEATURES, series, (bent, LOOP.values), (doubt,)) == (doubt,)
+
+
 def test_never_more_than_half_of_the_thermometers_are_left_aside() -> None:
     series = record(2400)
     for sensor, first in enumerate((1200, 1500, 1800)):
@@ -110,8 +119,8 @@ def test_never_more_than_half_of_the_thermometers_are_left_aside() -> None:
 
 def test_a_record_too_short_to_tell_changes_nothing() -> None:
     known = (Doubt(TANK, 0.0, 0.4),)
-    assert reviewed(FEATURES, record(200), LOOP.values, known) == known
-    assert reviewed(FEATURES, record(200), LOOP.values, ()) == ()
+    assert reviewed(FEATURES, record(200), (LOOP.values,), known) == known
+    assert reviewed(FEATURES, record(200), (LOOP.values,), ()) == ()
 
 
 def test_what_is_left_aside_is_missing_from_its_moment_on() -> None:

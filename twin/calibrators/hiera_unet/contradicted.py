@@ -1,9 +1,10 @@
 """Thermometers that the rest of a rig contradicts.
 
 What happens to a rig happens to its water and shows at every thermometer of the loop; what happens to a thermometer
-shows there alone. The live twin runs free over the last three quarters of an hour. Where one thermometer has stepped
-away from that run while the others stayed, and no parameter of the twin, then or all along, explains all of them nearly
-as well, the thermometer is doubted: from that moment on it counts as missing, until it agrees with the run again.
+shows there alone. The live twin, as it is and as it was half an hour ago, runs free over the last 45 minutes. Where one
+thermometer has stepped away from such a run while the others stayed, and no parameter of the twin, then or all along,
+explains all of them nearly as well, the thermometer is doubted: from that moment on it counts as missing, until it
+agrees with both runs again.
 """
 
 from __future__ import annotations
@@ -81,24 +82,27 @@ def trusted(series: Series, doubts: Sequence[Doubt]) -> Series:
     return replace(series, measured=without(series.time, series.measured, doubts)) if doubts else series
 
 
-def reviewed(features: Features, series: Series, live: Array, doubts: Sequence[Doubt]) -> tuple[Doubt, ...]:
+def reviewed(features: Features, series: Series, twins: Sequence[Array], doubts: Sequence[Doubt]) -> tuple[Doubt, ...]:
     """Those of `doubts` that stand, and the thermometer that has come to be doubted since.
 
     Never more than half of the thermometers: the others would contradict nothing any more.
 
     Args:
-        series: as it was measured. live: full vector (p,) of the live twin.
+        series: as it was measured. twins: full vectors (p,): of the live twin, and of what it was before, since it may
+            have gone after a thermometer that lies.
     """
-    run = _free_run(features, trusted(series, doubts), live)
-    if run is None:
+    runs = _free_runs(features, trusted(series, doubts), twins)
+    if not runs:
         return tuple(doubts)
-    standing = tuple(d for d in doubts if not _agrees(run, series, d))
+    standing = tuple(d for d in doubts if not all(_agrees(run, series, d) for run in runs))
     if len(standing) != len(doubts):
-        run = _free_run(features, trusted(series, standing), live)
-    if run is None or len(standing) >= len(features.network.sensors) // 2:
+        runs = _free_runs(features, trusted(series, standing), twins)
+    if len(standing) >= len(features.network.sensors) // 2:
         return standing
-    found = _stepped(features, run, live)
-    return standing if found is None else (*standing, found)
+    for twin, run in zip(twins, runs, strict=True):
+        if (found := _stepped(features, run, twin)) is not None:
+            return (*standing, found)
+    return standing
 
 
 class _Run(NamedTuple):
@@ -112,15 +116,16 @@ class _Run(NamedTuple):
     measured: Array
 
 
-def _free_run(features: Features, series: Series, live: Array) -> _Run | None:
-    """None where the record is too short to tell."""
+def _free_runs(features: Features, series: Series, twins: Sequence[Array]) -> list[_Run]:
+    """One of each twin; none where the record is too short to tell."""
     nominal = features.network.values
     frame = features.frame(series, len(series), nominal)
     first = max(CONTEXT - SPAN, frame.begin)
     if CONTEXT - first < SPAN // 2:
-        return None
+        return []
     state, time, held = features.state_at(frame, first, nominal), frame.time[first:], frame.held[first:]
-    return _Run(time, held, state, features.kernel.trace(live, state, time, held)[0][0], frame.measured[first:])
+    readings = (features.kernel.trace(twin, state, time, held)[0][0] for twin in twins)
+    return [_Run(time, held, state, own, frame.measured[first:]) for own in readings]
 
 
 def _agrees(run: _Run, series: Series, doubt: Doubt) -> bool:

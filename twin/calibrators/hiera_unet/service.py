@@ -39,6 +39,8 @@ from twin.network import Array, Network
 CYCLE_S = 300.0
 RECORDS = 288
 """Proposals that are remembered: a day's."""
+LIVED = 7
+"""Cycles for which the live twin's values are remembered: half an hour."""
 LATEST, FAR_OFF = 60, 4.0
 """Latest steps over which the live twin is held against a fit, and the factor between their mean squares from which it
 is adrift."""
@@ -77,6 +79,7 @@ class HieraUNetCalibrator:
         self._untold: list[dict[str, Any]] = []
         self._spoken: tuple[Spoken, ...] = ()
         self._aside: tuple[Doubt, ...] = ()
+        self._lived: deque[Array] = deque(maxlen=LIVED)
         self._leakage: float | None = None
         self._spread = np.full(len(network.sensors), np.nan)
 
@@ -151,7 +154,9 @@ class HieraUNetCalibrator:
     def _propose(self, live: Array) -> Proposal:
         """One cycle on everything that was pushed; `live` is the full vector (p,) of what the twin has now."""
         nominal, deviations = self.network.values, self.features.deviations
-        self._aside = contradicted.reviewed(self.features, self.history.series(), live, self._aside)
+        self._lived.append(live.copy())
+        twins = (live, self._lived[0]) if (self._lived[0] != live).any() else (live,)
+        self._aside = contradicted.reviewed(self.features, self.history.series(), twins, self._aside)
         series = self.series()
         past = self._read(series)
         if self._leakage is None and len(past.frame.time) - past.frame.begin >= gates.SHORTEST_STEPS:
@@ -291,6 +296,7 @@ class HieraUNetCalibrator:
             "spread": plain(self._spread),
             "spoken": [s.plain() for s in self._spoken],
             "doubts": [d.plain() for d in self._aside],
+            "lived": [plain(values) for values in self._lived],
             "records": list(self.records),
         }
 
@@ -300,6 +306,7 @@ class HieraUNetCalibrator:
         self._spread = from_plain(state["spread"])
         self._spoken = tuple(Spoken.restored(s) for s in state.get("spoken", ()))
         self._aside = tuple(Doubt.restored(d) for d in state.get("doubts", ()))
+        self._lived = deque((from_plain(values).reshape(-1) for values in state.get("lived", ())), maxlen=LIVED)
         self.records = deque(state["records"], maxlen=RECORDS)
 
 
