@@ -40,7 +40,8 @@ CYCLE_S = 300.0
 RECORDS = 288
 """Proposals that are remembered: a day's."""
 LIVED = 7
-"""Cycles for which the live twin's values are remembered: half an hour."""
+"""Cycles for which the live twin's values are remembered: half an hour. Only its own: another calibrator's, which lends
+the network its windows, may have been anything."""
 LATEST, FAR_OFF = 60, 4.0
 """Latest steps over which the live twin is held against a fit, and the factor between their mean squares from which it
 is adrift."""
@@ -104,6 +105,7 @@ class HieraUNetCalibrator:
         return cls(network, ensemble, Features(network, channels, deviations))
 
     def calibrate(self, window: Window) -> Calibration:
+        self._lived.append(window.parameters.copy())
         proposal = self.propose(window)
         return self._concluded(self.trusted(window), proposal)
 
@@ -117,6 +119,7 @@ class HieraUNetCalibrator:
 
         What only waits for the next proposal to say the same is no reason to leave the state where it is.
         """
+        self._lived.append(window.parameters.copy())
         proposal = self.propose(window)
         if proposal.closed.all() and not proposal.adrift:
             return None
@@ -154,8 +157,8 @@ class HieraUNetCalibrator:
     def _propose(self, live: Array) -> Proposal:
         """One cycle on everything that was pushed; `live` is the full vector (p,) of what the twin has now."""
         nominal, deviations = self.network.values, self.features.deviations
-        self._lived.append(live.copy())
-        twins = (live, self._lived[0]) if (self._lived[0] != live).any() else (live,)
+        before = self._lived[0] if self._lived else live
+        twins = (live, before) if (before != live).any() else (live,)
         self._aside = contradicted.reviewed(self.features, self.history.series(), twins, self._aside)
         series = self.series()
         past = self._read(series)
