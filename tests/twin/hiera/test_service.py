@@ -424,6 +424,8 @@ def test_least_squares_after_the_network_leaves_aside_what_the_network_does(ense
     t, u, y, true = lying()
     done = TwinTracker(LOOP, RefinedCalibrator(LOOP, calibrator(ensemble))).push(t, u, y)
     assert np.abs((done.tracked - true)[t >= 6000.0 + 1200.0, TANK]).mean() < 0.12
+    last = done.calibrations[-1].flags
+    assert [f[:24] for f in last if "SENSOR" in f] == ["DOUBTED_SENSOR: T_tank_C"], last
 
 
 def test_what_is_left_aside_is_so_after_going_on_from_a_saved_state(ensemble: Ensemble) -> None:

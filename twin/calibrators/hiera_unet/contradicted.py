@@ -34,6 +34,7 @@ LEFT = 4.0
 SURE = 15.0
 """Logarithm of the likelihood by which the step must be ahead of any parameter."""
 NEAR = 36
+"""Steps about the step from which a parameter may have changed as well."""
 SMALL, LARGE, REACH = 0.1, 0.6, 2.5
 """Changes of a parameter whose responses are tried, as shares of its value, and how often each may be taken."""
 
@@ -147,7 +148,7 @@ class _Squares:
 
     def scaled(self, shape: Array) -> Array:
         """Responses (..., n, Y) as the residuals are."""
-        mean = (shape * self.known).sum(axis=-2, keepdims=True) / self._count[:, None].T
+        mean = (shape * self.known).sum(axis=-2, keepdims=True) / self._count
         return np.asarray((shape - mean) * self._weight)
 
     def explained(self, shape: Array, least: float, most: float) -> tuple[Array, Array]:
@@ -178,7 +179,7 @@ def _stepped(features: Features, run: _Run, live: Array) -> Doubt | None:
         return None
     about = np.unique(np.clip(np.arange(since - NEAR, since + NEAR + 1, EVERY), 0, n - LEAST))
     _, rival = squares.explained(_responses(features.network, run, live, about), 0.0, REACH)
-    if gain - float(rival.max()) < 2.0 * SURE:
+    if gain - float(rival.max(initial=0.0)) < 2.0 * SURE:
         return None
     return Doubt(int(sensor), float(run.time[since]), off)
 

@@ -65,12 +65,13 @@ class RefinedCalibrator(LeastSquares):
         alone = super().calibrate(self._apart(window))
         self._left = _Left(float(window.time[-1]), window.inputs[-1].copy(), alone.end, self._full(alone))
         if any(r.code in gates.UNREADABLE for r in proposal.reasons):
-            return _said(alone, window, "on its own: the network's gates are closed", proposal.evaluations)
+            return self._said(alone, window, proposal, "on its own: the network's gates are closed")
         led = self._led(window, self._belief(proposal, before), alone)
         if self._recent(window, alone) <= BETTER * max(self._recent(window, led), LEAST_CHI):
-            more = proposal.evaluations + led.evaluations
-            return _said(alone, window, "on its own: the network's proposal explains no more", more)
-        return _said(led, window, "led by the network", proposal.evaluations + alone.evaluations)
+            return self._said(
+                alone, window, proposal, "on its own: the network's proposal explains no more", led.evaluations
+            )
+        return self._said(led, window, proposal, "led by the network", alone.evaluations)
 
     def _apart(self, window: Window) -> Window:
         """The window as least squares alone would have met it."""
@@ -137,6 +138,15 @@ class RefinedCalibrator(LeastSquares):
         good = np.isfinite(squares)
         return float(squares[good].mean()) if good.any() else 0.0
 
+    def _said(self, done: Calibration, window: Window, proposal: Proposal, flag: str, more: int = 0) -> Calibration:
+        """With what was left aside, a flag and further evaluations; the error before is the live twin's, whoever
+        concluded."""
+        aside = (d.sentence(self.network) for d in proposal.doubts)
+        return replace(
+            done, flags=(*aside, *done.flags, flag), evaluations=done.evaluations + proposal.evaluations + more,
+            error_before_K=window.error_K,
+        )  # fmt: skip
+
     def _full(self, calibration: Calibration) -> Array:
         full = self.network.values.copy()
         full[self.network.index(self.ids)] = list(calibration.values.values())
@@ -155,10 +165,3 @@ class RefinedCalibrator(LeastSquares):
 
 
 _ARRAYS = ("inputs", "state", "parameters")
-
-
-def _said(done: Calibration, window: Window, flag: str, more: int) -> Calibration:
-    """With a flag and further evaluations; the error before is the live twin's, whoever concluded."""
-    return replace(
-        done, flags=(*done.flags, flag), evaluations=done.evaluations + more, error_before_K=window.error_K
-    )  # fmt: skip
