@@ -65,6 +65,7 @@ class _Buffer:
     time: list[Array] = field(default_factory=list)
     inputs: list[Array] = field(default_factory=list)
     measured: list[Array] = field(default_factory=list)
+    read: list[np.ndarray] = field(default_factory=list)
     live: list[Array] = field(default_factory=list)
     static: list[Array] = field(default_factory=list)
     state: Array | None = None
@@ -135,7 +136,7 @@ class TwinTracker:
                 f"a block of {n} samples needs inputs ({n}, {len(self.network.inputs)}) and measured ({n}, {m}), "
                 f"got {u.shape} and {y.shape}"
             )
-        y = np.where(np.isfinite(y), y, np.nan)
+        y, read = np.where(np.isfinite(y), y, np.nan), np.isfinite(np.atleast_2d(np.asarray(inputs, dtype=np.float64)))
         self._last_good = u[-1].copy()
         rows = self._advancing(t)
         follows = isinstance(self.calibrator, Follower)
@@ -144,9 +145,10 @@ class TwinTracker:
         self._misses.clear()
         at = 0
         before = self._readings() if rows.size < n and self._origin is not None else None
-        ahead = (t, u, y) if rows.size == n else (t[rows], u[rows], y[rows])
+        ahead = (t, u, y, read) if rows.size == n else (t[rows], u[rows], y[rows], read[rows])
         while at < rows.size:
-            at += self._some(ahead[0][at:], ahead[1][at:], ahead[2][at:], out[:, at:], calibrations)
+            part = (ahead[0][at:], ahead[1][at:], ahead[2][at:], ahead[3][at:])
+            at += self._some(*part, out[:, at:], calibrations)
         if follows:
             out[2] = np.where(np.isfinite(out[2]), out[2], out[1])
         self._count(0, out[0] - ahead[2])
@@ -190,7 +192,7 @@ class TwinTracker:
         latest = np.maximum.accumulate(np.concatenate([[-np.inf if self._origin is None else self._time], stamps]))
         return np.flatnonzero(stamps > latest[:-1])
 
-    def _some(self, t: Array, u: Array, y: Array, out: Array, calibrations: list[Calibration]) -> int:
+    def _some(self, t: Array, u: Array, y: Array, read: np.ndarray, out: Array, calibrations: list[Calibration]) -> int:
         """Work off some of the advancing samples, at least one; their number is returned."""
         rules = self.network.rules
         if self._origin is None:
@@ -225,10 +227,11 @@ class TwinTracker:
         buffer.time.append(t[:take].copy())
         buffer.inputs.append(u[:take].copy())
         buffer.measured.append(y[:take].copy())
+        buffer.read.append(read[:take].copy())
         buffer.live.append(out[1, :take].copy())
         buffer.static.append(out[0, :take].copy())
         if isinstance(self.calibrator, Follower):
-            seen = self.calibrator.follow(t[:take], u[:take], y[:take], buffer.state)
+            seen = self.calibrator.follow(t[:take], u[:take], y[:take], read[:take], buffer.state)
             out[2, :take], out[3, :take] = seen.filtered, seen.spread
         if last is not None:
             self._complete(calibrations)
@@ -312,6 +315,7 @@ class TwinTracker:
             self._parameters.copy(),
             np.concatenate(buffer.live),
             self.network.rules,
+            np.concatenate(buffer.read),
         )
 
     def _count(self, row: int, residual: Array) -> None:
@@ -344,7 +348,7 @@ class TwinTracker:
             if buffer.state is None
             else {
                 "state": plain(buffer.state),
-                **{key: plain(np.concatenate(getattr(buffer, key))) for key in _BUFFERED},
+                **{key: plain(np.concatenate(getattr(buffer, key))) for key in (*_BUFFERED, "read")},
             },
         }
 
@@ -370,6 +374,8 @@ class TwinTracker:
             self._buffer.state = from_plain(state["buffer"]["state"])
             for key in _BUFFERED:
                 getattr(self._buffer, key).append(from_plain(state["buffer"][key]))
+            inputs = self._buffer.inputs[0]
+            self._buffer.read.append(from_plain(state["buffer"].get("read", np.isfinite(inputs))).astype(bool))
 
 
 _ARRAYS = ("parameters", "last_good", "inputs", "static", "tracked", "seen", "sums")

@@ -16,7 +16,7 @@ from twin.calibrators.base import Calibration, Calibrator
 from twin.calibrators.hiera_unet.campaigns import Label
 from twin.calibrators.hiera_unet.evidence import Evidence, estimate, identifiable, least_error, step_noise
 from twin.calibrators.hiera_unet.features import Features, Frame
-from twin.calibrators.hiera_unet.series import STEP_S, filled_forward
+from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.gauss_newton import SE90
 from twin.network import Array, Network
@@ -142,8 +142,7 @@ def tracked(name: str) -> Contestant:
         stop = TARGET * (targets[-1] + 1)
         part = campaign.series.part(0, min(stop, len(campaign.series)))
         began = time.process_time()
-        inputs = filled_forward(part.inputs, network.nominal_inputs)
-        update = tracker.push(part.time, inputs, part.measured)
+        update = tracker.push(part.time, part.inputs, part.measured)
         spent = (time.process_time() - began) * TARGET / len(part)
         done = {_number(c, part.time[0]): c for c in update.calibrations}
         readings = np.stack([update.tracked[TARGET * k : TARGET * (k + 1)] for k in targets])

@@ -20,6 +20,7 @@ class Window:
     Attributes:
         number: from 0; windows without a sample are not made.
         time: (n,) s. inputs: (n, c), without NaN. measured: (n, m) degC, NaN where masked.
+        read: (n, c) bool, which inputs were read at the sample; the others are what was read last.
         state: of the live twin at the first sample. parameters: (p,) full vector it ran with.
         live: (n, m) its readings, made before the window was seen.
         first: how many samples count as the beginning of the window.
@@ -32,6 +33,7 @@ class Window:
     time: Array
     inputs: Array
     measured: Array
+    read: np.ndarray
     state: Array
     parameters: Array
     live: Array
@@ -125,8 +127,9 @@ class Estimate:
 class Follower(Protocol):
     """A calibrator that works sample by sample as well."""
 
-    def follow(self, time: Array, inputs: Array, measured: Array, state: Array) -> Estimate:
-        """Take in samples, in order; `state`, that of the live twin at their first, is for a start from nothing."""
+    def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> Estimate:
+        """Take in samples, in order; arrays as in `Window`. `state`, that of the live twin at the first of them, is for
+        a start from nothing."""
         ...
 
 

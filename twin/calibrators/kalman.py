@@ -125,8 +125,8 @@ class KalmanFilter:
         self._capacitance = np.maximum(network.values[capacitance], 1.0)
         self._piece: _Piece | None = None
 
-    def follow(self, time: Array, inputs: Array, measured: Array, state: Array) -> Estimate:
-        """Filter samples, in order; `state` counts at the very first one only."""
+    def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> Estimate:
+        """Filter samples, in order; `state` counts at the very first one only, and inputs as if all had been read."""
         filtered, spread = np.empty_like(measured), np.empty_like(measured)
         at = 0
         if self._piece is None:
@@ -208,7 +208,9 @@ class KalmanFilter:
         behind = 0 if self._piece is None else int(np.searchsorted(window.time, self._piece.time, side="right"))
         if behind < window.time.size:
             rows = slice(behind, None)
-            self.follow(window.time[rows], window.inputs[rows], window.measured[rows], window.state)
+            self.follow(
+                window.time[rows], window.inputs[rows], window.measured[rows], window.read[rows], window.state
+            )  # fmt: skip
         cost, v, fitted = self._fitted(window)
         missed = misfit(window, self.network.sigma)
         again = self._again(window, missed) if cost > SURPRISE and missed > SURPRISE else None

@@ -47,8 +47,10 @@ def assemble(
     parameters: Array,
     live: Array,
     rules: WindowRules,
+    read: np.ndarray | None = None,
 ) -> Window:
-    """Judge a completed window (see `Window` for the shapes)."""
+    """Judge a completed window (see `Window` for the shapes); without `read` all inputs were read."""
+    read = np.ones(inputs.shape, dtype=bool) if read is None else read
     residual = live - measured
     first = max(int(np.searchsorted(time, time[0] + rules.first_s)), 1)
     mismatch = initial_mismatch(residual[:first])
@@ -56,7 +58,7 @@ def assemble(
     rows = np.flatnonzero(np.isfinite(measured).any(axis=1))
     enough = rows.size >= LEAST_ROWS and time[rows[-1]] - time[rows[0]] >= LEAST_SPAN * rules.window_s
     kind = decide(mismatch, error, rules) if enough else "skipped"
-    return Window(number, time, inputs, measured, state, parameters, live, first, mismatch, error, kind)
+    return Window(number, time, inputs, measured, read, state, parameters, live, first, mismatch, error, kind)
 
 
 def initial_mismatch(residual: Array) -> float:

@@ -218,6 +218,17 @@ def test_a_change_inside_a_window_is_followed_before_the_next_where_least_square
     assert led[5].error_K < alone[5].error_K
 
 
+def test_a_change_early_in_a_window_is_followed_from_its_middle_on(ensemble: Ensemble) -> None:
+    """What least squares alone makes of the window at its end, where nothing is far better, is the answer still."""
+    t, u, y = fouling(3030)
+    alone, led = (tracker.push(t, u, y) for tracker in (TwinTracker(LOOP, "least_squares"), refined(ensemble)))
+    late = (t > 3300.0) & (t < 3600.0)
+    missed, less = (np.sqrt(np.mean((update.tracked - y)[late] ** 2)) for update in (alone, led))
+    assert missed > 0.1 > less  # noise of 0.05 K included
+    assert np.array_equal(led.tracked[t < 3300.0], alone.tracked[t < 3300.0]) and not led.proposals
+    assert all(c.flags[-1].startswith("on its own") for c in led.calibrations[:5])
+
+
 def test_where_the_network_does_not_lead_least_squares_answers_as_if_it_were_alone(ensemble: Ensemble) -> None:
     """To the last bit, before a change and, once both have seen it, nearly so after it."""
     t, u, y = fouling(3330)
@@ -353,7 +364,7 @@ def open_gates() -> gates.Evidently:
     return gates.Evidently(
         hidden=0.1, steps=1440, measured=rng.normal(size=(120, 2)), noise=np.ones(2), condition=30.0,
         told=np.array([True, True]), half_width=np.array([0.1, 0.2]), missed=np.array([0.1, np.nan]),
-        left=np.array([0.02, np.nan]), tolerated=0.1, sd=np.array([0.1, 0.1]), prior=np.array([0.4, 0.4]),
+        left=np.array([0.02, np.nan]), tolerated=0.1, lost=(), sd=np.array([0.1, 0.1]), prior=np.array([0.4, 0.4]),
         distance=0.5, leakage=0.0,
     )  # fmt: skip
 
@@ -378,6 +389,7 @@ def warming(steps: int, *jumps: float) -> Any:
         ({"missed": np.array([0.5, np.nan])}, "", [False, False]),
         ({"missed": np.full(2, 0.09), "half_width": np.full(2, 0.01), "left": np.full(2, 0.2)}, "", [False, False]),
         ({"leakage": 0.1}, "LEAKAGE", [True, True]),
+        ({"lost": ("T_ambient_C",)}, "LOST_INPUT", [True, True]),
         ({"measured": warming(500, 25.0, 25.0)}, "SHUFFLED_RECORD", [True, True]),
         ({"measured": warming(120, 0.0, 20.0)}, "", [False, False]),
     ],
@@ -391,6 +403,29 @@ def test_each_gate_closes_for_its_own_reason(other: dict[str, Any], code: str, h
 def test_a_record_that_is_a_little_too_short_is_said_to_be_so() -> None:
     (reason,) = gates.reasons(replace(open_gates(), steps=354), ("a", "b"))
     assert reason.sentence == "29.5 minutes of record have been seen, fewer than 30"
+
+
+def test_an_input_that_is_no_longer_read_holds_every_parameter_and_says_so(ensemble: Ensemble) -> None:
+    """The heater goes on as it likes; what a fit makes of that is no parameter."""
+    t, u, y = record({})
+    u[t >= 1800.0, 0] = np.nan
+    done = TwinTracker(LOOP, calibrator(ensemble)).push(t, u, y)
+    after = [p for p in done.proposals if p["time_s"] > 1800.0 + 400.0]
+    assert after and all(p["reasons"][0].startswith("LOST_INPUT") and len(p["held"]) == 9 for p in after)
+    assert set(after[0]["held"].values()) == {"LOST_INPUT"} and any(p["adrift"] for p in after)
+    assert not any("LOST_INPUT" in p["held"].values() for p in done.proposals if p["time_s"] <= 1800.0)
+    assert any(
+        f == "LOST_INPUT: heater_power_W was not read, which parameters would only make up for"
+        for f in done.calibrations[-1].flags
+    )
+
+
+def test_an_input_that_is_logged_twice_a_minute_is_not_lost(ensemble: Ensemble) -> None:
+    t, u, y = record({})
+    u[t % 30.0 > 0.0] = np.nan
+    proposals = [p for p in TwinTracker(LOOP, calibrator(ensemble)).push(t, u, y).proposals if p["time_s"] > 1800.0]
+    assert len(proposals) > 5
+    assert not any("LOST_INPUT" in str(p["reasons"]) or "MISSING" in str(p["reasons"]) for p in proposals)
 
 
 def lying(hours: float = 2.4, since_s: float = 6000.0) -> tuple[Any, Any, Any, Any]:

@@ -1,6 +1,7 @@
 """When a proposal of the network may become the twin's parameters: all gates must be open.
 
-Each closed gate is a code with a sentence. A code with a parameter's name holds that parameter only.
+Each closed gate is a code with a sentence. A code with a parameter's name holds that parameter only. What holds `EVERY`
+parameter says nothing against the window: a live twin that is far off still follows its rig.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ FLAT_STEPS = 120
 FLAT_K = 1e-6
 """Change from step to step that is none: means of equal readings differ by rounding."""
 LEAKS = 0.05
+EVERY = "every parameter"
 UNREADABLE = ("SHORT_RECORD", "MISSING_REQUIRED", "FLAT_RECORD", "SHUFFLED_RECORD")
 """Codes of the gates on the record itself."""
 BROKEN = ("FLAT_RECORD", "SHUFFLED_RECORD")
@@ -38,7 +40,7 @@ BROKEN = ("FLAT_RECORD", "SHUFFLED_RECORD")
 
 @dataclass(frozen=True)
 class Reason:
-    """Why something is withheld: a code, the parameter where it is about one, a plain sentence."""
+    """Why something is withheld: a code, a plain sentence, the parameter where it is about one, or `EVERY`."""
 
     code: str
     sentence: str
@@ -58,7 +60,8 @@ class Evidently:
         told: (P,) bool, tells them apart. half_width: (Y,) K mean half widths. missed, left: (Y,) K, root mean squares
             of measured minus foretold over the target, and of what a fit of the latest stretch leaves there; NaN where
             nothing was measured. tolerated: K by which a calibrated twin may miss.
-        sd, prior: (P,) of the deviations, now and before any data. distance: from the envelope, 1 at its limit.
+        lost: columns of inputs that were hidden for most of the target. sd, prior: (P,) of the deviations, now and
+            before any data. distance: from the envelope, 1 at its limit.
         leakage: how far deviations hang on the last moments.
     """
 
@@ -72,6 +75,7 @@ class Evidently:
     missed: Array
     left: Array
     tolerated: float
+    lost: tuple[str, ...]
     sd: Array
     prior: Array
     distance: float
@@ -109,7 +113,7 @@ def _torn(change: Array, noise: Array) -> np.ndarray:
 
 
 def reasons(e: Evidently, ids: tuple[str, ...]) -> tuple[Reason, ...]:
-    """Every closed gate, those on the record first."""
+    """Every closed gate: an input that is missing, those on the record, those of single parameters."""
     found = list(unreadable(e.hidden, e.steps, e.measured, e.noise))
     if not e.told.any():
         found.append(
@@ -120,13 +124,17 @@ def reasons(e: Evidently, ids: tuple[str, ...]) -> tuple[Reason, ...]:
         found.append(Reason("HIGH_UNCERTAINTY", f"an output is known to no better than {widest:.2f} K"))
     if e.distance > 1.0:
         found.append(Reason("OUT_OF_ENVELOPE", f"{e.distance:.1f} times as far from what was trained on as is allowed"))
-    surprised = (e.missed > np.maximum(UNEXPLAINED * e.half_width, e.tolerated)).any()
+    # What a lost input did is no event of the rig's: the twin follows as it can, and no parameter is offered.
+    surprised = not e.lost and (e.missed > np.maximum(UNEXPLAINED * e.half_width, e.tolerated)).any()
     if surprised and (e.left > e.tolerated).any():
         found.append(
             Reason("CONTRADICTORY_EVENT", "neither parameters nor corrections explain what was measured: a jump?")
         )
     if e.leakage > LEAKS:
         found.append(Reason("LEAKAGE", f"shuffling the last moments moves a parameter by {e.leakage:.0%} of its range"))
+    if e.lost:
+        unread = f"{' and '.join(e.lost)} {'were' if len(e.lost) > 1 else 'was'} not read"
+        return (Reason("LOST_INPUT", f"{unread}, which parameters would only make up for", EVERY), *found)
     for k, name in enumerate(ids):
         if not e.told[k] and e.told.any():
             found.append(Reason("LOW_SENSITIVITY", f"the record does not tell {name}: held", name))
@@ -140,4 +148,4 @@ def held(found: tuple[Reason, ...], ids: tuple[str, ...]) -> np.ndarray:
     if any(not r.parameter for r in found):
         return np.ones(len(ids), dtype=bool)
     closed = {r.parameter for r in found}
-    return np.array([name in closed for name in ids])
+    return np.array([EVERY in closed or name in closed for name in ids])

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from twin.calibrators.base import from_plain, plain
-from twin.calibrators.hiera_unet.series import STEP_S, Series, binned
+from twin.calibrators.hiera_unet.series import STEP_S, Series, binned, lasting, latest
 from twin.calibrators.hiera_unet.windows import CONTEXT
 from twin.network import Array
 
 SPAN_S = CONTEXT * STEP_S
+LASTS = 12
+"""Steps for which an input counts as read: a minute. Slow ones are logged no more often."""
 
 
 class History:
@@ -26,6 +28,7 @@ class History:
         self._origin: float | None = None
         self._time = np.zeros(0)
         self._inputs, self._measured = np.zeros((0, inputs)), np.zeros((0, sensors))
+        self._earlier = np.full(inputs, np.nan)
 
     @property
     def last_s(self) -> float:
@@ -33,7 +36,7 @@ class History:
         return float(self._time[-1]) if self._time.size else -np.inf
 
     def push(self, time: Array, inputs: Array, measured: Array) -> None:
-        """Samples in order: time (n,) s, inputs (n, c), measured (n, m) degC with NaN where masked.
+        """Samples in order: time (n,) s, inputs (n, c), measured (n, m) degC; NaN where not read.
 
         Those that are there already are left out.
         """
@@ -47,6 +50,7 @@ class History:
         self._inputs = np.vstack([self._inputs, inputs])
         self._measured = np.vstack([self._measured, measured])
         keep = self._time >= self._time[-1] - SPAN_S - 2.0 * STEP_S
+        self._earlier = latest(self._inputs[~keep], self._earlier)
         self._time, self._inputs, self._measured = self._time[keep], self._inputs[keep], self._measured[keep]
 
     def series(self) -> Series:
@@ -58,14 +62,17 @@ class History:
         measured = binned(self._measured, np.clip(near - first, 0, n - 1), n)
         return Series(
             time=np.asarray(self._origin + STEP_S * np.arange(first, first + n), dtype=np.float64),
-            inputs=binned(self._inputs, before - first, n),
+            inputs=lasting(binned(self._inputs, before - first, n), LASTS),
             measured=measured,
             spread=np.full(measured.shape, np.nan),
+            earlier=self._earlier.copy(),
         )
 
     def state(self) -> dict[str, Any]:
         """Plain data to go on from."""
-        arrays = {"time": self._time, "inputs": self._inputs, "measured": self._measured}
+        arrays = {
+            "time": self._time, "inputs": self._inputs, "measured": self._measured, "earlier": self._earlier
+        }  # fmt: skip
         return {"origin": self._origin, **{key: plain(a) for key, a in arrays.items()}}
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -74,3 +81,4 @@ class History:
         self._time = from_plain(state["time"]).reshape(-1)
         self._inputs = from_plain(state["inputs"]).reshape(-1, self._inputs.shape[1])
         self._measured = from_plain(state["measured"]).reshape(-1, self._measured.shape[1])
+        self._earlier = from_plain(state.get("earlier", [None] * self._inputs.shape[1])).reshape(-1)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from twin.calibrators.hiera_unet.contradicted import Doubt
-from twin.calibrators.hiera_unet.gates import Reason
+from twin.calibrators.hiera_unet.gates import EVERY, Reason
 from twin.network import Array, Network
 
 
@@ -51,7 +51,7 @@ class Proposal:
         """Plain data for a log; `held` says by which gate's code."""
         own = {r.parameter: r.code for r in reversed(self.reasons) if r.parameter}
         whole = next((r.code for r in self.reasons if not r.parameter), "")
-        own = {} if whole else own
+        whole, own = (whole, {}) if whole else (own.get(EVERY, ""), own)
         return {
             "time_s": self.time_s,
             "values": dict(zip(ids, np.where(self.held, self.said, self.values).tolist(), strict=True)),

@@ -4,7 +4,8 @@ Least squares goes on as if it were alone, but for thermometers that the network
 its state are its own, whatever becomes of the network's. Beside it stands a fit over the longest stretch up to now that
 one set of parameters explains (`evidence`), with what the network believes as the prior where its gates are open. That
 one counts only where it explains the latest minutes far better: when the rig changed inside the window, which least
-squares alone fits as a whole. Everywhere else the answer is that of least squares.
+squares alone fits as a whole. Everywhere else the answer is that of least squares. In the middle of a window, too, the
+live twin goes over to that fit where it explains the latest minutes far better than the twin itself.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from twin.calibrators.hiera_unet.features import Frame
 from twin.calibrators.hiera_unet.holding import NARROWEST
 from twin.calibrators.hiera_unet.proposal import Proposal
 from twin.calibrators.hiera_unet.series import STEP_S, binned
-from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
+from twin.calibrators.hiera_unet.service import CYCLE_S, HieraUNetCalibrator
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.calibrators.least_squares import LeastSquares
 from twin.calibrators.outcome import Report, conclude
@@ -45,13 +46,14 @@ class _Left:
 
 
 class RefinedCalibrator(LeastSquares):
-    """Network, then least squares; satisfies `Calibrator`. Deterministic.
+    """Network, then least squares; satisfies `Calibrator` and `Proposer`. Deterministic.
 
     Args:
         network_calibrator: the network.
     """
 
     name = "hiera_ls"
+    cycle_s = CYCLE_S
 
     def __init__(self, network: Network, network_calibrator: HieraUNetCalibrator, tunables: str = "nine") -> None:
         super().__init__(network, tunables)
@@ -67,11 +69,26 @@ class RefinedCalibrator(LeastSquares):
         if any(r.code in gates.UNREADABLE for r in proposal.reasons):
             return self._said(alone, window, proposal, "on its own: the network's gates are closed")
         led = self._led(window, self._belief(proposal, before), alone)
-        if self._recent(window, alone) <= BETTER * max(self._recent(window, led), LEAST_CHI):
+        if not self._far_better(window, led.fitted, alone.fitted):
             return self._said(
                 alone, window, proposal, "on its own: the network's proposal explains no more", led.evaluations
             )
         return self._said(led, window, proposal, "led by the network", alone.evaluations)
+
+    def between(self, window: Window) -> tuple[Array, Array] | None:
+        """Values and state of the second fit, where it explains the latest minutes far better than the live twin; least
+        squares alone goes on from where it was."""
+        proposal = self.proposing.propose(window)
+        window = self.proposing.trusted(window)
+        if any(r.code in gates.UNREADABLE for r in proposal.reasons):
+            return None
+        values, readings, end, _ = self._fit(window, self._belief(proposal, self._scaling.to_values(self._mean)))
+        better = self._far_better(window, _over(window.live, readings), window.live)
+        return (values, end) if better else None
+
+    def take(self) -> tuple[dict[str, Any], ...]:
+        """Nothing: what the network proposes is the network's to tell."""
+        return ()
 
     def _apart(self, window: Window) -> Window:
         """The window as least squares alone would have met it."""
@@ -83,20 +100,15 @@ class RefinedCalibrator(LeastSquares):
         state = self.kernel.trace(left.parameters, left.state, time, inputs)[1][0]
         live = self.kernel.trace(left.parameters, state, window.time, window.inputs)[0][0]
         found = assemble(
-            window.number, window.time, window.inputs, window.measured, state, left.parameters, live, rules
+            window.number, window.time, window.inputs, window.measured, state, left.parameters, live, rules, window.read
         )  # fmt: skip
         return replace(found, kind=window.kind)
 
     def _led(self, window: Window, belief: Belief, alone: Calibration) -> Calibration:
         """The fit from a belief; before the stretch that it is of, readings are those of `alone`."""
         features, nominal = self.proposing.features, self.proposing.network.values
-        series = self.proposing.series().ahead(TARGET)
-        frame = features.frame(series, len(series), nominal)
-        found = estimate(features, frame, nominal, belief=belief)
-        values = features.deviations.values(found.theta, nominal)
-        readings, end = self._traced(window, frame, found)
-        fitted = alone.fitted.copy()
-        fitted[len(fitted) - len(readings) :] = readings
+        values, readings, end, found = self._fit(window, belief)
+        fitted = _over(alone.fitted, readings)
         slope = features.deviations.scaling(nominal).slope(values)
         flags = [
             f"cannot tell {i} apart: it leans on the network"
@@ -108,6 +120,14 @@ class RefinedCalibrator(LeastSquares):
             cost=float(np.sqrt(found.chi)), evaluations=found.evaluations * (1 + len(self.ids) + len(alone.state)),
             report=Report(np.diag((found.sd * slope) ** 2), tuple(flags), condition=found.condition),
         )  # fmt: skip
+
+    def _fit(self, window: Window, belief: Belief) -> tuple[Array, Array, Array, Evidence]:
+        """Values (q,), readings (n', m) at the last samples of the window, state at the last, and the fit itself."""
+        features, nominal = self.proposing.features, self.proposing.network.values
+        series = self.proposing.series().ahead(TARGET)
+        frame = features.frame(series, len(series), nominal)
+        found = estimate(features, frame, nominal, belief=belief)
+        return features.deviations.values(found.theta, nominal), *self._traced(window, frame, found), found
 
     def _belief(self, proposal: Proposal, before: Array) -> Belief:
         """What the network says where its gates are open; elsewhere, loosely, the values (q,) of before the window."""
@@ -129,11 +149,15 @@ class RefinedCalibrator(LeastSquares):
         readings, end = features.kernel.trace(full, found.start, time, inputs)
         return readings[0][upto - first :], end[0]
 
-    def _recent(self, window: Window, done: Calibration) -> float:
-        """Mean square of what a calibration leaves of the latest minutes, in units of a step's noise."""
+    def _far_better(self, window: Window, readings: Array, others: Array) -> bool:
+        """Whether readings (n, m) explain the latest minutes far better than others do."""
+        return self._recent(window, others) > BETTER * max(self._recent(window, readings), LEAST_CHI)
+
+    def _recent(self, window: Window, readings: Array) -> float:
+        """Mean square of what readings (n, m) leave of the latest minutes, in units of a step's noise."""
         since = int(np.searchsorted(window.time, window.time[-1] - LATEST_S))
         place = ((window.time[since:] - window.time[since]) / STEP_S + 1e-9).astype(np.intp)
-        left = binned((done.fitted - window.measured)[since:], place, int(place[-1]) + 1)
+        left = binned((readings - window.measured)[since:], place, int(place[-1]) + 1)
         squares = (left / step_noise(self.proposing.features)) ** 2
         good = np.isfinite(squares)
         return float(squares[good].mean()) if good.any() else 0.0
@@ -162,6 +186,13 @@ class RefinedCalibrator(LeastSquares):
         self.proposing.restore(state["network"])
         left = state["left"]
         self._left = None if left is None else _Left(left["time"], *(from_plain(left[name]) for name in _ARRAYS))
+
+
+def _over(readings: Array, latest: Array) -> Array:
+    """Readings (n, m), the last of them replaced by `latest` (n', m)."""
+    out = readings.copy()
+    out[len(out) - len(latest) :] = latest
+    return out
 
 
 _ARRAYS = ("inputs", "state", "parameters")

@@ -56,7 +56,7 @@ class Series:
         extra = {name: cut(a) for name, a in self.extra.items()}
         return Series(
             time, cut(self.inputs), cut(self.measured), cut(self.spread), extra, self.hour, self.day,
-            self._last_before(max(first, 0)),
+            latest(self.inputs[: max(first, 0)], self.earlier),
         )  # fmt: skip
 
     def ahead(self, count: int) -> Series:
@@ -71,15 +71,6 @@ class Series:
             time, longer(self.inputs), longer(self.measured), longer(self.spread), extra, self.hour, self.day,
             self.earlier,
         )  # fmt: skip
-
-    def _last_before(self, step: int) -> Array:
-        """Last finite inputs (c,) before a step."""
-        rows = self.inputs[:step]
-        latest: Array = np.full(rows.shape[1], np.nan) if self.earlier is None else self.earlier.copy()
-        good = np.isfinite(rows)
-        for j in np.flatnonzero(good.any(axis=0)):
-            latest[j] = rows[np.flatnonzero(good[:, j])[-1], j]
-        return latest
 
 
 def series(
@@ -153,6 +144,22 @@ def filled_forward(values: Array, first: Array, earlier: Array | None = None) ->
         early = np.where(np.isfinite(earlier), earlier, early)
     out: Array = np.where(row >= 0, np.take_along_axis(values, np.maximum(row, 0), axis=0), early)
     return np.ascontiguousarray(out)
+
+
+def latest(values: Array, earlier: Array | None = None) -> Array:
+    """Last finite values (c,) of (n, c), `earlier` (c,) or NaN where there is none."""
+    found: Array = np.full(values.shape[1], np.nan) if earlier is None else earlier.copy()
+    good = np.isfinite(values)
+    for j in np.flatnonzero(good.any(axis=0)):
+        found[j] = values[np.flatnonzero(good[:, j])[-1], j]
+    return found
+
+
+def lasting(values: Array, steps: int) -> Array:
+    """Values (n, c) with NaN replaced by the last finite one where that is no more than so many steps old."""
+    row = np.arange(len(values))[:, None]
+    last = np.maximum.accumulate(np.where(np.isfinite(values), row, -steps - 1), axis=0)
+    return np.where(row - last <= steps, np.take_along_axis(values, np.maximum(last, 0), axis=0), np.nan)
 
 
 def _spread(each: Array) -> Array:

@@ -45,9 +45,9 @@ the network its windows, may have been anything."""
 LATEST, FAR_OFF = 60, 4.0
 """Latest steps over which the live twin is held against a fit, and the factor between their mean squares from which it
 is adrift."""
-DELIVERED = ("level", "reading")
-"""Formulas of the channels that are inputs and thermometers as a record delivers them; all others are made of these, or
-of a meter that a rig need not have."""
+DRIVEN, DELIVERED = "level", ("level", "reading")
+"""Formula of the channels that are inputs; formulas of inputs and thermometers as a record delivers them. All others
+are made of these, or of a meter that a rig need not have."""
 TRAINED = Path(__file__).resolve().parents[3] / "profiles" / "trained"
 
 
@@ -111,7 +111,7 @@ class HieraUNetCalibrator:
 
     def propose(self, window: Window) -> Proposal:
         """What the network says at the end of a window, or of the part of it that has gone by."""
-        self.history.push(window.time, window.inputs, window.measured)
+        self.history.push(window.time, np.where(window.read, window.inputs, np.nan), window.measured)
         return self._propose(window.parameters)
 
     def between(self, window: Window) -> tuple[Array, Array] | None:
@@ -133,7 +133,7 @@ class HieraUNetCalibrator:
         left = contradicted.without(window.time, window.measured, self._aside)
         found = assemble(
             window.number, window.time, window.inputs, left, window.state, window.parameters, window.live,
-            self.network.rules,
+            self.network.rules, window.read,
         )  # fmt: skip
         return replace(found, kind=window.kind) if found.kind == "skipped" else found
 
@@ -145,12 +145,12 @@ class HieraUNetCalibrator:
         told, self._untold = tuple(self._untold), []
         return told
 
-    def follow(self, time: Array, inputs: Array, measured: Array, state: Array) -> Estimate:
+    def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> Estimate:
         """Take in samples; the spread is that of the latest proposal.
 
         `filtered` is NaN: between windows the live twin's own readings stand.
         """
-        self.history.push(time, inputs, measured)
+        self.history.push(time, np.where(read, inputs, np.nan), measured)
         nothing = np.full((len(time), len(self.network.sensors)), np.nan)
         return Estimate(nothing, np.broadcast_to(self._spread, nothing.shape).copy())
 
@@ -248,11 +248,17 @@ class HieraUNetCalibrator:
             missed=_rms(frame.target - twin - said.delta),
             left=self._left(ahead),
             tolerated=self.network.rules.calibrated_K,
+            lost=self._lost(frame),
             sd=ahead.said.theta_sd,
             prior=self.features.deviations.prior_sd,
             distance=ahead.said.distance,
             leakage=self._leakage or 0.0,
         )
+
+    def _lost(self, frame: Frame) -> tuple[str, ...]:
+        """Columns of inputs that were hidden for most of the target."""
+        inputs = [(k, c.of[0]) for k, c in enumerate(self.features.table.channels) if c.formula == DRIVEN]
+        return tuple(column for k, column in inputs if frame.m[-TARGET:, k].mean() < 0.5)
 
     def _left(self, ahead: _Reading) -> Array:
         """What a fit of the latest stretch leaves of it (Y,), root mean square, K; of ten minutes at most."""
