@@ -132,7 +132,7 @@ def reasons(e: Evidently, ids: tuple[str, ...]) -> tuple[Reason, ...]:
         )
     if e.leakage > LEAKS:
         found.append(Reason("LEAKAGE", f"shuffling the last moments moves a parameter by {e.leakage:.0%} of its range"))
-    if e.lost:
+    if e.lost and e.steps >= SHORTEST_STEPS:
         unread = f"{' and '.join(e.lost)} {'were' if len(e.lost) > 1 else 'was'} not read"
         return (Reason("LOST_INPUT", f"{unread}, which parameters would only make up for", EVERY), *found)
     for k, name in enumerate(ids):
