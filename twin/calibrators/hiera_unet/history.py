@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 
 from twin.calibrators.base import from_plain, plain
-from twin.calibrators.hiera_unet.series import STEP_S, Series, binned, lasting, latest
+from twin.calibrators.hiera_unet.series import STEP_S, Series, binned, filled_forward, lasting, latest
 from twin.calibrators.hiera_unet.windows import CONTEXT
 from twin.network import Array
 
 SPAN_S = CONTEXT * STEP_S
 LASTS = 12
 """Steps for which an input counts as read: a minute. Slow ones are logged no more often."""
+USUALLY, JUDGED = 0.5, 60
+"""Share of the steps up to its last value that count as read of an input that can be lost, and how many it takes to
+tell. Others are written down when they change, or now and then: what they said last holds."""
 
 
 class History:
@@ -29,6 +32,7 @@ class History:
         self._time = np.zeros(0)
         self._inputs, self._measured = np.zeros((0, inputs)), np.zeros((0, sensors))
         self._earlier = np.full(inputs, np.nan)
+        self._usual = np.zeros(inputs, dtype=bool)
 
     @property
     def last_s(self) -> float:
@@ -62,16 +66,26 @@ class History:
         measured = binned(self._measured, np.clip(near - first, 0, n - 1), n)
         return Series(
             time=np.asarray(self._origin + STEP_S * np.arange(first, first + n), dtype=np.float64),
-            inputs=lasting(binned(self._inputs, before - first, n), LASTS),
+            inputs=self._given(binned(self._inputs, before - first, n)),
             measured=measured,
             spread=np.full(measured.shape, np.nan),
             earlier=self._earlier.copy(),
         )
 
+    def _given(self, read: Array) -> Array:
+        """Inputs (n, c) as read, NaN where one is lost that was read all the time before."""
+        kept = lasting(read, LASTS)
+        for j, good in enumerate(np.isfinite(read).T):
+            until = int(np.flatnonzero(good)[-1]) + 1 if good.any() else 0
+            if until >= JUDGED:
+                self._usual[j] = np.isfinite(kept[:until, j]).mean() >= USUALLY
+        return np.where(self._usual, kept, filled_forward(read, self._earlier, self._earlier))
+
     def state(self) -> dict[str, Any]:
         """Plain data to go on from."""
         arrays = {
-            "time": self._time, "inputs": self._inputs, "measured": self._measured, "earlier": self._earlier
+            "time": self._time, "inputs": self._inputs, "measured": self._measured, "earlier": self._earlier,
+            "usual": self._usual,
         }  # fmt: skip
         return {"origin": self._origin, **{key: plain(a) for key, a in arrays.items()}}
 
@@ -82,3 +96,4 @@ class History:
         self._inputs = from_plain(state["inputs"]).reshape(-1, self._inputs.shape[1])
         self._measured = from_plain(state["measured"]).reshape(-1, self._measured.shape[1])
         self._earlier = from_plain(state.get("earlier", [None] * self._inputs.shape[1])).reshape(-1)
+        self._usual = from_plain(state.get("usual", [False] * self._inputs.shape[1])).reshape(-1).astype(bool)
