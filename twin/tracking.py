@@ -29,6 +29,8 @@ from twin.kernel import Kernel, held
 from twin.network import Array, Network, TwinFileError
 
 SETTLE_S = 30.0
+USUALLY = 0.5
+"""Share of a window's samples in which an input is read that is there; in some window before, for one to be lost."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,7 @@ class TwinTracker:
         self._static = np.zeros(k)
         self._tracked = np.zeros(k)
         self._seen = np.zeros(k)
+        self._usual = np.zeros(c)
         self._window = 0
         self._number = 0
         self._cycles = 0
@@ -295,12 +298,20 @@ class TwinTracker:
         else:
             sigma = self.network.sigma
             self._misses.append((misfit(unmoved, sigma), misfit(window, sigma)))
-            place = self._localiser.locate(window)
-            done = place.enter(self.calibrator.calibrate(window))
+            done = self._placed(window, self.calibrator.calibrate(window))
             self._count(2, done.fitted - window.measured)
         self._parameters[self.network.index(self.calibrator.ids)] = list(done.values.values())
         self._tracked = done.end.copy()
         calibrations.append(done)
+
+    def _placed(self, window: Window, done: Calibration) -> Calibration:
+        """With where an unknown power sits, or which inputs nobody read: what those did is not the rig's."""
+        read = window.read.mean(axis=0) >= USUALLY
+        lost = [c for c, usual, now in zip(self.network.input_columns, self._usual, read, strict=True) if usual > now]
+        self._usual = np.maximum(self._usual, read)
+        if lost:
+            return replace(done, flags=(*done.flags, f"not read: {', '.join(lost)}"))
+        return self._localiser.locate(window).enter(done)
 
     def _so_far(self) -> Window:
         """The buffered part of the window under way."""
@@ -368,7 +379,7 @@ class TwinTracker:
         scalars = state["scalars"]
         self._origin, self._time, self._pace, self._window, self._number, self._cycles = scalars
         for key in _ARRAYS:
-            setattr(self, f"_{key}", from_plain(state["arrays"][key]))
+            setattr(self, f"_{key}", from_plain(state["arrays"].get(key, plain(getattr(self, f"_{key}")))))
         self._buffer = _Buffer()
         if state["buffer"] is not None:
             self._buffer.state = from_plain(state["buffer"]["state"])
@@ -378,5 +389,5 @@ class TwinTracker:
             self._buffer.read.append(from_plain(state["buffer"].get("read", np.isfinite(inputs))).astype(bool))
 
 
-_ARRAYS = ("parameters", "last_good", "inputs", "static", "tracked", "seen", "sums")
+_ARRAYS = ("parameters", "last_good", "inputs", "static", "tracked", "seen", "usual", "sums")
 _BUFFERED = ("time", "inputs", "measured", "live", "static")

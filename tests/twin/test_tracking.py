@@ -258,3 +258,23 @@ def test_beginning_again_keeps_what_was_learned_and_finds_the_state_anew(loop: N
         assert tracker.values["modules_loss.hA"] == pytest.approx(learned["modules_loss.hA"], rel=0.2)
     # Counted on from the two before; the one that was under way is not fitted.
     assert [c.window for c in update.calibrations] == [2, 3]
+
+
+def test_what_an_input_did_that_nobody_read_is_not_put_down_to_the_rig() -> None:
+    """The heater is stepped up after its power was lost: heat that the twin does not know of, and no volume's."""
+    net = load(LOOP)
+    t = np.arange(2400.0)
+    u = np.tile([600.0, 100.0, 60.0, 22.0], (len(t), 1))
+    u[1300:, 0] = 850.0
+    y = simulate(net, t, u, START) + np.random.default_rng(0).normal(0.0, 1.0, (len(t), 4)) * net.sigma
+    told = u.copy()
+    told[1200:, 0] = np.nan
+    steady = np.where(np.arange(len(t))[:, None] < 1200, u, u[0])
+    blamed = TwinTracker(net, "least_squares").push(t, steady, y).calibrations
+    assert any(c.disturbed == "heater" for c in blamed[2:])
+    first, second = (TwinTracker(net, "least_squares") for _ in range(2))
+    before = first.push(t[:1500], told[:1500], y[:1500]).calibrations
+    second.restore(json.loads(json.dumps(first.state())))
+    after = second.push(t[1500:], told[1500:], y[1500:]).calibrations
+    assert not any("not read: heater_power_W" in c.flags for c in before) and len(after) == 2
+    assert all(c.disturbed is None and "not read: heater_power_W" in c.flags for c in after)
