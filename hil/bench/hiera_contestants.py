@@ -1,4 +1,7 @@
-"""Who takes part in `hil bench hiera`: each predicts ten minutes from what was known before they began."""
+"""Who takes part in `hil bench hiera`: each predicts ten minutes from what was known before they began.
+
+The network's calibrators take on what they find within windows, too, and predict the second half from there.
+"""
 
 from __future__ import annotations
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 BETWEEN = "Middle 90 % when cases are drawn again (bootstrap over cases)."
 AHEAD = (
-    "Each ten minutes are predicted from what was known before they began; hiera unet alone takes on what it proposes "
-    "at their middle too, for the second half."
+    "Each ten minutes are predicted from what was known before they began; hiera unet and hiera ls also take on what "
+    "they find at their middle, for the second half."
 )
 
 

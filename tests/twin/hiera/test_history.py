@@ -32,6 +32,7 @@ def test_an_input_counts_as_read_for_a_minute_and_is_remembered_for_ever(pieces:
     again = History(2, 1)
     again.restore(json.loads(json.dumps(history.state())))
     assert np.array_equal(again.series().earlier, series.earlier)
+    assert np.array_equal(again.series().inputs, series.inputs, equal_nan=True)
 
 
 def test_a_minute_after_its_last_value_an_input_is_lost() -> None:

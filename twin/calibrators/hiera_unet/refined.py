@@ -87,7 +87,8 @@ class RefinedCalibrator(LeastSquares):
         return (values, end) if better else None
 
     def take(self) -> tuple[dict[str, Any], ...]:
-        """Nothing: what the network proposes is the network's to tell."""
+        """Nothing: what the network proposes is `hiera_unet`'s to tell, and is let go of here."""
+        self.proposing.take()
         return ()
 
     def _apart(self, window: Window) -> Window:
