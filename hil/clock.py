@@ -34,6 +34,9 @@ class Clock(Protocol):
     async def next_tick(self) -> int:
         """Wait for the next tick and return its index; missed ticks are left out, never caught up in a burst."""
 
+    def current_tick(self) -> int:
+        """Index of the tick that is due now: a later one than `next_tick` returned where its work took so long."""
+
     async def advance(self) -> None:
         """Let one period of rig time pass, outside the grid."""
 
@@ -77,6 +80,14 @@ class MonotonicClock:
         await asyncio.sleep(max(wait, 0.0))
         self._tick = due
         return due - self._first
+
+    def current_tick(self) -> int:
+        """Index of the tick that is due now."""
+        due = int(self.now() / self.period_s)
+        if due > self._tick:
+            self.overruns += 1
+            self._tick = due
+        return self._tick - self._first
 
     async def advance(self) -> None:
         """Sleep for one period."""
@@ -183,6 +194,10 @@ class LockstepClock:
         self._now = float(answer[2:])
         self._granted = False
         self._tick += 1
+        return self._tick
+
+    def current_tick(self) -> int:
+        """Index of the step that was granted last: no time passes between two of them."""
         return self._tick
 
     async def advance(self) -> None:
