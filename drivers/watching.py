@@ -90,11 +90,12 @@ class _Frames(CanReceiver):
         super().__init__(*arguments)
         self.raw: dict[str, tuple[bytes, float]] = {}
 
-    def _take(self, frame: Any) -> None:
-        super()._take(frame)
+    def _take(self, frame: Any, arrival: float | None = None) -> None:
+        came = time.monotonic() if arrival is None else arrival  # the clock of a watch is this one
+        super()._take(frame, came)
         found = self._message_of(frame)
         if found is not None and not frame.is_error_frame and not frame.is_remote_frame:
-            self.raw[found.name] = bytes(frame.data), time.monotonic()
+            self.raw[found.name] = bytes(frame.data), came
 
     def came(self, point: Point) -> tuple[str, float]:
         """Frame of a point in hexadecimal, and when it came."""
