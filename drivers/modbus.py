@@ -136,7 +136,7 @@ class ModbusBus:
 
     def _with_remedy(self, failure: LinkError) -> LinkError:
         """A silence with what may be done about it."""
-        if not isinstance(failure, DeadlineError) or self.link.has_answered or "(" in str(failure).removeprefix(self._where):
+        if not isinstance(failure, DeadlineError) or self.link.has_answered or not self.link.heard_nothing:
             return failure
         serial = isinstance(self._config, ModbusRtuBus)
         keys = "device_id, serial_baud and parity" if serial else "device_id and transport"

@@ -54,6 +54,8 @@ class ModbusLink:
         self.patience_s = 0.0
         self.has_answered = False
         """Whether anything was answered on this connection."""
+        self.heard_nothing = False
+        """Whether not a byte came of the last request that was not answered."""
         self.deaf_s = 0.0
         """How long this connection was silent before its first answer, where requests were lost meanwhile."""
         self.on_reopened: list[Callable[[], None]] = []
@@ -265,7 +267,8 @@ class ModbusLink:
         why = self._refused
         if why is None:
             why = self._frames.unused
-        silence = f"{where}: no answer within {timeout_s:g} s" + (f" ({why})" if why is not None else "")
+        self.heard_nothing = why is None
+        silence = f"{where}: " + (f"{why}; " if why is not None else "") + f"no answer within {timeout_s:g} s"
         lost = self._wire is None
         if self.is_rtu and not lost:
             if self._refused is not None:
@@ -289,7 +292,8 @@ class ModbusLink:
     @property
     def _may_be_deaf(self) -> bool:
         """Whether this connection is so young that its device may not listen yet."""
-        return not self.has_answered and steady_s() - self._opened_s < self.patience_s
+        is_young = steady_s() - self._opened_s < self.patience_s
+        return is_young and self.heard_nothing and not self.has_answered
 
     async def _fall_silent(self, wire: Wire) -> None:
         """Wait until nothing has arrived for a while, where something did: it is the end of what went before."""

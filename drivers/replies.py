@@ -45,6 +45,7 @@ class FrameGuard:
         self._by_content = by_content
         self._buffer = b""
         self._owed = 0
+        self._behind = 0
 
     @property
     def holds(self) -> bool:
@@ -53,7 +54,7 @@ class FrameGuard:
 
     def clear(self) -> None:
         """Forget what has arrived."""
-        self._buffer, self._owed = b"", 0
+        self._buffer, self._owed, self._behind = b"", 0, 0
 
     def unfinished(self, transaction: int, unit: int) -> str | None:
         """Return a sentence about the bytes that are no whole frame, or None where there are none."""
@@ -71,7 +72,8 @@ class FrameGuard:
         while len(self._buffer) >= HEADER.size:
             tid, protocol, length, sender = HEADER.unpack_from(self._buffer)
             if protocol != 0:
-                raise ProtocolError(stranger(self._buffer))
+                behind = f"{self._behind} bytes came behind a reply, more than its header announces; {IGNORED}"
+                raise ProtocolError(behind if self._behind else stranger(self._buffer))
             is_ours = (tid == transaction or (self._takes_zero and tid == 0)) and sender == unit
             size = self._size(length, is_ours, request)
             if size is None:
@@ -85,6 +87,7 @@ class FrameGuard:
             self._buffer = self._buffer[size:]
             if is_ours:
                 passed.append(frame)
+                self._behind = len(self._buffer)
                 continue
             self.dropped += 1
             self.zeros += tid == 0 and sender == unit
