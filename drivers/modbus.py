@@ -141,7 +141,7 @@ class ModbusBus:
         serial = isinstance(self._config, ModbusRtuBus)
         keys = "device_id, serial_baud and parity" if serial else "device_id and transport"
         return DeadlineError(
-            f"{failure}; the {'line is open' if serial else 'port takes connections'} and nothing comes back: correct {keys}, "
+            f"{str(failure).removesuffix('; reconnecting')}; the {'line is open' if serial else 'port takes connections'} and nothing comes back: correct {keys}, "
             "or give connect_delay_s where the device is deaf for long after connecting"
         )
 
