@@ -140,9 +140,10 @@ class ModbusBus:
             return failure
         serial = isinstance(self._config, ModbusRtuBus)
         keys = "device_id, serial_baud and parity" if serial else "device_id and transport"
+        said = str(failure).removesuffix("; reconnecting")
         return DeadlineError(
-            f"{str(failure).removesuffix('; reconnecting')}; the {'line is open' if serial else 'port takes connections'} and nothing comes back: correct {keys}, "
-            "or give connect_delay_s where the device is deaf for long after connecting"
+            f"{said}; the {'line is open' if serial else 'port takes connections'} and nothing comes back: "
+            f"correct {keys}, or give connect_delay_s where the device is deaf for long after connecting"
         )
 
     async def _read_once(self) -> None:

@@ -51,13 +51,14 @@ class TcpFrames:
         if begun is not None or guard.others is None:
             return begun
         transaction, unit = guard.others
+        said = _counted(guard.dropped)
         if guard.zeros:
-            return _counted(guard.dropped) + "; it answers with transaction 0: give transaction = 'zero' where it always does"
+            return f"{said}; it answers with transaction 0: give transaction = 'zero' where it always does"
         if transaction == self._transaction:
-            return f"{_counted(guard.dropped)}: unit {unit} answers where device_id {self._device} was asked; correct device_id"
+            return f"{said}: unit {unit} answers where device_id {self._device} was asked; correct device_id"
         return (
-            f"{_counted(guard.dropped)}: the last has transaction {transaction} where {self._transaction} was asked; raise "
-            "timeout_s where the device is slow"
+            f"{said}: the last has transaction {transaction} where {self._transaction} was asked; raise timeout_s "
+            "where the device is slow"
         )
 
 

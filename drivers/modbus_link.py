@@ -235,8 +235,8 @@ class ModbusLink:
                 self.drop()
                 self._reconnect()
         return LateReplyError(
-            f"{where}: a reply was read {after_s:.1f} s after its request, too late to be used; was this process stopped "
-            "or the machine suspended?"
+            f"{where}: a reply was read {after_s:.1f} s after its request, too late to be used; was this process "
+            "stopped or the machine suspended?"
         )
 
     def _line_s(self, frame: bytes, pdu: bytes) -> float:

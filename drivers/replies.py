@@ -61,7 +61,7 @@ class FrameGuard:
         return unfinished(self._buffer, transaction, unit)
 
     def feed(self, data: bytes, transaction: int, unit: int, request: bytes = b"") -> list[bytes]:
-        """Return frames that answer `request` of this transaction and unit; ProtocolError where the stream makes no sense.
+        """Return frames that answer `request` of this transaction and unit; raises ProtocolError.
 
         After an error nothing more can be read from this connection: where the next frame begins is not known.
         """

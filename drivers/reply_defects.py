@@ -44,7 +44,9 @@ def service_of(data: bytes) -> str | None:
     if data[:1] == b":" and all(byte in b":0123456789ABCDEFabcdef\r\n" for byte in data):
         return "the reply is in Modbus ASCII, which is not supported; set the device to RTU or TCP"
     if len(data) >= 4 and all(32 <= byte < 127 or byte in b"\r\n\t" for byte in data[:_SHOWN]):
-        return f"a service that answers in text ({data[:_SHOWN].decode('ascii')!r}) listens there; correct host and port"
+        return (
+            f"a service that answers in text ({data[:_SHOWN].decode('ascii')!r}) listens there; correct host and port"
+        )
     return None
 
 

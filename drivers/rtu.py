@@ -75,7 +75,7 @@ class RtuGuard:
                 self.others = (
                     f"it came from device {frame[0]} where device_id {device} was asked; correct device_id"
                     if frame[0] != device
-                    else f"it was of function {frame[1]} with {len(frame) - 4} bytes; raise timeout_s where the device is slow"
+                    else f"it was of function {frame[1]} with {len(frame) - 4} bytes; raise timeout_s of a slow device"
                 )
         if passed and (self._buffer or len(passed) > 1):
             raise ProtocolError("more than one reply to one request: which is ours is not known")

@@ -17,7 +17,7 @@ LONGEST_WAIT_S = 1.0
 
 
 class Clock(Protocol):
-    """Ticks of one run. `overruns` counts how often ticks were late by more than a period, so that some were left out."""
+    """Ticks of one run. `overruns` counts how often one was late by more than a period, so that ticks were left out."""
 
     period_s: float
     overruns: int

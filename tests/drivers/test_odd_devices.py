@@ -112,7 +112,10 @@ STRANGERS: dict[str, tuple[Serve, str]] = {
         "announces 4 bytes and its content has 5",
     ),
     "nothing announced": (every(lambda t, u, p: mbap(t, u, answer(p), more=-5)), "announces 0 bytes and has 5"),
-    "half a reply": (every(lambda t, u, p: mbap(t, u, answer(p), more=0)[:-1]), "announces 5 bytes and stopped after 4"),
+    "half a reply": (
+        every(lambda t, u, p: mbap(t, u, answer(p), more=0)[:-1]),
+        "announces 5 bytes and stopped after 4",
+    ),
     "another unit": (every(lambda t, u, p: mbap(t, 9, answer(p))), "unit 9 answers where device_id 1 was asked"),
     "another transaction": (every(lambda t, u, p: mbap(t + 7, u, answer(p))), "transaction 8 where 1 was asked"),
     "transaction 0": (every(lambda t, u, p: mbap(0, u, answer(p))), "give transaction = 'zero'"),
@@ -180,7 +183,7 @@ async def test_a_refusal_of_a_wrong_length_takes_no_other_point(more):
 
     async with listening(every(reply)) as port:
         bus = driver(port)
-        with pytest.raises(DriverError, match="exception 2.*points that cannot be read: far"):
+        with pytest.raises(DriverError, match=r"exception 2.*points that cannot be read: far"):
             await bus.connect()
         readings = await bus.read()
         assert readings.quality == [Quality.GOOD, Quality.LINK_FAULT]

@@ -133,7 +133,7 @@ def test_a_reply_is_as_long_as_its_content_where_the_rig_file_says_so(length, be
 def test_bytes_behind_a_reply_are_named_when_the_next_one_cannot_be_read():
     guard = FrameGuard()
     assert guard.feed(GOOD + b"\1\2\3", 7, 1, ASKED) == [GOOD]
-    with pytest.raises(ProtocolError, match="3 bytes came behind a reply.*give frame_length = 'ignored'"):
+    with pytest.raises(ProtocolError, match=r"3 bytes came behind a reply.*give frame_length = 'ignored'"):
         guard.feed(b"\0\x08" + GOOD[2:], 8, 1, ASKED)
 
 

@@ -22,7 +22,9 @@ PROJECT = Path(__file__).resolve().parents[2]
 RIG = PROJECT / "profiles" / "rigs" / "virtual.toml"
 STALE_AFTER_S = 1.0
 STOPPED_S = 4.0
-PERIOD_S = 0.1
+STOPS = 3
+PERIOD_S = 0.02
+"""Of the rig: many frames come in a gap, so that the reader looks while they are taken out of the queue."""
 READER = """
 import asyncio, json, sys, time
 from pathlib import Path
@@ -41,7 +43,7 @@ async def main():
         snapshot = await connection.read()
         row = {n: v for n, v, q in zip(names, snapshot.values, snapshot.quality) if q == 0}
         print(json.dumps({"began": began, "wall": time.time(), "good": row}), flush=True)
-        await asyncio.sleep(0.02)
+        await asyncio.sleep(0.001)
 
 asyncio.run(main())
 """
@@ -51,19 +53,21 @@ async def test_what_was_queued_while_the_reader_was_stopped_is_not_good(tmp_path
     truth = tmp_path / "truth.bin"
     rig = await start_virtual_rig(seed=1, mode="real", period_s=PERIOD_S, effects=None, truth=truth)
     async with rig:
-        reader = await asyncio.create_subprocess_exec(
-            sys.executable, "-c", READER, str(RIG), str(rig.modbus_port), str(rig.can_port), str(STALE_AFTER_S),
-            stdout=(tmp_path / "rows").open("wb"), env={**os.environ, "PYTHONPATH": str(PROJECT)},
-        )  # fmt: skip
+        with (tmp_path / "rows").open("wb") as output:
+            reader = await asyncio.create_subprocess_exec(
+                sys.executable, "-c", READER, str(RIG), str(rig.modbus_port), str(rig.can_port), str(STALE_AFTER_S),
+                stdout=output, env={**os.environ, "PYTHONPATH": str(PROJECT)},
+            )  # fmt: skip
         try:
             while len(rows(tmp_path)) < 40:
                 assert reader.returncode is None
                 await asyncio.sleep(0.1)
-            reader.send_signal(signal.SIGSTOP)
-            await asyncio.sleep(STOPPED_S)
-            resumed = time.time()
-            reader.send_signal(signal.SIGCONT)
-            await asyncio.sleep(3.0)
+            for _ in range(STOPS):
+                reader.send_signal(signal.SIGSTOP)
+                await asyncio.sleep(STOPPED_S)
+                resumed = time.time()
+                reader.send_signal(signal.SIGCONT)
+                await asyncio.sleep(1.5)
         finally:
             reader.send_signal(signal.SIGCONT)
             reader.kill()

@@ -53,7 +53,9 @@ def test_a_sensor_cannot_be_a_set_point_and_an_input_must_be_somewhere(tmp_path)
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace('name = "pump_speed"', 'name = "pump"'), encoding="utf-8")
     (tmp_path / "load.csv").write_text(LOAD.replace("pump_speed_pct", "pump_pct"), encoding="utf-8")
-    with pytest.raises(ConfigurationError, match="call the set-point that stands for pump_speed_pct as the twin's input"):
+    with pytest.raises(
+        ConfigurationError, match="call the set-point that stands for pump_speed_pct as the twin's input"
+    ):
         prepare(request(tmp_path, path))
 
 
