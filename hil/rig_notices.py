@@ -33,7 +33,8 @@ def unguarded(rig: Rig, file: Path) -> list[str]:
         found.append(
             f"{file}: there is no [heartbeat], so that the device has no watchdog that hil knows: it keeps {names} "
             "when this machine loses power or hangs. The guardian process sets the safe values after `kill -9`, as "
-            "long as this machine runs. Add [heartbeat] with the device's watchdog, or switch on a time-out in the device"
+            "long as this machine runs. Add [heartbeat] with the device's watchdog, or switch on a time-out in the "
+            "device"
         )
     if all(point.alarm is None for point in rig.point) and all(spec.level != "alarm" for spec in rig.interlock):
         found.append(
