@@ -60,7 +60,7 @@ class Guard(Protocol):
         """Beat on by itself for so long; a tick that takes longer than that is silence."""
 
     def may_heat(self) -> bool:
-        """Return whether this engine is sure to be in charge: it has not been silent, and the guardian has not acted."""
+        """Return whether this engine is sure to be in charge: not silent meanwhile, and the guardian has not acted."""
 
     def failure(self) -> str | None:
         """Return why the run has to end: the guardian is gone, or has acted."""
@@ -135,6 +135,15 @@ class Guardian:
         """Start the process and tell it the plan; raises GuardianError where it does not answer."""
         if self._plan is None:
             return
+        self._spawn(self._plan)
+        end = steady_s() + STARTS_WITHIN_S
+        while self._heard_s == 0.0:
+            self._receive()
+            if self._lost is not None or steady_s() > end:
+                raise GuardianError(f"not armed: the guardian does not start ({self._lost or 'no answer'})")
+            await asyncio.sleep(0.005)
+
+    def _spawn(self, plan: dict[str, Any]) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         code = (
             f"import sys; sys.path.insert(0, {str(_PACKAGE)!r}); "
@@ -151,15 +160,8 @@ class Guardian:
             ours.close()
             raise GuardianError(f"not armed: the guardian cannot be started ({error})") from error
         self._socket = ours
-        ours.sendall(json.dumps(self._plan | {"log": str(self._log.absolute())}, ensure_ascii=True).encode() + b"\n")
+        ours.sendall(json.dumps(plan | {"log": str(self._log.absolute())}, ensure_ascii=True).encode() + b"\n")
         ours.setblocking(False)
-        loop = asyncio.get_running_loop()
-        end = loop.time() + STARTS_WITHIN_S
-        while self._heard_s == 0.0:
-            self._receive()
-            if self._lost is not None or loop.time() > end:
-                raise GuardianError(f"not armed: the guardian does not start ({self._lost or 'no answer'})")
-            await asyncio.sleep(0.005)
 
     async def probe(self) -> list[str]:
         """Return why wires cannot be reached beside the engine's own connection, a sentence each."""
@@ -252,8 +254,9 @@ class Guardian:
             self._socket.close()
         self._socket = None
         # Where it still tries to make the rig safe it is left alone: it outlives this process, and its log says more.
-        end = steady_s() + (2.0 if safe or not watching else 0.0)
-        while self._process.poll() is None and steady_s() < end:
+        for _ in range(200 if safe or not watching else 0):
+            if self._process.poll() is not None:
+                break
             await asyncio.sleep(0.01)
         if self._process.returncode is None:
             self._process.returncode = 0  # no warning about a process that is meant to go on

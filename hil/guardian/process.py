@@ -312,10 +312,8 @@ class Guardian:
     def _say(self, line: bytes) -> None:
         if self._engine is None:
             return
-        try:
+        with contextlib.suppress(OSError):  # an engine that is stopped does not read
             self._engine.send(line + b"\n", socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
-        except OSError:
-            pass  # an engine that is stopped does not read
 
 
 def main(descriptor: int, pid: int) -> None:
