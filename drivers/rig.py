@@ -80,6 +80,12 @@ class RigConnection:
                 snapshot.faults.append(readings.fault)
         return snapshot
 
+    @property
+    def exhausted(self) -> str | None:
+        """Why this machine has no descriptor or memory left to reach a device, as a sentence; None while it has."""
+        links = {id(bus.link): bus.link for sharing in self._wires.values() for bus in sharing}
+        return next((link.exhausted for link in links.values() if link.exhausted is not None), None)
+
     async def write(self, values: Mapping[str, float]) -> None:
         """Write engineering values by point name, one request where registers touch; raises a DriverError."""
         for name, bus in self._buses.items():

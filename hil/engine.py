@@ -79,6 +79,8 @@ class Outcome:
     trips: tuple[str, ...] = ()
     soaked_s: float = 0.0
     restarts: int = 0
+    guardian: str = ""
+    """What the guardian did, where it acted."""
 
     @property
     def in_order(self) -> bool:
@@ -225,6 +227,9 @@ class Engine:
         outcome.problems += self._told.problems
         await self._connection.close()
         await self._guard.done(safe=outcome.safe)
+        acted = self._guard.acted
+        if acted is not None:
+            outcome.guardian = f"{acted.reason}; {'safe values read back' if acted.safe else acted.problem}"
         await self._told.flush()
         await self._clock.close()
         if fatal is not None:
@@ -354,7 +359,8 @@ class Engine:
         passed = self._at.tick - last
         now = clock.now()
         self._notice_pause(passed * clock.period_s)
-        why = self._guard.failure()
+        # A machine without descriptors cannot open the link again: waiting for it would only heat on.
+        why = self._guard.failure() or (self._connection.exhausted if snapshot.faults else None)
         if why is not None:
             return Event.FAIL, why
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())

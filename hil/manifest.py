@@ -64,6 +64,7 @@ def ended(
         "reason": outcome.reason,
         "safe": outcome.safe,
         "away": outcome.away,
+        "guardian": outcome.guardian,
         "trips": outcome.trips,
         "ticks": outcome.ticks,
         "rig_restarts": outcome.restarts + manifest.get("rig_restarts", 0),
