@@ -20,6 +20,7 @@ from drivers.rig import RigConnection
 from drivers.rig_model import Point
 from hil.clock import LONGEST_WAIT_S, Clock
 from hil.conditions import Residuals
+from hil.deviations import Deviations
 from hil.guardian.client import Guard, NoGuard
 from hil.heaters import Descent, good_readings, safe_limits, still_hot
 from hil.journal import JournalError, JournalWriter
@@ -81,11 +82,18 @@ class Outcome:
     restarts: int = 0
     guardian: str = ""
     """What the guardian did, where it acted."""
+    deviations: list[str] = field(default_factory=list)
+    """Of a run that was done: what was asked and not measured."""
 
     @property
     def in_order(self) -> bool:
-        """Whether the profile was run to its end and the rig left safe."""
-        return self.status == "done" and self.safe and not self.away
+        """Whether the profile was run to its end as it asks, and the rig left safe."""
+        return self.status == "done" and self.safe and not self.away and not self.deviations
+
+    @property
+    def verdict(self) -> str:
+        """Its status as people read it."""
+        return "done with deviations" if self.status == "done" and self.deviations else self.status
 
 
 class Engine:
@@ -139,6 +147,7 @@ class Engine:
         self._guard: Guard = NoGuard() if guard is None else guard
         self._limits = safe_limits(self._rig)
         self._descent = Descent(self._rig, self._limits, clock.period_s)
+        self._deviations = Deviations(self._rig)
         self._made_safe: Safed | None = None
 
     # What others ask of it ---------------------------------------------------------------------
@@ -223,6 +232,8 @@ class Engine:
         outcome.ticks, outcome.overruns = self._at.tick, self._clock.overruns
         outcome.soaked_s, outcome.restarts = self._soaked_s, self._interlocks.restarts
         outcome.trips = self._interlocks.standing().trips
+        if outcome.status == "done":
+            outcome.deviations = self._deviations.found(self._clock.period_s)
         self._supervisor.close()
         outcome.problems += self._told.problems
         await self._connection.close()
@@ -368,6 +379,7 @@ class Engine:
             ended = self._lead_back(self._soak, snapshot, now)
         if was_running and machine.state is State.RUNNING:
             self._at.profile_ticks += passed
+            self._deviations.tick(self._outputs.values, good_readings(self._connection.points, snapshot))
         over = machine.state is State.RUNNING and self._at.profile_s >= self._profile.duration_s
         if ended is None:
             await self._put_out(clock.period_s)

@@ -49,7 +49,7 @@ def how_it_stopped(manifest: dict[str, Any], was: Standing) -> str:
     """A sentence's beginning: how the segment before ended."""
     if manifest["exit_status"] == "running":
         return f"the run was cut while {was.state}"
-    if manifest["exit_status"] == "done":
+    if manifest["exit_status"].startswith("done"):
         return "the run was over, but its report was not written"
     return f"the run {manifest['exit_status']} ({manifest['reason']})"
 
@@ -60,7 +60,8 @@ def ended(
     """What is new in the manifest when a segment is over, after `wall_s` of wall time."""
     return {
         "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "exit_status": outcome.status,
+        "exit_status": outcome.verdict,
+        "deviations": outcome.deviations,
         "reason": outcome.reason,
         "safe": outcome.safe,
         "away": outcome.away,

@@ -97,7 +97,7 @@ def request_of(
     Raises:
         RunFolderError: the run is over, or one of its files is not what it was.
     """
-    if manifest.get("exit_status") == "done" and folder.report.is_file():
+    if str(manifest.get("exit_status")).startswith("done") and folder.report.is_file():
         raise RunFolderError(f"{folder.path} has run to its end; start it again with `hil run`")
     files = _checked_files(folder, manifest, moved)
     settings = manifest["settings"]
