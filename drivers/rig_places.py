@@ -46,7 +46,9 @@ def sentence(path: Path, text: str, item: Any) -> str:
     place = tuple(item["loc"])
     if len(place) > 2 and place[0] in ("bus", "interlock") and place[2] in _TAGS:
         place = (*place[:2], *place[3:])
-    what = _mistake(item)
+    what = mistake(item)
+    if item["type"] == "missing" and len(place) > 2 and isinstance(place[-1], int):
+        what = "has too few values; give all of them"
     names = [str(part) for part in place if not isinstance(part, int)]
     if item["type"].startswith("union_tag"):
         place = (*place, item["ctx"]["discriminator"].strip("'"))
@@ -59,7 +61,7 @@ def sentence(path: Path, text: str, item: Any) -> str:
     return " ".join(f"{path}, line {line_of(text, place)}: {key}{owner}: {what}".split("\n"))
 
 
-def _mistake(item: Any) -> str:
+def mistake(item: Any) -> str:
     """Return what is wrong with the value of an error, and the remedy."""
     kind, given = str(item["type"]), item["input"]
     context = item.get("ctx", {})
@@ -68,28 +70,28 @@ def _mistake(item: Any) -> str:
     if kind == "value_error":
         return str(item["msg"]).removeprefix("Value error, ")
     if kind == "literal_error":
-        return f"{_shown(given)} is not known; use {context['expected']}"
+        return f"{shown(given)} is not known; use {context['expected']}"
     if kind == "union_tag_not_found":
         return f"{context['discriminator']} is missing; add it".replace("'", "")
     if kind == "union_tag_invalid":
         key = context["discriminator"].strip("'")
-        return f"{key} {_shown(given.get(key))} is not known; use {context['expected_tags']}"
+        return f"{key} {shown(given.get(key))} is not known; use {context['expected_tags']}"
     if kind in _BOUND:
         key, words = _BOUND[kind]
-        return f"{words} {context[key]:g}, got {_shown(given)}; correct it"
+        return f"{words} {context[key]:g}, got {shown(given)}; correct it"
     if kind == "string_pattern_mismatch":
-        return f"{_shown(given)} must be letters, digits and underscores, starting with a letter; rename it"
+        return f"{shown(given)} must be letters, digits and underscores, starting with a letter; rename it"
     if kind in ("too_short", "too_long", "missing_argument"):
         least, most = context.get("min_length"), context.get("max_length")
         count = least if least is not None else most
-        return f"must be a list of {count} values, got {context.get('actual_length', _shown(given))}; correct it"
+        return f"must be a list of {count} values, got {context.get('actual_length', shown(given))}; correct it"
     needed = _NEEDED.get(kind.split("_")[0])
     if needed is None:
-        return f"cannot be {_shown(given)}; look the key up in docs/reference/rig-file.md"
-    return f"{needed}, got {_shown(given)}; correct it"
+        return f"cannot be {shown(given)}; look the key up in docs/reference/rig-file.md"
+    return f"{needed}, got {shown(given)}; correct it"
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """Return a wrong value as a message shows it, cut where it is long."""
     if isinstance(value, dict):
         return "a table"
