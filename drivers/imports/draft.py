@@ -13,6 +13,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from drivers.encodings import decoded
 from drivers.points import ConfigurationError
 from drivers.rig_checks import Layout
 from drivers.rig_model import Point
@@ -83,6 +84,18 @@ def read_bytes(path: Path) -> bytes:
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise ImportFileError(path, None, f"cannot be read ({why}); correct the path") from None
+
+
+def read_any_text(path: Path, encoding: str | None, notes: list[str]) -> str:
+    """Return a text file of any usual encoding, which `notes` name where it is not UTF-8; raise ImportFileError."""
+    raw = read_bytes(path)
+    try:
+        text, found = decoded(raw, encoding)
+    except ValueError as error:
+        raise ImportFileError(path, None, str(error)) from None
+    if found != "utf-8" and encoding in (None, "utf-8"):
+        notes.append(f"it is no UTF-8 text and was read as {found}; look at its names and units")
+    return without_zeros(path, text)
 
 
 def without_zeros(path: Path, text: str) -> str:

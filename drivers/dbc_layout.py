@@ -1,0 +1,61 @@
+"""Layout of a DBC message's signals: which fit in its bytes, which share bits, and messages of some of them alone."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from cantools.database.can import Message
+
+
+def layout_faults(message: Any) -> dict[str, str]:
+    """Return the signals of a message that cannot be decoded, and why."""
+    found: dict[str, str] = {}
+    for signal in message.signals:
+        if not is_whole([signal], message):
+            found[signal.name] = f"does not fit in the {message.length} bytes of {message.name}; correct one"
+        elif not math.isfinite(signal.scale) or not math.isfinite(signal.offset) or signal.scale == 0:
+            found[signal.name] = "has a factor that loses the value; correct it"
+    return found
+
+
+def shared_bits(message: Any, faults: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return the signals that share bits with others, and with which; those of `faults` do not count."""
+    signals = [signal for signal in message.signals if signal.name not in faults]
+    found: dict[str, list[str]] = {}
+    if is_whole(signals, message):
+        return found
+    for number, one in enumerate(signals):
+        for other in signals[number + 1 :]:
+            apart = one.multiplexer_ids and other.multiplexer_ids
+            if not apart and not is_whole([one, other], message, plain=True):
+                found.setdefault(one.name, []).append(other.name)
+                found.setdefault(other.name, []).append(one.name)
+    return found or {signal.name: ["others"] for signal in signals}
+
+
+def is_whole(signals: Sequence[Any], message: Any, *, plain: bool = False) -> bool:
+    """Return whether cantools takes these signals as one message: they fit in it, and share no bit."""
+    try:
+        part_of(signals, message, plain=plain or len(signals) == 1)
+    except Exception:  # cantools raises errors of several unrelated types
+        return False
+    return True
+
+
+def part_of(signals: Sequence[Any], message: Any, *, plain: bool = False) -> Any:
+    """Return a message of these signals alone; `plain` takes them as if none were multiplexed."""
+    if plain:
+        signals = [copy.copy(signal) for signal in signals]
+        for signal in signals:
+            signal.is_multiplexer, signal.multiplexer_ids, signal.multiplexer_signal = False, None, None
+    return Message(
+        message.frame_id,
+        message.name,
+        message.length,
+        list(signals),
+        is_extended_frame=message.is_extended_frame,
+        strict=True,
+    )
