@@ -235,7 +235,12 @@ class _Import:
             return None
         verify = _Entry(self.path, found)
         address = whole(
-            self.path, verify.line_of("address"), "address of verify", verify.plain("address", keys["address"]), 0, 65535
+            self.path,
+            verify.line_of("address"),
+            "address of verify",
+            verify.plain("address", keys["address"]),
+            0,
+            65535,
         )
         default = next(key for key, table in _TABLES.items() if table == keys["table"])
         table = self._table(verify, "input_type", default)

@@ -22,9 +22,7 @@ _STRUCTURES = {
 """Letters of Python's struct module, with standard sizes as after `>` or `!`."""
 
 
-def typed(
-    path: Path, collector: Collector, name: str, line: int, plain: Callable[..., Any]
-) -> dict[str, Any]:
+def typed(path: Path, collector: Collector, name: str, line: int, plain: Callable[..., Any]) -> dict[str, Any]:
     """Return type, order, scale, offset and what a value may be of the sensor whose keys `plain` reads.
 
     Raises ImportFileError of what a rig file cannot hold.
@@ -61,12 +59,12 @@ def _kind(path: Path, line: int, plain: Callable[..., Any]) -> tuple[str, int | 
     kind, given = plain("data_type", "int16"), plain("count")
     count = None if given is None else whole(path, line, "count", given, 0, 125)
     structure = plain("structure")
-    if kind in _OLD and isinstance(kind, str):
+    if isinstance(kind, str) and kind in _OLD:
         bits = 16 * (count or (2 if kind == "float" else 1))
         kind = f"{_OLD[kind]}{bits}"
         if kind == "float32" and count is None:
             raise ImportFileError(path, line, "data_type float has no size; write float32 or float64")
-    if kind not in _TYPES:
+    if not isinstance(kind, str) or kind not in _TYPES:
         known = ", ".join(_TYPES)
         raise ImportFileError(path, line, f"data_type {shown(kind)} is not known; use {known}, or leave it out")
     if kind != "custom":

@@ -117,9 +117,7 @@ class _Import:
     def _section(self, section: dict[str, Any], place: Place) -> None:
         controller = self._text(section, "controller", place)
         if not controller:
-            raise self._error(
-                (*place, "controller"), "[[inputs.modbus]] has no controller = 'tcp://host:port'; add it"
-            )
+            raise self._error((*place, "controller"), "[[inputs.modbus]] has no controller = 'tcp://host:port'; add it")
         self._unused(section, place, _SECTION | _SECTION_HARMLESS)
         workarounds = section.get("workarounds", {})
         for key in workarounds if isinstance(workarounds, dict) else ():
@@ -189,9 +187,7 @@ class _Import:
     def _table(self, table: Mapping[str, Any], place: Place) -> str:
         register = self._text(table, "register", place) or "holding"
         if register not in _REGISTERS:
-            raise self._error(
-                (*place, "register"), f"register {register!r} is not known; use {', '.join(_REGISTERS)}"
-            )
+            raise self._error((*place, "register"), f"register {register!r} is not known; use {', '.join(_REGISTERS)}")
         return _REGISTERS[register]
 
     def _unused(self, table: Mapping[str, Any], place: Place, known: set[str]) -> None:

@@ -140,7 +140,8 @@ def _columns(path: Path, line: int, head: list[str], rows: list[tuple[int, list[
         if key not in (None, "?"):
             found.at[str(key)], found.inside[str(key)] = index, inside
             if key == "scale":
-                found.is_exponent = any(is_exponent_like(value) for value in values)
+                is_factor = any(re.fullmatch(r"0[.,]\d+|1/\d+", value) for value in values)
+                found.is_exponent = not is_factor and any(is_exponent_like(value) for value in values)
     for key in ("name", "address", "type"):
         if key not in found.at:
             raise ImportFileError(

@@ -17,7 +17,9 @@ _TIMES = r"[x×*·]"
 _LEADING = re.compile(rf"(?P<times>{_TIMES})?\s*(?P<number>{_NUMBER})\s*{_TIMES}?\s*(?P<unit>\D.*)")
 _DIGIT_OF_UNIT = re.compile(r"(?<=[A-Za-z°])[234](?![0-9.,])")
 """A power or an index: m3, W/m2, CO2."""
-_IN_WORDS = re.compile(r"\b(?:tenth|hundredth|thousandth|zehntel|hundertstel|tausendstel|dixieme|dixi.me|centi.me)", re.I)
+_IN_WORDS = re.compile(
+    r"\b(?:tenth|hundredth|thousandth|zehntel|hundertstel|tausendstel|dixieme|dixi.me|centi.me)", re.I
+)
 _IN_REMARK = re.compile(
     rf"{_TIMES}\s*(?:10+\b|0[.,]\d)|(?<![\w/])/\s*10+\b|\b1/10+\b|\b0[.,]0*1\s*(?:°|deg|K\b|%|bar|k?Pa|V\b|A\b|k?W|Hz|l/)|"
     r"\b(?:scaled?|scaling|factor|faktor|skalier\w*|divide\w*|multipl\w*|resolution|aufl.sung)\b[^.;]{0,20}\d|"
@@ -75,7 +77,9 @@ def divisor_of(text: str) -> float | None:
     if by == 0:
         raise ScaleError("divisor 0 is none; correct it")
     if abs(by) < 1:
-        raise ScaleError(f"divisor {text!r} may be the value of one count; call the column scale, or write 10 for a tenth")
+        raise ScaleError(
+            f"divisor {text!r} may be the value of one count; call the column scale, or write 10 for a tenth"
+        )
     return 1.0 / by
 
 

@@ -130,4 +130,6 @@ def heading_key(cell: str) -> tuple[str | None, str]:
     key = next((key for key, names in HEADINGS.items() if heading in names), None)
     if key is None and (heading in AMBIGUOUS or _CHANGES_A_VALUE.search(heading)):
         key = "?"
+    if key in ("scale", "divisor", "offset", "unit") and re.search(r"\d|raw|roh|brut", inside):
+        key = "?"  # a formula
     return key, inside

@@ -132,7 +132,13 @@ def _somebody_is_there() -> bool:
 
 
 def _imported(
-    source: Path, out: Path, addressing: str | None, order: str, encoding: str | None, bus: dict[str, Any], can: dict[str, Any]
+    source: Path,
+    out: Path,
+    addressing: str | None,
+    order: str,
+    encoding: str | None,
+    bus: dict[str, Any],
+    can: dict[str, Any],
 ) -> Draft:
     suffix = source.suffix.lower()
     if suffix in (".csv", ".tsv", ".txt"):
