@@ -80,14 +80,15 @@ def mistake(item: Any) -> str:
         key, words = _BOUND[kind]
         return f"{words} {context[key]:g}, got {shown(given)}; correct it"
     if kind == "string_pattern_mismatch":
-        return f"{shown(given)} must be letters, digits and underscores, starting with a letter; rename it"
+        letters = "letters, digits and underscores" + (", starting with a letter" if "A-Z" in context["pattern"] else "")
+        return f"{shown(given)} must be {letters}; rename it"
     if kind in ("too_short", "too_long", "missing_argument"):
         least, most = context.get("min_length"), context.get("max_length")
         count = least if least is not None else most
         return f"must be a list of {count} values, got {context.get('actual_length', shown(given))}; correct it"
     needed = _NEEDED.get(kind.split("_")[0])
     if needed is None:
-        return f"cannot be {shown(given)}; look the key up in docs/reference/rig-file.md"
+        return f"cannot be {shown(given)}; look the key up in docs/reference"
     return f"{needed}, got {shown(given)}; correct it"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import tomllib
 from collections.abc import Sequence
@@ -60,10 +61,8 @@ def key_lines(text: str) -> dict[Place, int]:
     A list element is named by its number: `("point", 2, "name")` is the name of the third `[[point]]`.
     """
     scanner = _Scanner(text)
-    try:
+    with contextlib.suppress(ValueError, RecursionError):  # lines are a help: those found so far are used
         scanner.scan()
-    except (ValueError, RecursionError):  # lines are a help: what has been found so far is used
-        pass
     return scanner.lines
 
 

@@ -59,8 +59,9 @@ HEADINGS = {
 AMBIGUOUS = (
     "gain", "verstaerkung", "resolution", "aufloesung", "step", "schrittweite", "pas", "increment", "lsb",
     "granularity", "precision", "praezision", "decimals", "decimal places", "decimal", "digits", "dezimalstellen",
-    "nachkommastellen", "nachkomma", "kommastellen", "decimales", "exponent", "exposant", "power of ten", "sf", "formula",
-    "formel", "formule", "conversion", "umrechnung", "ratio", "weight", "wertigkeit", "count value", "value per count",
+    "nachkommastellen", "nachkomma", "kommastellen", "decimales", "exponent", "exposant", "power of ten", "sf",
+    "formula", "formel", "formule", "conversion", "umrechnung", "ratio", "weight", "wertigkeit", "count value",
+    "value per count",
     "slope", "steigung", "pente", "calculation", "berechnung",
 )  # fmt: skip
 """Headings that may change a value and have no agreed meaning: vendors use `gain` for a factor and for a divisor."""

@@ -223,7 +223,7 @@ def test_a_column_of_powers_of_ten_is_not_taken_for_factors(tmp_path):
 def test_a_column_that_may_change_a_value_is_refused_unless_it_is_empty(tmp_path, heading):
     text = f"name;address;table;type;{heading}\nA;1;holding;int16;10\n"
     with pytest.raises(
-        ImportFileError, match="registers.csv, line 1: column .* has no agreed meaning; rename it scale"
+        ImportFileError, match=r"registers.csv, line 1: column .* has no agreed meaning; rename it scale"
     ):
         import_csv(table(tmp_path, text), "zero", BUS)
     assert len(import_csv(table(tmp_path, text.replace(";10", ";")), "zero", BUS).buses[0].points) == 1
