@@ -164,11 +164,9 @@ def read_dbc(path: Path, encoding: str | None = None) -> DbcContents:
         shared = shared_bits(message, faults)
         for signal in message.signals:
             at = text.signals.get((message.name, signal.name), line)
-            fault = faults.get(signal.name) or (
-                f"shares bits with {', '.join(shared[signal.name])} in a multiplexed message; correct one"
-                if signal.name in shared and message.is_multiplexed()
-                else None
-            )
+            fault = faults.get(signal.name)
+            if fault is None and (faults or shared) and (signal.is_multiplexer or signal.multiplexer_ids):
+                fault = "is multiplexed, and other signals of its message share bits or do not fit; correct those"
             if fault is not None:
                 contents.left_out.append((at, f"{signal.name}: {fault}"))
                 continue
@@ -192,11 +190,19 @@ def _described(message: Any, signal: Any, line: int) -> DbcSignal:
         signal.minimum,
         signal.maximum,
         choices or None,
-        message.cycle_time / 1000.0 if message.cycle_time else None,
+        _cycle_s(message),
         bool(signal.multiplexer_ids),
         signal.comment or "",
         line,
     )
+
+
+def _cycle_s(message: Any) -> float | None:
+    """Return the period of a message in s; None where the DBC gives none, or no number of ms."""
+    given = message.cycle_time  # whatever the attribute GenMsgCycleTime holds
+    if isinstance(given, bool) or not isinstance(given, int | float) or not 0 < given < math.inf:
+        return None
+    return given / 1000.0
 
 
 def _unreadable(message: Any) -> str | None:
@@ -264,6 +270,9 @@ def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
             raise ConfigurationError(
                 f"{path}: message {message.name} has no signal {point.signal!r} for {point.name}; it has {names}"
             )
+        fault = layout_faults(message).get(signal.name)
+        if fault is not None:
+            raise ConfigurationError(f"{path}: signal {signal.name} of point {point.name} {fault}")
         if signal.unit and canonical_unit(signal.unit) != point.unit:
             raise ConfigurationError(
                 f"{path}: signal {signal.name} is in {signal.unit}, point {point.name} in {point.unit}; correct one"
@@ -275,7 +284,7 @@ def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
                     f"{path}: message {message.name} has PGN 0x{pgn_of(message.frame_id):04X} and the rig file gives "
                     f"{called} 0x{match.pgn:04X}; correct one"
                 )
-            cycle_s = message.cycle_time / 1000.0 if message.cycle_time else None
+            cycle_s = _cycle_s(message)
             bound[called] = Bound(called, match, message.length, cycle_s, message, [])
         bound[called].wanted.append((index, _wanted(signal, bound[called].match.pgn is not None)))
     for one in bound.values():

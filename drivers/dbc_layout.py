@@ -16,9 +16,18 @@ def layout_faults(message: Any) -> dict[str, str]:
     for signal in message.signals:
         if not is_whole([signal], message):
             found[signal.name] = f"does not fit in the {message.length} bytes of {message.name}; correct one"
-        elif not math.isfinite(signal.scale) or not math.isfinite(signal.offset) or signal.scale == 0:
+        elif signal.scale == 0 or not all(map(_is_finite, (signal.scale, signal.offset))):
             found[signal.name] = "has a factor that loses the value; correct it"
+        elif not all(_is_finite(bound or 0) for bound in (signal.minimum, signal.maximum)):
+            found[signal.name] = "has a range that is no pair of numbers; correct it"
     return found
+
+
+def _is_finite(number: float) -> bool:
+    try:
+        return math.isfinite(float(number))
+    except OverflowError:  # a whole number of hundreds of digits
+        return False
 
 
 def shared_bits(message: Any, faults: Mapping[str, str]) -> dict[str, list[str]]:

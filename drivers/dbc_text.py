@@ -10,11 +10,11 @@ import re
 from dataclasses import dataclass, field
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_MESSAGE = re.compile(r"\s*BO_\s+(?P<id>\d+)\s+(?P<name>\w+)\s*:\s*(?P<length>\d+)\s+\w+\s*")
+_MESSAGE = re.compile(r"\s*BO_\s+(?P<id>\d{1,10})\s+(?P<name>\w+)\s*:\s*(?P<length>\d{1,4})\s+\w+\s*")
 _SIGNAL = re.compile(
-    r"\s*SG_\s+(?P<name>\w+)(?:\s+(?:M|m\d+M?))?\s*:\s*\d+\s*\|\s*(?P<length>\d+)\s*@\s*[01]\s*[-+]\s*"
+    r"\s*SG_\s+(?P<name>\w+)(?:\s+(?:M|m\d+M?))?\s*:\s*\d{1,5}\s*\|\s*(?P<length>\d{1,5})\s*@\s*[01]\s*[-+]\s*"
     rf"\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*\)\s*\[\s*{_NUMBER}\s*\|\s*{_NUMBER}\s*\]\s*"
-    r'"(?:[^"\\]|\\.)*"(?P<receivers>(?:\s*,?\s*\w+)*)\s*'
+    r'"(?:[^"\\]|\\.)*"(?P<receivers>[\s\w,]*)'
 )
 _EXTENDED, _INDEPENDENT = 1 << 31, 0xC0000000
 """Bit of an id of 29 bits, and the id of the message that holds signals which no message carries."""

@@ -80,7 +80,9 @@ def mistake(item: Any) -> str:
         key, words = _BOUND[kind]
         return f"{words} {context[key]:g}, got {shown(given)}; correct it"
     if kind == "string_pattern_mismatch":
-        letters = "letters, digits and underscores" + (", starting with a letter" if "A-Z" in context["pattern"] else "")
+        letters = "letters, digits and underscores" + (
+            ", starting with a letter" if "A-Z" in context["pattern"] else ""
+        )
         return f"{shown(given)} must be {letters}; rename it"
     if kind in ("too_short", "too_long", "missing_argument"):
         least, most = context.get("min_length"), context.get("max_length")

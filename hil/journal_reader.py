@@ -48,10 +48,14 @@ def _guarded(read: Callable[P, T]) -> Callable[P, T]:
             return read(*args, **kwargs)
         except _DAMAGE as error:
             path = args[0]._path  # type: ignore[attr-defined]
-            what = " ".join(str(error).split())[:120]
+            name = read.__name__.replace("_read_", "")
+            why = (
+                " ".join(str(error).split())
+                if isinstance(error, sqlite3.Error)
+                else "a row is not as this version writes it"
+            )
             raise JournalError(
-                f"{path} is damaged: its {read.__name__.replace('_read_', '')} cannot be read ({type(error).__name__}: {what}); take a copy of "
-                "the run folder that is whole"
+                f"{path} is damaged: its {name} cannot be read ({why}); take a copy of the run folder that is whole"
             ) from error
 
     return guarded

@@ -29,11 +29,15 @@ class ScenarioError(ValueError):
     """A scenario cannot be read or built; a sentence a line, each naming the file and the remedy."""
 
 
+_LONGEST_H = 1e6
+"""Hours; a century is shorter."""
+
+
 def _seconds(time: object) -> int:
     if isinstance(time, str) and (match := re.fullmatch(r"(\d+):([0-5]\d)(?::([0-5]\d))?", time)):
         hours, minutes, seconds = (int(part or 0) for part in match.groups())
         return 3600 * hours + 60 * minutes + seconds
-    if isinstance(time, int | float) and not isinstance(time, bool) and 0 <= time < math.inf:
+    if isinstance(time, int | float) and not isinstance(time, bool) and 0 <= time <= _LONGEST_H:
         return round(3600 * time)
     raise ValueError(f"{time!r} is no time; write hours and minutes as '1:45', or hours as 1.75")
 
@@ -166,10 +170,7 @@ def read_scenario(path: Path) -> Scenario:
     except ValidationError as error:
         systems = document.get("system", [])
         raise ScenarioError(
-            "\n".join(
-                _sentence(path, text, systems, part["loc"], mistake(part))
-                for part in error.errors()
-            )
+            "\n".join(_sentence(path, text, systems, part["loc"], mistake(part)) for part in error.errors())
         ) from error
     except TypeError as error:
         raise ScenarioError(f"{path} has a key that no scenario has ({error})") from error

@@ -268,7 +268,7 @@ class _Import:
         devices = {key: whole(self.path, item.line_of(key), key, value, 0, 255) for key, value in said.items()}
         if len(set(devices.values())) > 1:
             raise ImportFileError(self.path, item.line, "slave and device_address differ; take one of them out")
-        return self.buses.of(self._bus_keys(hub, next(iter(devices.values()), 1)))
+        return self.buses.of(self.path, item.line, self._bus_keys(hub, next(iter(devices.values()), 1)))
 
     def _bus_keys(self, hub: _Entry, device: int) -> dict[str, Any]:
         kind = hub.plain("type")
@@ -282,4 +282,4 @@ class _Import:
         if not isinstance(host, str) or not host:
             raise ImportFileError(self.path, hub.line_of("host"), "a hub has no host; add it")
         port_number = whole(self.path, hub.line_of("port"), "port", hub.plain("port", 502), 1, 65535)
-        return tcp(host, port_number, device, rtu=kind == "rtuovertcp")
+        return tcp(self.path, hub.line, host, port_number, device, rtu=kind == "rtuovertcp")

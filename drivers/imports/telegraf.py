@@ -220,7 +220,8 @@ class _Import:
             raise ImportFileError(self.path, line, f"a {table} has one address and this has {len(numbers)}; correct it")
         if keys.get("type") == "string" or table in ("coil", "discrete"):
             keys["kind"] = "status"
-        bus = self.buses.of(self._bus(section, self._device(group, group_place), group_place, place))
+        reached = self._bus(section, self._device(group, group_place), group_place, place)
+        bus = self.buses.of(self.path, line, reached)
         bus.points.append(self.collector.point(bus.name, name, line, keys))
 
     def _addresses(self, item: dict[str, Any], place: Place, line: int) -> list[int]:
@@ -311,7 +312,7 @@ class _Import:
         if url.scheme != "tcp" or not host:
             said = f"controller {controller!r} is neither tcp://host:port nor file:///dev/PORT; correct it"
             raise ImportFileError(self.path, line, said)
-        return tcp(host, port, device, rtu=mode == "RTUoverTCP")
+        return tcp(self.path, line, host, port, device, rtu=mode == "RTUoverTCP")
 
 
 def _called(item: Mapping[str, Any]) -> str:

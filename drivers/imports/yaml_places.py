@@ -44,7 +44,7 @@ def load_placed(path: Path, text: str) -> Placed:
             path, None, "is YAML, which takes PyYAML to read; install it (pip install pyyaml) and try again"
         ) from None
     try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        node = yaml.compose(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         return Placed({}, 1) if node is None else _Reader(path, yaml).placed(node, 0)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark is not None else None
@@ -58,6 +58,7 @@ class _Reader:
         self.path = path
         self.yaml = yaml
         self._count = 0
+        self._constructor = yaml.SafeLoader("")
 
     def placed(self, node: Any, depth: int) -> Placed:
         """Return a node with its line; raise ImportFileError where aliases of aliases make it endless."""
@@ -78,7 +79,7 @@ class _Reader:
         if node.tag not in _NUMBERS:
             return node.value
         try:
-            return self.yaml.SafeLoader("").construct_object(node)
+            return self._constructor.construct_object(node)
         except (ValueError, KeyError, IndexError, OverflowError):
             raise ImportFileError(
                 self.path, line, f"{node.value[:40]!r} is no {node.tag.rpartition(':')[2]}; correct it"

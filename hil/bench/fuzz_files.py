@@ -14,11 +14,14 @@ import signal
 import tempfile
 import threading
 import warnings
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from hil.bench import fuzz_texts
 from hil.bench.fuzz_texts import mutated, mutated_json
@@ -61,6 +64,7 @@ class Reader:
 def readers(folder: Path) -> dict[str, Reader]:
     """Return every reader by the kind of its files; `folder` holds what a journal is copied from."""
     from hil.bench.fuzz_journal import damaged, read_all, sound_journal
+    from hil.diagnosis_store import CURVES, Curves, Unknown, write_curves
     from hil.scenario import read_scenario
     from twin.twinfile import load as load_twin
 
@@ -69,6 +73,10 @@ def readers(folder: Path) -> dict[str, Reader]:
     journal = sound.read_bytes()
     twins = [(PROJECT / "profiles" / "twins" / f"{name}.toml").read_text() for name in ("heated_pipe", "tclab_bare")]
     load = (PROJECT / "profiles" / "loads" / "commissioning.toml").read_text()
+    line = np.zeros(3)
+    write_curves(
+        Curves(line, {"T": line}, {"T": line}, {"T": 0.1}, (Unknown("tank", "W", line, line, 0.0),)), folder / CURVES
+    )
     (folder / "bus.dbc").write_text(fuzz_texts.DBC, encoding="utf-8")
     return {
         "rig file": _text("toml", _rig, fuzz_texts.RIG),
@@ -197,8 +205,14 @@ def _effects(path: Path) -> None:
     load_effects(path)
 
 
+_READ_AGAIN = 4
+"""Every so many drafts are written and read as a rig file, which takes longer than the import."""
+
+
 def _accepted(draft: Any) -> None:
     """Read the rig file of a draft again: an import must not write what `hil check` refuses."""
+    if not _is_read_again(draft.source):
+        return
     from drivers.imports.draft import write
     from drivers.rigfile import load_rig
 
@@ -208,6 +222,10 @@ def _accepted(draft: Any) -> None:
         load_rig(made)
     except ValueError as error:
         raise AssertionError(f"the draft is refused: {error}") from error
+
+
+def _is_read_again(path: Path) -> bool:
+    return zlib.crc32(path.read_bytes()) % _READ_AGAIN == 0
 
 
 def _table(path: Path) -> None:
@@ -236,6 +254,8 @@ def _dbc(path: Path) -> None:
 
     made = path.with_name("made.toml")
     draft = import_dbc(path, made, {"transport": "virtual", "channel": "c"})
+    if not _is_read_again(path):
+        return
     made.write_text(write(draft, "made"), encoding="utf-8")
     try:
         rig = load_rig(made)

@@ -95,7 +95,11 @@ def _damage(database: sqlite3.Connection, pick: random.Random) -> None:
     if kind < 0.3:
         key = pick.choice(("header", "schema_version", "exit_status"))
         row = database.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
-        value = mutated_json(json.loads(row[0]) if row else None, pick).decode("utf-8", "replace")
+        try:
+            document = json.loads(row[0]) if row else None
+        except (ValueError, TypeError):  # damaged by the mutation before this one
+            document = None
+        value = mutated_json(document, pick).decode("utf-8", "replace")
         database.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
         return
     columns = [row[1] for row in database.execute(f"PRAGMA table_info({table})")]

@@ -14,8 +14,32 @@ VALUES = (
     "!include k.yaml", "${VAR}", "*a", "&a", "0,1", "1/10", "x10", "-", "|", ">", "<<", "<<:", "1.000,5", "٣", "é", "\x7f",
 )  # fmt: skip
 """What takes the place of a value: wrong types, ends of ranges, other tools' placeholders, decimal commas."""
-MARKS = ('"', "'", "[", "]", "{", "}", "=", ":", ",", ";", "#", "\\", "\t", "\n", "\r", "\0", "\ufeff", "|", "@", "-", " ")
+MARKS = (
+    '"',
+    "'",
+    "[",
+    "]",
+    "{",
+    "}",
+    "=",
+    ":",
+    ",",
+    ";",
+    "#",
+    "\\",
+    "\t",
+    "\n",
+    "\r",
+    "\0",
+    "\ufeff",
+    "|",
+    "@",
+    "-",
+    " ",
+)
 _TOKEN = re.compile(r"\"[^\"\n]*\"|'[^'\n]*'|[-+]?\d[\w.]*|[A-Za-z_][\w./°-]*")
+_MOST_DIGITS = 300
+"""Of a number that is counted up: Python reads some thousands."""
 _DEEP = 3000
 """Levels of lists in lists, beyond what Python's stack of calls holds."""
 
@@ -89,27 +113,29 @@ signal = "T_wall"
 unit = "degC"
 
 [[interlock]]
-kind = "limit"
-name = "hot"
-point = "T_wall"
-above = 80.0
-action = "abort"
+kind = "no_flow"
+level = "alarm"
+heater = "heater"
+above = 10.0
+flow = "mode"
+low = 1.0
 """
 EFFECTS = """\
 [[effect]]
 kind = "heat_loss"
 where = "tank"
-driver = "temperature"
-extra_W_per_K = 2.0
+driver = "temperature_difference"
+conductance_W_per_K = 2.0
 onset_s = 600.0
 ramp_s = 60.0
 note = "wet insulation"
 
 [[effect]]
-kind = "heat_input"
-where = "pump"
-driver = "pump"
-extra_W = 15.0
+kind = "heat_source"
+where = "tank"
+driver = "pump_speed"
+power_W = 15.0
+exponent = 3.0
 end_s = 900.0
 """
 TABLE = """\
@@ -270,7 +296,9 @@ def _changed(node: Any, pick: random.Random) -> Any:
     if isinstance(node, list) and node and pick.random() < 0.7:
         at = pick.randrange(len(node))
         return [*node[:at], _changed(node[at], pick), *node[at + 1 :]]
-    return pick.choice((None, True, -1, 0, 1e308, float("nan"), 10**30, "", "x", "\0", "../a", [], [node], {}, {"a": node}))
+    return pick.choice(
+        (None, True, -1, 0, 1e308, float("nan"), 10**30, "", "x", "\0", "../a", [], [node], {}, {"a": node})
+    )
 
 
 def _word(text: str, pick: random.Random) -> str:
@@ -289,7 +317,8 @@ def _number(text: str, pick: random.Random) -> str:
     if not numbers:
         return text
     one = pick.choice(numbers)
-    new = str(pick.choice((0, 1, 7, 16, 31, 64, 255, 65535, 65536, 10**9, -1, int(one[0]) + 1, int(one[0]) * 10)))
+    near = int(one[0][:_MOST_DIGITS])
+    new = str(pick.choice((0, 1, 7, 16, 31, 64, 255, 65535, 65536, 10**9, -1, near + 1, near * 10)))
     return text[: one.start()] + new + text[one.end() :]
 
 
