@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
-
-from cantools.database.can import Message
 
 
 def layout_faults(message: Any) -> dict[str, str]:
@@ -60,7 +58,8 @@ def part_of(signals: Sequence[Any], message: Any, *, plain: bool = False) -> Any
         signals = [copy.copy(signal) for signal in signals]
         for signal in signals:
             signal.is_multiplexer, signal.multiplexer_ids, signal.multiplexer_signal = False, None, None
-    return Message(
+    part: Callable[..., Any] = type(message)
+    return part(
         message.frame_id,
         message.name,
         message.length,

@@ -62,7 +62,7 @@ def _guarded(read: Callable[P, T]) -> Callable[P, T]:
 
 
 class JournalReader:
-    """Reads a journal, finished or still growing. Each call sees what is committed by then; each raises JournalError."""
+    """Reads a journal, finished or still growing. Each call sees what is committed, and may raise JournalError."""
 
     def __init__(self, path: Path) -> None:
         if not path.is_file():

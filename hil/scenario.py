@@ -9,7 +9,6 @@ turns it into a `Profile`, `hil.scenario_picture` draws it, and `hil.scenario_fi
 from __future__ import annotations
 
 import itertools
-import math
 import re
 import tomllib
 from pathlib import Path

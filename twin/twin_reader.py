@@ -54,14 +54,14 @@ class Reader:
         return value
 
     def number(self, value: Any, keys: tuple[str, ...]) -> float:
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            try:
-                found = float(value)
-            except OverflowError:
-                self.fail(keys, "must be a finite number, and has too many digits")
-            if math.isfinite(found):
-                return found
-        self.fail(keys, f"must be a finite number, not {value!r}")
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        try:
+            found = float(value) if is_number else math.nan
+        except OverflowError:
+            self.fail(keys, "must be a finite number, and has too many digits")
+        if not math.isfinite(found):
+            self.fail(keys, f"must be a finite number, not {value!r}")
+        return found
 
     def string(self, value: Any, keys: tuple[str, ...]) -> str:
         if not isinstance(value, str):

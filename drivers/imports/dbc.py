@@ -21,8 +21,8 @@ def import_dbc(path: Path, out: Path, bus: dict[str, Any], *, encoding: str | No
         contents = read_dbc(path, encoding)
     except ConfigurationError as error:
         found = re.fullmatch(r"(?:, line (\d+))?: (.*)", str(error).removeprefix(str(path)), re.DOTALL)
-        line, what = (None, str(error)) if found is None else (found[1] and int(found[1]), found[2])
-        raise ImportFileError(path, line, what) from None
+        line = None if found is None or found[1] is None else int(found[1])
+        raise ImportFileError(path, line, str(error) if found is None else found[2]) from None
     relative = os.path.relpath(path, out.parent)
     keys = bus | {"dbc": Path(relative).as_posix()}
     if contents.encoding != "utf-8":

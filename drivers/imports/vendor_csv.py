@@ -206,7 +206,7 @@ class _Table:
         for what, factor in (("a scale", scale), ("a divisor", divided), ("a factor in its unit", in_unit)):
             if factor is not None:
                 factors[what] = factor
-        if len(factors) > 1 and (scale is not None and divided is not None or set(factors.values()) != {1.0}):
+        if len(factors) > 1 and ((scale is not None and divided is not None) or set(factors.values()) != {1.0}):
             raise ImportFileError(self.path, line, f"has {' and '.join(factors)}; leave one of them empty")
         if is_whole and not factors:
             words = factor_in_words(cells["name"], cells.get("doc", ""))

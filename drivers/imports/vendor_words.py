@@ -31,14 +31,16 @@ HEADINGS = {
     ),
     "order": ("order", "byte order", "word order", "endianness", "endian", "bytereihenfolge", "wortreihenfolge"),
     "scale": (
-        "scale", "factor", "multiplier", "scaling", "scale factor", "scalefactor", "scaling factor", "multiplication "
-        "factor", "multiply by", "conversion factor", "faktor", "skalierung", "skalierungsfaktor", "skalenfaktor",
-        "skalafaktor", "multiplikator", "umrechnungsfaktor", "facteur", "echelle", "facteur d echelle", "facteur echelle",
-        "coefficient", "coef", "coeff", "multiplicateur",
+        "scale", "factor", "multiplier", "scaling", "scale factor", "scalefactor", "scaling factor",
+        "multiplication factor", "multiply by", "conversion factor", "faktor", "skalierung", "skalierungsfaktor", "skalenfaktor",
+        "skalafaktor", "multiplikator", "umrechnungsfaktor", "facteur", "echelle", "facteur d echelle",
+        "facteur echelle",        "coefficient", "coef", "coeff", "multiplicateur",
     ),
     "divisor": ("divisor", "divider", "divide by", "teiler", "diviseur"),
     "offset": ("offset", "value offset", "zero offset", "nullpunkt", "nullpunktverschiebung", "decalage"),
-    "unit": ("unit", "units", "unit of measurement", "unit of measure", "uom", "eng unit", "einheit", "unite", "unites"),
+    "unit": (
+        "unit", "units", "unit of measurement", "unit of measure", "uom", "eng unit", "einheit", "unite", "unites",
+    ),
     "access": (
         "access", "rw", "r w", "read write", "permission", "permissions", "access type", "mode", "zugriff",
         "zugriffsart", "lesen schreiben", "l s", "acces", "lecture ecriture", "l e",
