@@ -126,7 +126,7 @@ class _Import:
                 self.collector.note(
                     self._line((*place, "workarounds", key)), f"workaround {key} is not taken over; {remedy}"
                 )
-        self._bus(section, section.get("slave_id", 0), place, place)  # a wrong controller is one note, not one a field
+        self._bus(section, section.get("slave_id", 1), place, place)  # a wrong controller is one note, not one a field
         style = self._style(section, place)
         if style == "register":
             for key, table in _STYLE_TABLES.items():

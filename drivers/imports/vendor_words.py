@@ -32,9 +32,9 @@ HEADINGS = {
     "order": ("order", "byte order", "word order", "endianness", "endian", "bytereihenfolge", "wortreihenfolge"),
     "scale": (
         "scale", "factor", "multiplier", "scaling", "scale factor", "scalefactor", "scaling factor",
-        "multiplication factor", "multiply by", "conversion factor", "faktor", "skalierung", "skalierungsfaktor", "skalenfaktor",
-        "skalafaktor", "multiplikator", "umrechnungsfaktor", "facteur", "echelle", "facteur d echelle",
-        "facteur echelle",        "coefficient", "coef", "coeff", "multiplicateur",
+        "multiplication factor", "multiply by", "conversion factor", "faktor", "skalierung", "skalierungsfaktor",
+        "skalenfaktor", "skalafaktor", "multiplikator", "umrechnungsfaktor", "facteur", "echelle", "facteur d echelle",
+        "facteur echelle", "coefficient", "coef", "coeff", "multiplicateur",
     ),
     "divisor": ("divisor", "divider", "divide by", "teiler", "diviseur"),
     "offset": ("offset", "value offset", "zero offset", "nullpunkt", "nullpunktverschiebung", "decalage"),

@@ -113,6 +113,9 @@ def fuzz_files(
             pick = random.Random(f"{seed} {kind}")
             path = folder / f"fuzzed.{reader.suffix}"
             outcomes = found[kind] = Fuzzed()
+            reader.make(path, random.Random(0))
+            with contextlib.suppress(Exception):
+                reader.read(path)  # imports of large libraries are no part of the time that a file takes
             for number in range(count):
                 reader.make(path, pick)
                 outcome, said = outcome_of(reader.read, path)

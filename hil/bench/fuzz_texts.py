@@ -11,8 +11,8 @@ from typing import Any
 VALUES = (
     "0", "-1", "1.5", "1e308", "-1e-320", "70000", "99999999999999999999", "0x10", "nan", "inf", "true", '""', '"x"',
     "'°C'", '"\\u0000"', "[]", "[1]", "[1, 2, 3]", "[[]]", '["a"]', "{}", "{ a = 1 }", "1979-05-27", "null", "~",
-    "!secret k", "!include k.yaml", "${VAR}", "*a", "&a", "0,1", "1/10", "x10", "-", "|", ">", "<<", "<<:", "1.000,5", "٣",
-    "é", "\x7f",
+    "!secret k", "!include k.yaml", "${VAR}", "*a", "&a", "0,1", "1/10", "x10", "-", "|", ">", "<<", "<<:",
+    "1.000,5", "٣", "é", "\x7f",
 )  # fmt: skip
 """What takes the place of a value: wrong types, ends of ranges, other tools' placeholders, decimal commas."""
 MARKS = (
