@@ -257,7 +257,7 @@ def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
     A point without its message or signal in the DBC is a mistake, and so are two messages that a frame could both be.
     """
     path = bus.dbc
-    database, _, _ = _load_dbc(path, bus.dbc_encoding)
+    database, text, _ = _load_dbc(path, bus.dbc_encoding)
     entries = {entry.name: entry for entry in bus.message}
     bound: dict[str, Bound] = {}
     for index, point in enumerate(points):
@@ -266,6 +266,9 @@ def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
         message = _message(path, database, called if entry is None else entry.dbc_message or called, point.name)
         signal = next((s for s in message.signals if s.name == point.signal), None)
         if signal is None:
+            bad = next(((line, why) for line, why in text.left_out if why.startswith(f"{point.signal}: ")), None)
+            if bad is not None:
+                raise ConfigurationError(f"{path}, line {bad[0]}: {bad[1]}; point {point.name} is read from it")
             names = ", ".join(s.name for s in message.signals)
             raise ConfigurationError(
                 f"{path}: message {message.name} has no signal {point.signal!r} for {point.name}; it has {names}"

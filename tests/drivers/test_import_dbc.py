@@ -153,3 +153,11 @@ def test_a_dbc_whose_only_signal_is_bad_is_refused_with_its_line(tmp_path):
     source = table(tmp_path, HEAD + GOOD.replace(" PC", ""), "bus.dbc")
     done = CliRunner().invoke(init, ["--from", str(source), "--out", str(tmp_path / "r.toml")])
     assert "bus.dbc, line 8: T_wall: names no receiver after its unit" in str(done.exception)
+
+
+def test_a_point_on_a_line_that_cannot_be_used_names_that_line(tmp_path):
+    imported(tmp_path, GOOD)
+    text = (tmp_path / "bus.dbc").read_text(encoding="utf-8")
+    (tmp_path / "bus.dbc").write_text(text.replace('"degC" PC', '"degC"'), encoding="utf-8")
+    done = CliRunner().invoke(check, [str(tmp_path / "rig.toml")])
+    assert "bus.dbc, line 8: T_wall: names no receiver after its unit" in (done.output + str(done.exception))
