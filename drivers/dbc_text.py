@@ -18,6 +18,7 @@ _SIGNAL = re.compile(
 )
 _EXTENDED, _INDEPENDENT = 1 << 31, 0xC0000000
 """Bit of an id of 29 bits, and the id of the message that holds signals which no message carries."""
+_INDEPENDENT_NAME = "VECTOR__INDEPENDENT_SIG_MSG"
 _LONGEST_SIGNAL = 64
 
 
@@ -83,6 +84,8 @@ def _message(line: str, found: DbcText) -> tuple[str | None, str]:
 def _signal(line: str, message: str | None, found: DbcText) -> str:
     """Return why a signal is left out, empty where it is not."""
     name = _name(line)
+    if message == _INDEPENDENT_NAME:
+        return f"{name}: no message carries it; move it into one"
     parts = _SIGNAL.fullmatch(line)
     if parts is None:
         return f"{name}: is no signal as DBC files have them; correct the line"

@@ -161,3 +161,10 @@ def test_a_point_on_a_line_that_cannot_be_used_names_that_line(tmp_path):
     (tmp_path / "bus.dbc").write_text(text.replace('"degC" PC', '"degC"'), encoding="utf-8")
     done = CliRunner().invoke(check, [str(tmp_path / "rig.toml")])
     assert "bus.dbc, line 8: T_wall: names no receiver after its unit" in (done.output + str(done.exception))
+
+
+def test_signals_that_no_message_carries_are_noted(tmp_path):
+    orphans = "BO_ 3221225472 VECTOR__INDEPENDENT_SIG_MSG: 0 Vector__XXX\n"
+    points, notes = imported(tmp_path, GOOD + orphans + ' SG_ lost : 0|8@1+ (1,0) [0|0] "" Vector__XXX\n')
+    assert points == ["T_wall"]
+    assert notes == ["line 11: lost: no message carries it; move it into one (left out)"]
