@@ -22,6 +22,8 @@ from drivers.units import canonical_unit
 
 _LONGEST = 8
 """Bytes of a frame of classical CAN."""
+_LONGEST_CYCLE_MS = 1e9
+"""A message that comes once in eleven days is no cyclic one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +202,7 @@ def _described(message: Any, signal: Any, line: int) -> DbcSignal:
 def _cycle_s(message: Any) -> float | None:
     """Return the period of a message in s; None where the DBC gives none, or no number of ms."""
     given = message.cycle_time  # whatever the attribute GenMsgCycleTime holds
-    if isinstance(given, bool) or not isinstance(given, int | float) or not 0 < given < math.inf:
+    if isinstance(given, bool) or not isinstance(given, int | float) or not 0 < given < _LONGEST_CYCLE_MS:
         return None
     return given / 1000.0
 

@@ -45,6 +45,8 @@ def shared_bits(message: Any, faults: Mapping[str, str]) -> dict[str, list[str]]
 
 def is_whole(signals: Sequence[Any], message: Any, *, plain: bool = False) -> bool:
     """Return whether cantools takes these signals as one message: they fit in it, and share no bit."""
+    if any(signal.start >= 8 * message.length for signal in signals):
+        return False
     try:
         part_of(signals, message, plain=plain or len(signals) == 1)
     except Exception:  # cantools raises errors of several unrelated types

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _MESSAGE = re.compile(r"\s*BO_\s+(?P<id>\d{1,10})\s+(?P<name>\w+)\s*:\s*(?P<length>\d{1,4})\s+\w+\s*")
 _SIGNAL = re.compile(
-    r"\s*SG_\s+(?P<name>\w+)(?:\s+(?:M|m\d+M?))?\s*:\s*\d{1,5}\s*\|\s*(?P<length>\d{1,5})\s*@\s*[01]\s*[-+]\s*"
+    r"\s*SG_\s+(?P<name>\w+)(?:\s+(?:M|m\d+M?))?\s*:\s*(?P<start>\d{1,5})\s*\|\s*(?P<length>\d{1,5})\s*@\s*[01]\s*[-+]\s*"
     rf"\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*\)\s*\[\s*{_NUMBER}\s*\|\s*{_NUMBER}\s*\]\s*"
     r'"(?:[^"\\]|\\.)*"(?P<receivers>[\s\w,]*)'
 )
@@ -20,6 +20,8 @@ _EXTENDED, _INDEPENDENT = 1 << 31, 0xC0000000
 """Bit of an id of 29 bits, and the id of the message that holds signals which no message carries."""
 _INDEPENDENT_NAME = "VECTOR__INDEPENDENT_SIG_MSG"
 _LONGEST_SIGNAL = 64
+_LAST_BIT = 8 * 1785
+"""Bits of the longest message that J1939's transport protocol carries; frames of CAN FD have 512."""
 
 
 @dataclass(slots=True)
@@ -93,6 +95,8 @@ def _signal(line: str, message: str | None, found: DbcText) -> str:
         return f"{name}: names no receiver after its unit; add one, Vector__XXX where it is nobody's"
     if not 1 <= int(parts["length"]) <= _LONGEST_SIGNAL:
         return f"{name}: has {int(parts['length'])} bits, and a signal has 1 to {_LONGEST_SIGNAL}; correct it"
+    if int(parts["start"]) >= _LAST_BIT:
+        return f"{name}: starts at bit {int(parts['start'])}, and no frame has more than {_LAST_BIT}; correct it"
     if (message, name) in found.signals:
         return f"{name}: a second signal of this name in {message}; rename one"
     return ""

@@ -46,6 +46,8 @@ def load_placed(path: Path, text: str) -> Placed:
     try:
         node = yaml.compose(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         return Placed({}, 1) if node is None else _Reader(path, yaml).placed(node, 0)
+    except ImportFileError:
+        raise
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark is not None else None
         raise ImportFileError(path, line, f"is not valid YAML: {error.problem}; correct the line") from None
