@@ -35,6 +35,15 @@ _DAMAGE = (sqlite3.Error, ValueError, TypeError, KeyError, IndexError, Attribute
 """Errors of SQLite, JSON and numpy where a row, a cell or a table of the journal is not what the writer made."""
 
 
+_LONGEST_SAID = 120
+"""Characters of SQLite's words: a damaged schema is quoted in them."""
+
+
+def _on_one_line(error: Exception) -> str:
+    text = "".join(letter if letter.isprintable() else " " for letter in str(error))
+    return " ".join(text.split())[:_LONGEST_SAID]
+
+
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -73,7 +82,8 @@ class JournalReader:
             begun = self._database.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone()
             meta = dict(self._database.execute("SELECT key, value FROM meta")) if begun else {}
         except (sqlite3.Error, ValueError, TypeError) as error:
-            raise JournalError(f"{path} is not a journal of this harness ({error})") from error
+            why = _on_one_line(error)
+            raise JournalError(f"{path} is not a journal of this harness ({why})") from error
         if "header" not in meta:
             raise JournalError(
                 f"{path} was cut while it was made, before anything moved, or is no journal; start a new run"

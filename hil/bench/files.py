@@ -33,8 +33,8 @@ def measure(
         (
             "Refused: one of the project's own errors, in sentences that name the file. Unclearly: without the file, "
             "or in words of pydantic or of Python.",
-            "A draft of an import counts as read only where the rig file that is made of it is accepted. Model cards "
-            "have no weights beside them, so that all are refused.",
+            "Of every fourth draft of an import the rig file is made, too, and must be accepted. Model cards have no "
+            "weights beside them, so that all are refused.",
         ),
     )
     return (table,), tuple(skipped), not any(sum(map(int, row[3:])) for row in rows)
