@@ -58,11 +58,7 @@ def _guarded(read: Callable[P, T]) -> Callable[P, T]:
         except _DAMAGE as error:
             path = args[0]._path  # type: ignore[attr-defined]
             name = read.__name__.replace("_read_", "")
-            why = (
-                " ".join(str(error).split())
-                if isinstance(error, sqlite3.Error)
-                else "a row is not as this version writes it"
-            )
+            why = _on_one_line(error) if isinstance(error, sqlite3.Error) else "a row is not as this version writes it"
             raise JournalError(
                 f"{path} is damaged: its {name} cannot be read ({why}); take a copy of the run folder that is whole"
             ) from error
