@@ -176,16 +176,21 @@ class Layout:
     def __init__(self) -> None:
         self._taken: dict[tuple[str, str, int], list[Point]] = {}
 
+    def clash(self, point: Point) -> tuple[str, int] | None:
+        """Return name and address of a point that has an address of this Modbus point already, or None."""
+        first = point.address or 0
+        for address in range(first, first + point.width):
+            for other in self._taken.get((point.bus, str(point.table), address), ()):
+                if other is not point and not _share(point, other):
+                    return other.name, address
+        return None
+
     def taken_by(self, point: Point) -> tuple[str, int] | None:
         """Take the addresses of a Modbus point; name and address of another point that has one of them already."""
+        clash = self.clash(point)
         first = point.address or 0
-        clash: tuple[str, int] | None = None
         for address in range(first, first + point.width):
-            others = self._taken.setdefault((point.bus, str(point.table), address), [])
-            for other in others:
-                if clash is None and other is not point and not _share(point, other):
-                    clash = other.name, address
-            others.append(point)
+            self._taken.setdefault((point.bus, str(point.table), address), []).append(point)
         return clash
 
 

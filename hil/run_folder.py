@@ -79,13 +79,17 @@ class RunFolder:
     def read_manifest(self) -> dict[str, Any]:
         """`run.json`; raises RunFolderError where this is no run folder."""
         try:
-            document: dict[str, Any] = json.loads(self.manifest.read_text(encoding="utf-8"))
+            document: Any = json.loads(self.manifest.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise RunFolderError(f"{self.path} is not a run folder (no run.json); give one of runs/*") from None
-        except json.JSONDecodeError as error:
+        except OSError as error:
+            raise RunFolderError(f"{self.manifest} cannot be read ({error.strerror}); give one of runs/*") from None
+        except (ValueError, RecursionError) as error:
             raise RunFolderError(
                 f"{self.manifest} is damaged ({error}); the journal beside it still holds the run"
             ) from error
+        if not isinstance(document, dict):
+            raise RunFolderError(f"{self.manifest} is damaged (no table); the journal beside it still holds the run")
         return document
 
     @property
