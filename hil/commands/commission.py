@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.commands.paths import INPUT_FILE
+from hil.commands.reading_options import reading
 
 if TYPE_CHECKING:
+    from hil.record import Reading
     from twin.commission import Commission
 
 
@@ -25,9 +27,17 @@ if TYPE_CHECKING:
     "--initial-sd", type=click.FloatRange(min=0.0, min_open=True), default=5.0, show_default=True, metavar="K",
     help="How firmly the state at the beginning is held to the first readings; 0.1 for a record that begins at rest.",
 )  # fmt: skip
+@reading
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
-    record: Path, twin: Path | None, datasheet: Path | None, out: Path, seed: int, initial_sd: float, as_json: bool
+    record: Path,
+    twin: Path | None,
+    datasheet: Path | None,
+    out: Path,
+    seed: int,
+    initial_sd: float,
+    as_json: bool,
+    choice: Reading,
 ) -> None:
     """Fit the tunables of a twin to RECORD, a healthy one, and write them as a new revision.
 
@@ -56,7 +66,7 @@ def command(
         if path.exists():
             raise click.UsageError(f"{path} exists already; a twin is never overwritten, give --out another name")
     network = from_datasheet(datasheet, twin) if datasheet is not None else load(twin or "")
-    data = read_record(record)
+    data = read_record(record, choice=choice)
     data.require(*network.input_columns)
     try:
         inputs, measured = network.select(data.columns)
