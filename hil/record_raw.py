@@ -10,6 +10,9 @@ from typing import Any, Literal
 class RecordError(ValueError):
     """A record cannot be read or written; one sentence that names the file, the line where there is one, the remedy."""
 
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.split()))  # a cell that is quoted may hold a line break
+
 
 @dataclass(frozen=True, eq=False)
 class RawRecord:

@@ -45,6 +45,8 @@ _EPOCH_UNITS = (
 )
 _COMPACT = (19_500_101_000000, 21_001_231_235959)
 """Dates and times written as one number, 20260304233000: as milliseconds since 1970 they would be after 2580."""
+_NO_CLOCK = 2.0**63
+"""No clock counts that far, not in nanoseconds either."""
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 _SAMPLE = 9
 """Cells from which a column of text is told to be one of dates or times."""
@@ -309,11 +311,10 @@ def _seconds(name: str, cells: Any, sign: Sign, scale: float, choice: Reading) -
         written = _text(cells)
         clock = read_times_of_day(written)
         return _of_stamps(clock if clock is not None else read_stamps(written, choice.dates))
-    values = numbers.values
+    values = np.where(np.abs(numbers.values) < _NO_CLOCK, numbers.values, np.nan)
     finite = values[np.isfinite(values)]
     if not len(finite):
         return None
-    values = np.where(np.isfinite(values), values, np.nan)
     middle = float(np.median(finite))
     if _COMPACT[0] <= middle <= _COMPACT[1]:
         stamps = read_stamps([None if math.isnan(x) else f"{x:.0f}" for x in values], choice.dates)

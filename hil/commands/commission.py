@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from math import isfinite
 from pathlib import Path
@@ -44,7 +45,8 @@ def command(
     What the twin reads of RECORD is kept beside it, as <OUT>.healthy.parquet: `hil diagnose` asks it what is usual.
 
     A fifth of the record, its end unless that alone shows some pump or fan speed, is kept out of the fit; errors before
-    and after are of a free run over it.
+    and after are of a free run over it. No twin is written where RECORD identifies none of the tunables, or where the
+    fitted twin errs there by more than its sensors move at all.
 
     \b
     Example:
@@ -55,7 +57,9 @@ def command(
     from hil.commissioned import beside, save_with_record
     from hil.record import read_record
     from hil.record_units import beyond_declared
+    from hil.terminal import console
     from twin.commission import commission
+    from twin.commission_check import clock_in_question, reason_to_refuse
     from twin.datasheet import from_datasheet
     from twin.network import TwinFileError
     from twin.twinfile import load
@@ -76,11 +80,18 @@ def command(
         network, data.time_s, inputs, measured,
         seed=seed, initial_sd=initial_sd, made_by=f"hil commission {record.name}",
     )  # fmt: skip
+    messages = (*data.messages, *beyond_declared(network, data.columns))
+    if why := reason_to_refuse(result, measured):
+        for message in messages:
+            console(quiet=as_json).print(message, markup=False, soft_wrap=True)
+        raise TwinFileError(f"{record}: no twin is written: {why}")
+    if said := clock_in_question(result):
+        result = dataclasses.replace(result, notes=(*result.notes, said))
     kept = save_with_record(result.network, data, out)
     if as_json:
         click.echo(json.dumps(_document(result, out, kept), indent=1))
         return
-    _show(result, (*data.messages, *beyond_declared(network, data.columns)), out, kept)
+    _show(result, messages, out, kept)
 
 
 def _document(result: Commission, out: Path, kept: Path) -> dict[str, object]:
@@ -137,5 +148,5 @@ def _show(result: Commission, messages: tuple[str, ...], out: Path, kept: Path) 
     if unread:
         to.print(f"without a reading there, so not in the table: {', '.join(unread)}", soft_wrap=True)
     for note in result.notes:
-        to.print(note)
+        to.print(note, markup=False, soft_wrap=True)
     to.print(f"written: {out}, and beside it the record for later: {kept.name}", soft_wrap=True)

@@ -18,7 +18,7 @@ _OPTIONS = (
     click.option("--time-column", metavar="NAME", help="Column of its times; DATES,TIMES where they are in two."),
     click.option(
         "--time-scale", type=click.FloatRange(min=0.0, min_open=True), default=1.0, metavar="N",
-        help="Seconds of the rig's time in a unit of that column: 60 for a rig that runs 60 times as fast as its clock.",
+        help="Seconds of the rig in a unit of that column: 60 for a rig that runs 60 times as fast as its clock.",
     ),
 )  # fmt: skip
 
