@@ -61,7 +61,8 @@ def _parquet(path: Path, content: bytes, digest: str) -> RawRecord:
             f"{path} is cut off (its Parquet footer is missing); copy it again, or export it again from its journal"
         )
     try:
-        table = pq.read_table(pa.BufferReader(content))
+        table = pq.ParquetFile(pa.BufferReader(content)).read()  # unlike read_table, with repeated names
+        table.validate(full=True)  # text that is no UTF-8 would fail later, cell by cell
         given = table.column_names
         units = {f.name: told for f in table.schema if (told := _told(f.metadata, b"unit"))}
         declared = {f.name: _range(_told(f.metadata, b"plausible")) for f in table.schema}
