@@ -14,14 +14,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from drivers.units import canonical_unit
-from hil.record_numbers import MISSING, readings
-from hil.time_names import is_time_name
+from hil.record_numbers import MARKS, MISSING, readings
+from hil.time_names import SECONDS_PER, is_time_name
 
 DELIMITERS = (",", ";", "\t", "|")
 BLANKS = " "
 """Delimiter of a table whose columns are separated by runs of blanks."""
 SAMPLE = 200
 """Lines from the beginning from which the dialect is found: far more than any logger writes above its rows."""
+MOST_BELOW = 3
+"""Lines between names and rows: units, kinds of processing and places of sensors, as loggers write them."""
 
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
 _MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d{2})?.*|\d{4}-\d{2}-\d{2}T.*", re.ASCII)
@@ -130,8 +132,10 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     heading = _heading(above)
     line, names = above[heading]
     below = [row for _, row in above[heading + 1 :]]
+    if len(below) > MOST_BELOW:
+        return None
     left_out = [str(one.number) for one in lines if one.number < table[first][0].number and one.number != line.number]
-    units = next((found for row in below if (found := _units(row))), {})
+    units = next((found for row in below if (found := _units(row, names))), {})
     said: tuple[str, ...] = ()
     if left_out:
         which = "line" if len(left_out) == 1 else "lines"
@@ -152,8 +156,9 @@ def _numeric(rows: Sequence[Sequence[str]], k: int) -> list[int]:
 
 
 def _is_row(row: Sequence[str], numeric: Sequence[int]) -> bool:
-    cells = [row[column] for column in numeric if row[column].lower() not in MISSING]
-    return bool(cells) and sum(_is_value(cell) for cell in cells) > len(cells) / 2
+    """Return True for a line with numbers or times in at least half of the cells that it has there."""
+    cells = [row[column] for column in numeric if row[column].lower() not in (*MISSING, *MARKS)]
+    return bool(cells) and sum(_is_value(cell) for cell in cells) >= len(cells) / 2
 
 
 def _is_value(cell: str) -> bool:
@@ -171,12 +176,16 @@ def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
     return 0
 
 
-def _units(row: Sequence[str]) -> dict[int, str]:
+def _units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
     """Return the units that a line below the names gives, by column; empty where it gives none."""
     found = {}
     for place, cell in enumerate(row):
+        symbol = cell.strip("[]() ").replace("Deg", "deg")
+        if is_time_name(names[place]) and symbol.lower() in SECONDS_PER:
+            found[place] = symbol.lower()
+            continue
         try:
-            unit = canonical_unit(cell.strip("[]() ").replace("Deg", "deg")) if cell.strip("[]() ") else "1"
+            unit = canonical_unit(symbol)
         except ValueError:
             continue
         if unit != "1":

@@ -159,7 +159,7 @@ def _numbers(name: str, cells: Any, sign: Sign, raw: RawRecord, messages: list[s
         kind = "text" if numbers else str(cells.type)
         messages.append(f"column '{name}' holds {kind}: dropped")
         return None
-    if numbers.bad > may_be_lost(numbers.present):
+    if numbers.bad - numbers.marked > may_be_lost(numbers.present):
         raise RecordError(
             f"{raw.path}: column '{name}' has {numbers.bad} of {numbers.present} cells that are no numbers (the first, "
             f"{raw.place(numbers.row)}, is '{numbers.text[:20]}'); leave cells without a value empty, or take the "

@@ -28,6 +28,13 @@ MISSING = (
 )  # fmt: skip
 """Cells of a CSV, lower case, that mean: no value."""
 
+MARKS = (
+    *("err", "error", "err!", "bad", "bad input", "fail", "failed", "fault", "open", "short", "timeout", "offline"),
+    *("ol", "o.l", "o.l.", "0.l", "ovl", "ovld", "over", "overload", "overflow", "ovr", "+over", "-over", "under"),
+    *("i/o timeout", "calc failed", "shutdown", "comm fail", "configure", "out of range", "n.c.", "nc"),
+)
+"""Cells, lower case, with which instruments and historians say that there is no reading; they are counted."""
+
 LOST = 0.05
 """Share of the rows, or of a column's cells, that a step of reading may drop; more is refused."""
 ALWAYS_LOST = 2
@@ -52,7 +59,7 @@ def may_be_lost(total: int) -> int:
 class Numbers:
     """Cells as `values (n,)`, NaN where there is none; `bad` cells of `present` were no numbers, the first in `row`.
 
-    `commas` cells had a decimal comma, `thousands` had marks between thousands.
+    `commas` cells had a decimal comma, `thousands` had marks between thousands. `marked` of the bad cells are `MARKS`.
     """
 
     values: NDArray[np.float64]
@@ -62,6 +69,7 @@ class Numbers:
     text: str = ""
     commas: int = 0
     thousands: int = 0
+    marked: int = 0
 
 
 @dataclass(frozen=True)
@@ -285,7 +293,7 @@ def parse(cells: Any, sign: Sign = ".") -> Numbers | None:
 
 def _parsed(cells: Sequence[str | None], present: int, sign: Sign) -> Numbers:
     values = np.full(len(cells), np.nan)
-    bad = row = commas = thousands = 0
+    bad = row = commas = thousands = marked = 0
     text = ""
     for index, cell in enumerate(cells):
         if cell is None:
@@ -295,9 +303,10 @@ def _parsed(cells: Sequence[str | None], present: int, sign: Sign) -> Numbers:
             if not bad:
                 row, text = index, cell
             bad += 1
+            marked += cell.lower() in MARKS
             continue
         values[index] = value
         decimal = sign in cell
         commas += decimal and sign == ","
         thousands += len(_GROUPING.sub("", cell)) < len(cell) or (("," if sign == "." else ".") in cell)
-    return Numbers(values, present, bad, row, text, commas, thousands)
+    return Numbers(values, present, bad, row, text, commas, thousands, marked)

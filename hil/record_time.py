@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hil.daylight_saving import unfolded
 from hil.record_numbers import Sign, may_be_lost, parse, trimmed
 from hil.record_raw import RawRecord, Reading, RecordError
-from hil.time_names import is_time_name, names_dates, seconds_per_unit
+from hil.time_names import SECONDS_PER, is_time_name, names_dates, seconds_per_unit
 from hil.time_text import (
     Stamps,
     TimeTextError,
@@ -96,7 +96,7 @@ def read_time(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> TimeAx
     Raises:
         RecordError: there is none, it may be read in two ways, or more rows than `may_be_lost` have none.
     """
-    columns = _find(raw, choice)
+    columns = _find(raw, signs, choice)
     column = ", ".join(columns)
     cells = raw.cells[raw.names.index(columns[0])]
     messages = []
@@ -160,11 +160,11 @@ def _scale(raw: RawRecord, column: str) -> float:
     """Return seconds per unit of the time column: as its name says, else as the file does."""
     named = seconds_per_unit(column)
     if named in (None, 1.0) and (unit := (raw.units or {}).get(column)):
-        return {"ms": 1e-3, "s": 1.0}.get(unit, 1.0)
+        return SECONDS_PER.get(unit.lower(), 1.0)
     return named or 1.0
 
 
-def _find(raw: RawRecord, choice: Reading) -> tuple[str, ...]:
+def _find(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> tuple[str, ...]:
     """Return the column of times, or that of dates and that of times of day."""
     if choice.time_column is not None:
         wanted = (choice.time_column,) if choice.time_column in raw.names else tuple(choice.time_column.split(","))
@@ -174,22 +174,22 @@ def _find(raw: RawRecord, choice: Reading) -> tuple[str, ...]:
                 raise RecordError(f"{raw.path} has no column '{name}'; it has {_shown(raw)}")
         if len(wanted) > 2:
             raise RecordError(f"{raw.path}: --time-column takes one name, or two for dates and times of day")
-        return wanted if len(wanted) == 2 else _with_partner(raw, wanted[0])
+        return wanted if len(wanted) == 2 else _with_partner(raw, wanted[0], signs)
     if "time_s" in raw.names:
         return ("time_s",)
     for name in raw.names:
         if is_time_name(name):
-            return _with_partner(raw, name)
+            return _with_partner(raw, name, signs)
     import pyarrow as pa
 
     for name, cells in zip(raw.names, raw.cells, strict=True):
         if pa.types.is_timestamp(cells.type) or pa.types.is_date(cells.type) or _all(cells, is_moment):
-            return _with_partner(raw, name)
+            return _with_partner(raw, name, signs)
     place = f" line {raw.header_line}" if raw.header_line else ""
     nameless = ", where the first column has no name" if raw.names[0] == "column_1" else ""
     raise RecordError(
         f"{raw.path}{place} has no column time_s (it has {_shown(raw)}{nameless}); name the column of sample times "
-        "time_s, in seconds, or give --at-rest to hil diagnose where each row is a steady state"
+        "time_s, in seconds, or give --time-column; where each row is a steady state, give --at-rest to hil diagnose"
     )
 
 
@@ -197,9 +197,10 @@ def _shown(raw: RawRecord) -> str:
     return ", ".join(raw.names[:8]) + (", ..." if len(raw.names) > 8 else "")
 
 
-def _with_partner(raw: RawRecord, name: str) -> tuple[str, ...]:
+def _with_partner(raw: RawRecord, name: str, signs: dict[str, Sign]) -> tuple[str, ...]:
     """Return the column alone, or with the one that has its dates or its times of day."""
-    kinds = {other: kind for other, cells in zip(raw.names, raw.cells, strict=True) if (kind := _kind(other, cells))}
+    pairs = zip(raw.names, raw.cells, strict=True)
+    kinds = {other: kind for other, cells in pairs if (kind := _kind(other, cells, signs.get(other, ".")))}
     kind = kinds.get(name, "")
     if not kind:
         return (name,)
@@ -216,7 +217,7 @@ def _with_partner(raw: RawRecord, name: str) -> tuple[str, ...]:
     return (name, partners[0]) if kind == "date" else (partners[0], name)
 
 
-def _kind(name: str, cells: Any) -> str:
+def _kind(name: str, cells: Any, sign: Sign) -> str:
     """Return "date" for a column of dates without times, "time" for one of times of day, "" for any other."""
     import pyarrow as pa
 
@@ -230,7 +231,7 @@ def _kind(name: str, cells: Any) -> str:
         return "time"
     if not is_time_name(name):
         return ""
-    numbers = parse(cells)
+    numbers = parse(cells, sign)
     values = numbers.values[np.isfinite(numbers.values)] if numbers is not None else np.zeros(0)
     if len(values) and names_dates(name) and (values >= SHEET_DAYS[0]).all() and (values <= SHEET_DAYS[1]).all():
         return "date" if (values == np.round(values)).all() else ""

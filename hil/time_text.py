@@ -110,7 +110,8 @@ def read_stamps(cells: Sequence[str | None], order: Order | None = None) -> Stam
     if not read:
         return Stamps([None] * len(cells), "", zoned)
     kept, note = _decided(read, cells)
-    return Stamps(read[kept], WORDS[kept], zoned, note=note)
+    how = WORDS[kept] if open_parts[0].sep == "." else WORDS[kept].replace(".", "/")
+    return Stamps(read[kept], how, zoned, note=note)
 
 
 def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:

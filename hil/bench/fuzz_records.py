@@ -16,42 +16,24 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hil.profile import ProfileError, read_profile
-from hil.record import RecordError, read_record
+import numpy as np
 
-READ, REFUSED, UNCLEAR, TRACEBACK = "read", "refused", "refused unclearly", "traceback"
-"""Outcomes. Unclear is a refusal that does not name the file or is more than one sentence on one line."""
+from drivers.units import plausible_range, split_column
+from hil.profile import ProfileError, read_profile
+from hil.record import Record, RecordError, read_record
+
+READ, REFUSED, UNCLEAR, IMPOSSIBLE, TRACEBACK = "read", "refused", "refused unclearly", "read wrongly", "traceback"
+"""Outcomes. Unclear is a refusal that does not name the file or is more than one line; wrongly, a record whose times do
+not increase, or with a number that is infinite or outside the plausible range of its unit."""
 KINDS = ("csv", "parquet", "profile")
 
 CELLS = (
     *("", " ", "nan", "NaN", "inf", "-inf", "1e999", "9.9E+37", "-9999", "7999", "1e-400", "0x10", "1_000", "ERR"),
-    *(
-        "1,5",
-        "1.234",
-        "1,234",
-        "1.234.567",
-        "1,234,567.8",
-        "1.234,5",
-        "1 234,5",
-        "1'234",
-        "\u22125",
-        "\u0663",
-        "+",
-        ".",
-    ),
+    *("1,5", "1.234", "1,234", "1.234.567", "1,234,567.8", "1.234,5", "1 234,5", "1'234", "\u22125", "\u0663"),
     *("2026-03-04", "2026-03-04T10:00:00Z", "04.03.2026 10:00", "3/4/26 1:00 PM", "10:00:00", "25:61", "46085.97917"),
     *("20260304100000", "1793613600", "1793613600000000000000", "1e300", '"', '""', "a\tb", "#", "=1+1", "T_tank_C"),
-    *(
-        "12/31/9999 23:59:59",
-        "0001-01-01",
-        "99:99:99",
-        "2026-02-30",
-        "4 M\u00e4rz 2026",
-        "true",
-        "\ufeff1",
-        "\x00",
-        "--",
-    ),
+    *("12/31/9999 23:59:59", "0001-01-01", "99:99:99", "2026-02-30", "4 M\u00e4rz 2026", "true", "\ufeff1", "\x00"),
+    *("+", ".", ",", "--", "1-", "\u00bd", "1e", "\n"),
 )
 LINES = (
     *("sep=;", "sep=,", "#comment", "", ";;;", ",,,", "TOA5,a,b,c", "TS,RN,,", "s,W,degC,%", '"unfinished', "\ufeff"),
@@ -68,8 +50,8 @@ class Fuzzed:
 
     @property
     def failures(self) -> int:
-        """Files that were neither read nor refused with one sentence."""
-        return self.counts[TRACEBACK] + self.counts[UNCLEAR]
+        """Files that were neither read rightly nor refused with one sentence."""
+        return self.counts[TRACEBACK] + self.counts[UNCLEAR] + self.counts[IMPOSSIBLE]
 
 
 def fuzz_records(
@@ -94,7 +76,7 @@ def fuzz_records(
                 path.write_bytes(content)
                 outcome, said = _outcome(read, path)
                 found[kind].counts[outcome] += 1
-                if outcome in (UNCLEAR, TRACEBACK) and len(found[kind].examples) < 20:
+                if outcome not in (READ, REFUSED) and len(found[kind].examples) < 20:
                     found[kind].examples.append(f"{said} of {content[:300]!r}")
                 if number % 500 == 0:
                     progress((at + number / count) / len(kinds))
@@ -104,13 +86,28 @@ def fuzz_records(
 
 def _outcome(read: Callable[[Path], object], path: Path) -> tuple[str, str]:
     try:
-        read(path)
+        found = read(path)
     except (RecordError, ProfileError) as error:
         said = str(error)
         return (REFUSED if path.name in said and "\n" not in said and "\r" not in said else UNCLEAR), said
     except Exception as error:  # every exception that is not the reader's own is the finding
         return TRACEBACK, f"{type(error).__name__}: {error}"
-    return READ, ""
+    return (READ, "") if not isinstance(found, Record) or _possible(found) else (IMPOSSIBLE, str(found.messages))
+
+
+def _possible(record: Record) -> bool:
+    """Return True where times increase and every number is missing or in the plausible range of its unit.
+
+    A range that the file itself declares is wider only where it says so, which the mutations do not.
+    """
+    if not np.isfinite(record.time_s).all() or not (np.diff(record.time_s) > 0.0).all():
+        return False
+    for name, values in record.columns.items():
+        low, high = plausible_range((split_column(name) or ("", "1"))[1])
+        known = values[~np.isnan(values)]
+        if len(known) and not (known.min() >= low and known.max() <= high):
+            return False
+    return True
 
 
 def mutated_csv(pick: random.Random) -> bytes:
