@@ -69,7 +69,10 @@ def unsaid(rig: Rig) -> list[str]:
     """What the rig file leaves open and would be missed when something breaks: a sentence each."""
     measured = [p for p in rig.point if p.is_polled and p.kind == "measured" and p.labels is None and p.type != "bool"]
     groups = (
-        ("no plausible range, so that any number is believed", [p.name for p in measured if p.plausible is None]),
+        (
+            "no plausible range but that of the unit",
+            [p.name for p in measured if p.plausible is None],
+        ),
         ("no max_rate, so that a profile may jump", [p.name for p in rig.setpoints if p.max_rate is None]),
         ("no readback, so that nobody sees whether it obeys", [p.name for p in rig.setpoints if p.readback is None]),
     )
