@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.points import Signal
+from hil.file_names import connect_read_only
 from hil.journal_rows import (
     BandRow,
     CalibrationRow,
@@ -37,7 +38,7 @@ class JournalReader:
             raise JournalError(f"{path} does not exist; give the folder of a run")
         self._path = path
         try:
-            self._database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+            self._database = connect_read_only(path)
             begun = self._database.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone()
             meta = dict(self._database.execute("SELECT key, value FROM meta")) if begun else {}
         except sqlite3.Error as error:

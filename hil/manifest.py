@@ -8,8 +8,8 @@ from typing import Any
 
 from drivers.bus_sections import CanBus
 from hil.engine import Outcome
-from hil.journal import JournalReader
-from hil.run_folder import RunFolder
+from hil.journal import JournalError, JournalReader
+from hil.run_folder import FolderLostError, RunFolder
 from hil.run_request import Prepared, RunRequest
 from hil.segments import Resumption, Standing
 from hil.tracking_process import Tracking
@@ -80,7 +80,10 @@ def _segments(
     """Every resumption so far as plain data, with what became of this one."""
     if resumption is None:
         return []
-    reader = JournalReader(folder.journal)
+    try:
+        reader = JournalReader(folder.located().journal)
+    except (JournalError, FolderLostError):
+        return list(manifest.get("segments", []))
     try:
         rows = reader.segments()
     finally:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from drivers.points import Quality
 from hil.adoption import accepted, closed_gates
 from hil.atomic import replacing
+from hil.file_names import printable
 from hil.journal import JournalReader
 from hil.journal_rows import Samples
 from hil.run_folder import RunFolder
@@ -69,7 +70,7 @@ def write_report(folder: RunFolder) -> None:
     title = html.escape(folder.path.name)
     page = f"<!doctype html><meta charset=utf-8><title>{title}</title><style>{_STYLE}</style><h1>{title}</h1>"
     with replacing(folder.report) as temporary:
-        temporary.write_text(page + "\n".join(body), encoding="utf-8")
+        temporary.write_text(printable(page + "\n".join(body)), encoding="utf-8")
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:

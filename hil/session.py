@@ -16,11 +16,11 @@ from hil import adoption
 from hil.adoption import Adoption
 from hil.commissioned import commissioned_on, copy_record
 from hil.control import serving
+from hil.derived_files import REVIEW, Derived, derive_files
 from hil.engine import Engine, Outcome, Status
-from hil.journal import Header, JournalReader, JournalWriter
+from hil.journal import Header, JournalWriter
 from hil.live_diagnosis import LiveConfig, LiveDiagnosis, Reply
 from hil.manifest import ended, files_of, how_it_stopped, settings_of
-from hil.record import export_record, read_record
 from hil.recording import Publisher
 from hil.restoring import restore
 from hil.resuming import standing
@@ -34,7 +34,7 @@ from hil.signals import interrupted, stopping
 from hil.soaking import SoakRule, unled
 from hil.states import ENDED, State
 from hil.terminal import hours
-from hil.tracking import STATIC, Comparison, Proposed, Twins
+from hil.tracking import STATIC, Comparison, Twins
 from hil.tracking_process import Tracking
 from twin.revisions import chain
 
@@ -53,6 +53,13 @@ class RunResult:
     diagnosis: Reply | None = None
     adoption: Adoption | None = None
     gates: str | None = None
+    derived: Derived | None = None
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command: 0 where the run was in order and every file of it is there (see `Derived`)."""
+        in_order = self.outcome.in_order
+        return int(not in_order) if self.derived is None else self.derived.exit_code(in_order)
 
 
 async def run_session(
@@ -232,25 +239,12 @@ async def _run_in(run: _Run) -> RunResult:
         journal.put_meta("exit_status", outcome.status)
         journal.put_meta("errors", manifest["errors_K"])
         journal.commit()
-    folder.write_manifest(manifest)
-    announce("writing record and report")
-    export_record(folder.journal, folder.record, {"uid": manifest["uid"], "started": manifest["started"]})
-    proposals = _proposals(folder)
-    adopted = _adopted(request, folder, proposals)
-    if adopted is not None:
-        manifest["adoption"] = adoption.manifest(adopted)
-        folder.write_manifest(manifest)
-    if not follower:
-        from hil.review import write_review
-
-        announce("writing review.rrd")
-        write_review(folder.journal, folder.review)
-    from hil.report import write_report
-
-    write_report(folder)
+    manifest.pop("adoption", None)  # of a segment before this one
+    derived = derive_files(folder, manifest, announce, there=(REVIEW,) if follower and folder.review.is_file() else ())
     duration_s = outcome.ticks * clock.period_s
-    gates = adoption.closed_gates(proposals) if proposals else None
-    return RunResult(folder, outcome, comparison, duration_s, wall_s, follower, told, adopted, gates)
+    return RunResult(
+        derived.folder, outcome, comparison, duration_s, wall_s, follower, told, derived.adopted, derived.gates, derived
+    )
 
 
 async def _restored(
@@ -270,23 +264,6 @@ async def _restored(
     assert anew is not None
     stack.push_async_callback(anew.close)
     return anew
-
-
-def _proposals(folder: RunFolder) -> list[Proposed]:
-    """What the network proposed over the whole run."""
-    reader = JournalReader(folder.journal)
-    try:
-        return [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
-    finally:
-        reader.close()
-
-
-def _adopted(request: RunRequest, folder: RunFolder, proposals: list[Proposed]) -> Adoption | None:
-    """In controlled mode, what was accepted as the next revision of the run's twin."""
-    if request.network_mode != "controlled" or not folder.twin.is_file():
-        return None
-    made_by = f"hil run {request.profile.name} --network-mode controlled"
-    return adoption.adopt(folder.twin, read_record(folder.record), proposals, made_by)
 
 
 def _header(ready: Prepared, calibrators: tuple[str, ...]) -> Header:

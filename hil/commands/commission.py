@@ -43,6 +43,7 @@ def command(
       hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
     from hil.commissioned import beside, save_with_record
+    from hil.file_names import printable
     from hil.record import read_record
     from hil.record_units import beyond_declared
     from twin.commission import commission
@@ -64,7 +65,7 @@ def command(
         raise TwinFileError(f"{record}: {error}") from None
     result = commission(
         network, data.time_s, inputs, measured,
-        seed=seed, initial_sd=initial_sd, made_by=f"hil commission {record.name}",
+        seed=seed, initial_sd=initial_sd, made_by=f"hil commission {printable(record.name)}",
     )  # fmt: skip
     kept = save_with_record(result.network, data, out)
     if as_json:

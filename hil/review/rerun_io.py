@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
+from hil.file_names import printable, utf8_path
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.looks import NEUTRAL, Colour, Panel, Plan, Stack, colour_key, symbol, twin_colours
 
@@ -27,12 +28,12 @@ class Recording:
 
     def __init__(self, plan: Plan, name: str, *, path: Path | None = None, url: str | None = None) -> None:
         # An id of its own: a viewer that shows the live stream must not merge the file into it when asked to open it.
-        self._stream = rr.RecordingStream(f"hil {plan.header.profile}", recording_id=str(uuid.uuid4()))
+        self._stream = rr.RecordingStream(printable(f"hil {plan.header.profile}"), recording_id=str(uuid.uuid4()))
         if path is not None:
             self._stream.save(path)
         if url is not None:
             self._stream.connect_grpc(url)
-        self._stream.send_recording_name(name)
+        self._stream.send_recording_name(printable(name))
         self._header = plan.header
         self._live = url is not None
         self._colours: dict[str, Colour] = {}
@@ -57,7 +58,7 @@ class Recording:
 
     def note(self, entity: str, markdown: str) -> None:
         """A text that holds at all times."""
-        self._stream.log(entity, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN), static=True)
+        self._stream.log(entity, rr.TextDocument(printable(markdown), media_type=rr.MediaType.MARKDOWN), static=True)
 
     def _looks(self, plan: Plan) -> None:
         self._colours |= plan.colours
@@ -92,7 +93,9 @@ class Recording:
             case States(entity, _, states):
                 self._stream.send_columns(entity, times, rr.StateChange.columns(state=pa.array(states)))
             case Texts(entity, _, texts, levels):
-                self._stream.send_columns(entity, times, rr.TextLog.columns(text=texts, level=levels))
+                self._stream.send_columns(
+                    entity, times, rr.TextLog.columns(text=[*map(printable, texts)], level=levels)
+                )
 
     def flush(self, timeout_s: float) -> bool:
         """Whether all that was sent has arrived within `timeout_s`."""
@@ -192,8 +195,9 @@ def read_words(rrd: Path, entity: str) -> list[tuple[float, str | None]]:
 
 def _record_batches(rrd: Path, entity: str) -> list[Any]:
     # Not through the store: a file whose writer was killed has no index, yet all rows up to its last flush.
-    chunks = RrdReader(rrd).stream().filter(content=entity, has_timeline=TIMELINE).to_chunks()
-    return [chunk.to_record_batch() for chunk in chunks]
+    with utf8_path(rrd) as path:
+        chunks = RrdReader(path).stream().filter(content=entity, has_timeline=TIMELINE).to_chunks()
+        return [chunk.to_record_batch() for chunk in chunks]
 
 
 class Camera:
@@ -204,7 +208,7 @@ class Camera:
 
     def open(self, rrd: Path, tab: str | None = None) -> None:
         """Load a recording and show `tab` (by its title, else the first); raises KeyError where there is none."""
-        self._client.open(str(rrd.resolve()))
+        self._client.open(str(rrd.absolute()))
         if tab is not None:
             layout = self._client.get_blueprint(of="recording").blueprint
             containers = {name: part["ContainerBlueprint"] for name, part in layout.items() if "/container/" in name}
