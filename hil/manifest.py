@@ -49,8 +49,6 @@ def how_it_stopped(manifest: dict[str, Any], was: Standing) -> str:
     """A sentence's beginning: how the segment before ended."""
     if manifest["exit_status"] == "running":
         return f"the run was cut while {was.state}"
-    if manifest["exit_status"] == "done":
-        return "the run was over, but its report was not written"
     return f"the run {manifest['exit_status']} ({manifest['reason']})"
 
 

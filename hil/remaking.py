@@ -24,13 +24,14 @@ def remake(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) ->
         RunFolderError: this is no run folder, its run still goes on, or its `run.json` cannot be written.
         JournalError: the journal is missing or damaged.
     """
-    manifest = folder.read_manifest()
+    folder.read_manifest()  # a folder that is no run's is refused before it is locked
     with folder.owned():
-        manifest = as_it_ended(folder, manifest)
+        manifest = as_it_ended(folder, folder.read_manifest())
         wanted = manifest.get("missing", {})
         there = [] if REVISION in wanted else [REVISION]
         if not rebuild:
-            newest = folder.journal.stat().st_mtime
+            log = folder.journal.with_name(f"{folder.journal.name}-wal")
+            newest = max(path.stat().st_mtime for path in (folder.journal, log) if path.is_file())
             files = {RECORD: folder.record, REVIEW: folder.review}
             there += [name for name, path in files.items() if path.is_file() and path.stat().st_mtime >= newest]
         return derive_files(folder, manifest, announce, there=there)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from drivers.points import Quality
 from drivers.rigfile import file_sha256
 from hil.journal import JournalReader
 from hil.journal_rows import SegmentRow, StateRow
+from hil.remaking import has_ended
 from hil.run_folder import RunFolder, RunFolderError
 from hil.run_request import RunRequest
 from hil.segments import Standing, profile_times
@@ -96,8 +98,11 @@ def request_of(
     Raises:
         RunFolderError: the run is over, or one of its files is not what it was.
     """
-    if manifest.get("exit_status") == "done" and folder.report.is_file():
-        raise RunFolderError(f"{folder.path} has run to its end; start it again with `hil run`")
+    if has_ended(folder):
+        rest = "start it again with `hil run`"
+        if not folder.report.is_file() or not folder.record.is_file():
+            rest = f"`hil report {shlex.quote(str(folder.path))}` makes its record and report"
+        raise RunFolderError(f"{folder.path} has run to its end; {rest}")
     files = _checked_files(folder, manifest, moved)
     settings = manifest["settings"]
     known = settings.get("control")

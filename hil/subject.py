@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.run_folder import RunFolder
+from hil.journal import JournalError
+from hil.record_export import export_record
+from hil.run_folder import RunFolder, RunFolderError
 
 
 class SubjectError(ValueError):
@@ -42,8 +44,23 @@ def subject_of(target: Path, twin: Path | None) -> Subject:
     if not folder.record.is_file():
         if folder.was_cut:
             raise SubjectError(f"{target} was cut and has no record yet; `hil resume {target}` goes on with it")
-        raise SubjectError(f"{target} holds no record.parquet; give a run folder of a finished run, or a record")
+        _make_record(folder)
     chosen = twin or folder.twin
     if not chosen.is_file():
         raise SubjectError(f"{target} holds no twin.toml; name the twin with --twin")
     return Subject(folder.record, chosen, target)
+
+
+def _make_record(folder: RunFolder) -> None:
+    """Make the record of a run that ended without one; raises SubjectError where that is not possible."""
+    if not folder.manifest.is_file() or not folder.journal.is_file():
+        raise SubjectError(f"{folder.path} holds no record.parquet; give a run folder of a finished run, or a record")
+    try:
+        with folder.owned():
+            export_record(folder.journal, folder.record)
+    except RunFolderError as error:
+        raise SubjectError(str(error)) from None
+    except (JournalError, OSError) as error:
+        raise SubjectError(
+            f"{folder.path} holds no record.parquet, and none can be made from its journal: {error}"
+        ) from error
