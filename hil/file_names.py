@@ -17,10 +17,10 @@ from pathlib import Path
 
 LONGEST_NAME = 255
 """Bytes of one path component where the file system does not say (NAME_MAX of ext4, XFS, btrfs and tmpfs)."""
-LONGEST_DATABASE_PATH = 490
+LONGEST_DATABASE_PATH = 504
 """Bytes of a database's absolute path: SQLite's MAX_PATHNAME is 512, and its log has `-journal` appended."""
-_LIBRARIES_NEED = 40
-"""Bytes of a name that are left free for endings: `-99`, `.run.json`, `.PID.part`."""
+ENDINGS = 40
+"""Bytes of a folder's name that are left free for endings: `-99`, `.run.json`, `.PID.part`."""
 
 
 def connect_read_only(database: Path, timeout_s: float = 5.0) -> sqlite3.Connection:
@@ -58,15 +58,9 @@ def printable(text: str) -> str:
 
 
 def component(text: str, longest: int = LONGEST_NAME) -> str:
-    """Return a file name made of `text`: control characters, surrogates and `/` become `_`, and it is cut to size.
-
-    Args:
-        text: any string, such as the name of a profile.
-        longest: bytes that the file system takes for a name; some are left free for endings.
-    """
+    """Return a file name made of `text`: control characters, surrogates and `/` become `_`, cut to `longest` bytes."""
     plain = "".join(character if character.isprintable() and character != "/" else "_" for character in text)
-    room = max(longest - _LIBRARIES_NEED, 1)
-    return plain.encode("utf-8")[:room].decode("utf-8", "ignore")
+    return plain.encode("utf-8")[: max(longest, 1)].decode("utf-8", "ignore")
 
 
 def longest_name(folder: Path) -> int:

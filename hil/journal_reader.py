@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sqlite3
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.points import Signal
-from hil.file_names import connect_read_only
+from hil.file_names import LONGEST_DATABASE_PATH, connect_read_only
 from hil.journal_rows import (
     BandRow,
     CalibrationRow,
@@ -42,6 +43,11 @@ class JournalReader:
             begun = self._database.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone()
             meta = dict(self._database.execute("SELECT key, value FROM meta")) if begun else {}
         except sqlite3.Error as error:
+            if len(os.fsencode(path.resolve())) > LONGEST_DATABASE_PATH:
+                raise JournalError(
+                    f"{path} cannot be opened: SQLite takes {LONGEST_DATABASE_PATH} bytes for a path; move the run's "
+                    "folder to a shorter one"
+                ) from error
             raise JournalError(f"{path} is not a journal of this harness ({error})") from error
         if "header" not in meta:
             raise JournalError(

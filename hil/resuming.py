@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.points import Quality
 from drivers.rigfile import file_sha256
+from hil.gap_evidence import KEY, with_gap
 from hil.journal import JournalReader
 from hil.journal_rows import SegmentRow, StateRow
 from hil.remaking import has_ended
@@ -30,6 +31,20 @@ FILES = {
     "network": "--network",
 }  # fmt: skip
 """Files that a run depends on, by their name in `run.json`, and the option that says where one has been moved to."""
+
+
+def questioned(folder: RunFolder, gap_s: float | None, announce: Callable[[str], None]) -> Standing:
+    """Return where the run in `folder` stood, its gap held against every clock that knows of it (`with_gap`).
+
+    Raises what `standing` raises, and RunFolderError where the gap is not plausible and `gap_s` does not state it.
+    """
+    was = standing(folder)
+    reader = _reader(folder)
+    try:
+        noted = reader.meta(KEY)
+    finally:
+        reader.close()
+    return with_gap(was, noted, gap_s, announce)
 
 
 def standing(folder: RunFolder) -> Standing:

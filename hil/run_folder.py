@@ -20,7 +20,7 @@ from typing import Any
 from drivers.rigfile import file_sha256
 from hil import __version__
 from hil.atomic import replacing
-from hil.file_names import LONGEST_DATABASE_PATH, component, longest_name
+from hil.file_names import ENDINGS, LONGEST_DATABASE_PATH, component, longest_name
 
 LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "pyarrow", "rerun-sdk")
 BYTES_PER_TICK = 2500
@@ -176,14 +176,13 @@ def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
         why = "it is there, but is no folder" if isinstance(error, FileExistsError) else error.strerror
         raise RunFolderError(f"{parent} cannot be made ({why}); choose another folder with --runs") from error
     stamp = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
-    name = f"{stamp}-{component(profile_name, longest_name(parent) - len(stamp))}"
-    longest = LONGEST_DATABASE_PATH - len(os.fsencode((parent / name).resolve() / "journal.sqlite"))
-    if longest < len("-99"):
+    room = LONGEST_DATABASE_PATH - len(os.fsencode(parent.resolve() / f"{stamp}--99/journal.sqlite"))
+    if room < 1:
         raise RunFolderError(
-            f"{parent / name} is longer than the {LONGEST_DATABASE_PATH} bytes that SQLite takes for the path of a "
-            "journal; choose a shorter folder with --runs"
+            f"{parent} is too long: SQLite takes {LONGEST_DATABASE_PATH} bytes for the path of a journal; "
+            "choose a shorter folder with --runs"
         )
-    path = _made(parent, name)
+    path = _made(parent, f"{stamp}-{component(profile_name, min(longest_name(parent) - len(stamp) - ENDINGS, room))}")
     try:
         _require(path, ticks * BYTES_PER_TICK, "use --runs")
     except RunFolderError:

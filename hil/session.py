@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -18,12 +17,13 @@ from hil.commissioned import commissioned_on, copy_record
 from hil.control import serving
 from hil.derived_files import REVIEW, Derived, derive_files
 from hil.engine import Engine, Outcome, Status
+from hil.gap_evidence import clocks_noted
 from hil.journal import Header, JournalWriter
 from hil.live_diagnosis import LiveConfig, LiveDiagnosis, Reply
 from hil.manifest import ended, files_of, how_it_stopped, settings_of
 from hil.recording import Publisher
 from hil.restoring import restore
-from hil.resuming import standing
+from hil.resuming import questioned
 from hil.rig_lock import RigClaim, claimed
 from hil.rig_time import rig_and_clock
 from hil.run_folder import RunFolder, create_run_folder, new_manifest, require_room
@@ -99,8 +99,11 @@ async def resume_session(
     rule: SoakRule,
     observer: Callable[[Status], None] | None = None,
     announce: Callable[[str], None] = lambda text: None,
+    gap_s: float | None = None,
 ) -> RunResult:
     """Go on with the run in `folder` that was cut, as `request_of` its manifest, and derive everything anew.
+
+    `gap_s` states how long the run has been down where clocks do not agree on it, s.
 
     Raises what `run_session` raises, and RunFolderError where the run still goes on or cannot go on.
     """
@@ -111,7 +114,7 @@ async def resume_session(
         ready = prepare(request)
         claim = stack.enter_context(claimed(_shared_rig(request, ready), announce))
         claim.tell(folder.path)
-        was = standing(folder)
+        was = questioned(folder, gap_s, announce)
         require_room(folder, _ticks(ready))
         folder.control.unlink(missing_ok=True)
         tracking = await _start_tracking(request, ready)
@@ -119,8 +122,6 @@ async def resume_session(
             stack.push_async_callback(tracking.close)
         reason = how_it_stopped(manifest, was)
         announce(f"{reason} at {hours(was.profile_s)} of {hours(ready.profile.duration_s)} of the profile")
-        if was.wall_s > time.time():
-            announce("this machine's clock has been set back since the cut: how long the gap was is not known")
         if was.aim and (why := unled(ready.rig, bind(ready.rig, ready.profile.columns))) is not None:
             announce(why)
         resumption = Resumption(was, rule, reason, request.speed if request.mode == "scaled" else 1.0)
@@ -184,6 +185,7 @@ async def _run_in(run: _Run) -> RunResult:
         header = _header(ready, () if tracking is None else tracking.calibrators)
         journal = JournalWriter(folder.journal, header, again=resumption is not None)
         stack.callback(journal.close)
+        await stack.enter_async_context(clocks_noted(journal))
         if resumption is not None and State(resumption.standing.state) not in ENDED:
             was = resumption.standing
             journal.state(was.tick, was.time_s, was.profile_s, was.state, "cut", State.IDLE.value, resumption.reason)
