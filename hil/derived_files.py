@@ -78,6 +78,8 @@ class _Signals:
         """Raise _StoppedError in the block when a signal comes; afterwards it is only remembered."""
         self._armed = True
         try:
+            if self.received is not None:
+                raise _StoppedError
             yield
         finally:
             self._armed = False
@@ -137,9 +139,7 @@ def derive_files(
         for name, step in steps.items():
             if signals.received is None:
                 announce(f"writing {name}")
-                why = _made(step, signals)
-            else:
-                why = f"stopped by {signals.received.name}"
+            why = _made(step, signals)
             if why is None:
                 del derived.missing[name]
             else:
