@@ -30,10 +30,8 @@ def remake(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) ->
         wanted = manifest.get("missing", {})
         there = [] if REVISION in wanted else [REVISION]
         if not rebuild:
-            log = folder.journal.with_name(f"{folder.journal.name}-wal")
-            newest = max(path.stat().st_mtime for path in (folder.journal, log) if path.is_file())
             files = {RECORD: folder.record, REVIEW: folder.review}
-            there += [name for name, path in files.items() if path.is_file() and path.stat().st_mtime >= newest]
+            there += [name for name, path in files.items() if folder.is_current(path)]
         return derive_files(folder, manifest, announce, there=there)
 
 

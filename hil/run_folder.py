@@ -95,6 +95,16 @@ class RunFolder:
             ) from error
         return document
 
+    def is_current(self, made: Path, within_s: float = 0.0) -> bool:
+        """Return whether a file that was made from the journal is there and no older than the journal's last row, but
+        for `within_s`."""
+        log = self.journal.with_name(f"{self.journal.name}-wal")
+        try:
+            newest = max(path.stat().st_mtime for path in (self.journal, log) if path.is_file())
+            return made.stat().st_mtime >= newest - within_s
+        except (OSError, ValueError):
+            return made.is_file()
+
     @property
     def was_cut(self) -> bool:
         """Whether its run neither ended nor goes on: it was killed, or its power went."""

@@ -30,6 +30,22 @@ class Subject:
         return Path(f"diagnosis-{self.record.parent.name or self.record.stem}-{self.record.stem}")
 
 
+def record_of(target: Path) -> Path:
+    """Resolve a record file, or a run folder to its record, which is made where an ended run has none.
+
+    Raises:
+        SubjectError: the folder has no record and none can be made.
+    """
+    if not target.is_dir():
+        return target
+    folder = RunFolder(target)
+    if not folder.record.is_file():
+        if folder.was_cut:
+            raise SubjectError(f"{target} was cut and has no record yet; `hil resume {target}` goes on with it")
+        _make_record(folder)
+    return folder.record
+
+
 def subject_of(target: Path, twin: Path | None) -> Subject:
     """Resolve a record file or a run folder; `twin` is another than the run's own.
 
@@ -40,15 +56,11 @@ def subject_of(target: Path, twin: Path | None) -> Subject:
         if twin is None:
             raise SubjectError(f"{target} is a record and does not say which twin it belongs to; name it with --twin")
         return Subject(target, twin, None)
-    folder = RunFolder(target)
-    if not folder.record.is_file():
-        if folder.was_cut:
-            raise SubjectError(f"{target} was cut and has no record yet; `hil resume {target}` goes on with it")
-        _make_record(folder)
+    folder, record = RunFolder(target), record_of(target)
     chosen = twin or folder.twin
     if not chosen.is_file():
         raise SubjectError(f"{target} holds no twin.toml; name the twin with --twin")
-    return Subject(folder.record, chosen, target)
+    return Subject(record, chosen, target)
 
 
 def _make_record(folder: RunFolder) -> None:

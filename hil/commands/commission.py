@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.commands.paths import INPUT_FILE
+from hil.commands.paths import INPUT_FILE, INPUT_PATH
 
 if TYPE_CHECKING:
     from twin.commission import Commission
 
 
 @click.command()
-@click.argument("record", type=INPUT_FILE)
+@click.argument("target", type=INPUT_PATH, metavar="RUN|RECORD")
 @click.option("--twin", type=INPUT_FILE, help="Twin file to start from; it is not changed.")
 @click.option("--datasheet", type=INPUT_FILE, help="A rig's datasheet.json: fills in --twin, or loop.toml.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="New twin file to write.")
@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
-    record: Path, twin: Path | None, datasheet: Path | None, out: Path, seed: int, initial_sd: float, as_json: bool
+    target: Path, twin: Path | None, datasheet: Path | None, out: Path, seed: int, initial_sd: float, as_json: bool
 ) -> None:
-    """Fit the tunables of a twin to RECORD, a healthy one, and write them as a new revision.
+    """Fit the tunables of a twin to RUN or RECORD, a healthy one, and write them as a new revision.
 
-    What the twin reads of RECORD is kept beside it, as <OUT>.healthy.parquet: `hil diagnose` asks it what is usual.
+    What the twin reads of it is kept beside it, as <OUT>.healthy.parquet: `hil diagnose` asks it what is usual.
 
     A fifth of the record, its end unless that alone shows some pump or fan speed, is kept out of the fit; errors before
     and after are of a free run over it.
 
     \b
     Example:
-      hil commission runs/<a healthy run>/record.parquet --twin profiles/twins/loop.toml --out my_twin.toml
+      hil commission runs/<a healthy run> --twin profiles/twins/loop.toml --out my_twin.toml
       hil commission commissioning.parquet --datasheet datasheet.json --out my_twin.toml
       hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
@@ -46,6 +46,7 @@ def command(
     from hil.file_names import printable
     from hil.record import read_record
     from hil.record_units import beyond_declared
+    from hil.subject import record_of
     from twin.commission import commission
     from twin.datasheet import from_datasheet
     from twin.network import TwinFileError
@@ -57,6 +58,7 @@ def command(
         if path.exists():
             raise click.UsageError(f"{path} exists already; a twin is never overwritten, give --out another name")
     network = from_datasheet(datasheet, twin) if datasheet is not None else load(twin or "")
+    record = record_of(target)
     data = read_record(record)
     data.require(*network.input_columns)
     try:

@@ -92,10 +92,9 @@ class Recording:
                 self._stream.send_columns(entity, times, rr.Measurements.columns(values=values, variances=variances))
             case States(entity, _, states):
                 self._stream.send_columns(entity, times, rr.StateChange.columns(state=pa.array(states)))
-            case Texts(entity, _, texts, levels):
-                self._stream.send_columns(
-                    entity, times, rr.TextLog.columns(text=[*map(printable, texts)], level=levels)
-                )
+            case Texts(entity, time_s, texts, levels):
+                words = [f"{axis_time(at)}  {printable(text)}" for at, text in zip(time_s, texts, strict=True)]
+                self._stream.send_columns(entity, times, rr.TextLog.columns(text=words, level=levels))
 
     def flush(self, timeout_s: float) -> bool:
         """Whether all that was sent has arrived within `timeout_s`."""
@@ -110,6 +109,16 @@ class Recording:
         self._stream.disconnect()
 
 
+def axis_time(time_s: float) -> str:
+    """Return a time as Rerun's time axes write it: `+1h 10m 05s`."""
+    sign, whole = "-" if time_s < 0.0 else "+", round(abs(time_s))
+    minutes, seconds = divmod(whole, 60)
+    hours, minutes = divmod(minutes, 60)
+    days, hours = divmod(hours, 24)
+    parts = [f"{days}d"] * bool(days) + [f"{hours}h"] * bool(days or hours) + [f"{minutes:02d}m {seconds:02d}s"]
+    return sign + " ".join(parts)
+
+
 def _nanoseconds(time_s: NDArray[np.float64]) -> NDArray[Any]:
     return np.round(time_s * 1e9).astype("timedelta64[ns]")
 
@@ -117,11 +126,14 @@ def _nanoseconds(time_s: NDArray[np.float64]) -> NDArray[Any]:
 def _text_columns() -> rrb.TextLogColumns:
     kinds = rrb.encodings.TextLogColumnKind
     shown = [rrb.encodings.TextLogColumn(kind, visible=kind != kinds.EntityPath) for kind in kinds]
-    return rrb.TextLogColumns(timeline_columns=[rrb.encodings.TimelineColumn(TIMELINE)], text_log_columns=shown)
+    # Rerun's own column counts in seconds however long the run is: each text begins with the time as the axes have it.
+    hidden = [rrb.encodings.TimelineColumn(TIMELINE, visible=False)]
+    return rrb.TextLogColumns(timeline_columns=hidden, text_log_columns=shown)
 
 
 def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
-    def view(panel: Panel, margin: float) -> Any:
+    def view(panel: Panel, around: float) -> Any:
+        margin = max(around, panel.margin)
         start = rrb.TimeRangeBoundary.absolute(seconds=-margin * end_s)
         whole = rrb.TimeRange(start=start, end=rrb.TimeRangeBoundary.absolute(seconds=end_s))
         axis = rrb.TimeAxis(view_range=whole)

@@ -163,7 +163,7 @@ def test_a_signal_while_files_are_made_leaves_the_record_and_says_how_to_make_th
     assert "Traceback" not in said
     manifest = folder.read_manifest()
     assert (manifest["exit_status"], set(manifest["missing"])) == ("done", {"review.rrd", "report.html"})
-    assert len(read_record(folder.record).time_s) == 1600
+    assert len(read_record(folder.record).time_s) == 1601
     assert not list(folder.path.glob(".*"))
     assert hil("report", folder.path).returncode == 0
     assert folder.review.is_file()
