@@ -92,7 +92,7 @@ def _against_twin(drawn: Curves) -> Iterator[_Plot]:
 def _residuals(drawn: Curves) -> tuple[tuple[Floats, list[_Plot]], float]:
     """Return the time (b,) and plots of mean residuals, and the length in s over which they are means."""
     time_s, period_s = drawn.samples.time_s, drawn.header.period_s
-    width_s = min(_MEAN_OVER_S, max(period_s, (time_s[-1] - time_s[0]) / 20.0))
+    width_s = min(_MEAN_OVER_S, period_s * max(1.0, np.ceil((time_s[-1] - time_s[0]) / 20.0 / period_s)))
     part = np.floor((time_s - time_s[0]) / width_s).astype(np.int64)
     # A cut ends a mean: the rows on both sides of a gap are of different states of the rig.
     part += np.searchsorted(drawn.cuts, np.arange(len(part)), side="right")

@@ -21,6 +21,7 @@ from hil.review.looks import NEUTRAL, Colour, Panel, Plan, Stack, colour_key, sy
 
 TIMELINE = "test_time"
 _SETTLED = 3
+_AFTER_TIME = "  "
 
 
 class Recording:
@@ -93,7 +94,7 @@ class Recording:
             case States(entity, _, states):
                 self._stream.send_columns(entity, times, rr.StateChange.columns(state=pa.array(states)))
             case Texts(entity, time_s, texts, levels):
-                words = [f"{axis_time(at)}  {printable(text)}" for at, text in zip(time_s, texts, strict=True)]
+                words = [axis_time(at) + _AFTER_TIME + printable(text) for at, text in zip(time_s, texts, strict=True)]
                 self._stream.send_columns(entity, times, rr.TextLog.columns(text=words, level=levels))
 
     def flush(self, timeout_s: float) -> bool:
@@ -201,6 +202,8 @@ def read_words(rrd: Path, entity: str) -> list[tuple[float, str | None]]:
             if name in batch.schema.names and TIMELINE in batch.schema.names:
                 nanoseconds = batch.column(TIMELINE).cast(pa.int64()).to_pylist()
                 words = [None if not cell else cell[0] for cell in batch.column(name).to_pylist()]
+                if name == "TextLog:text":  # without the time that each begins with
+                    words = [None if word is None else word.partition(_AFTER_TIME)[2] for word in words]
                 rows += [(stamp / 1e9, word) for stamp, word in zip(nanoseconds, words, strict=True)]
     return rows
 
