@@ -43,7 +43,7 @@ def _stack(stack: Stack, labels: Mapping[str, tuple[str, ...]], width_px: float)
         for part, width in zip(stack.parts, widths, strict=True)
     ]
     common = max(needs, default=0.0) if stack.arrange == "rows" else None
-    parts = []
+    parts: list[Panel | Stack] = []
     for part, need, width in zip(stack.parts, needs, widths, strict=True):
         if isinstance(part, Stack):
             parts.append(_stack(part, labels, width))

@@ -7,14 +7,18 @@ import os
 import shutil
 import signal
 import time
+from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
+from hil.commands.check import command as check
+from hil.commands.commission import command as commission
 from hil.commands.report import command as report
 from hil.derived_files import Derived, derive_files, missing_sentence
 from hil.errors import exit_code
+from hil.record import RecordError
 from hil.remaking import remake
 from hil.resuming import request_of
 from hil.run_folder import FolderLostError, RunFolderError
@@ -229,3 +233,22 @@ def test_the_record_of_an_ended_run_is_made_for_whoever_reads_it(tmp_path):
     folder.journal.write_text("damaged", encoding="utf-8")
     with pytest.raises(SubjectError, match="none can be made from its journal"):
         subject_of(folder.path, None)
+
+
+def test_a_run_folder_is_checked_and_commissioned_by_its_record(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run")
+    folder.write_manifest(manifest)
+    checked = CliRunner().invoke(check, [str(folder.path)])
+    assert checked.exit_code == 0, checked.output
+    assert "record.parquet: 300 samples over 0.08 h" in checked.output
+    with pytest.raises(SubjectError, match=r"holds no record.parquet; give a run folder"):
+        CliRunner().invoke(check, [str(tmp_path)], catch_exceptions=False)
+    twin = tmp_path / "twin.toml"
+    text = (Path(__file__).resolve().parents[2] / "profiles/twins/loop.toml").read_text(encoding="utf-8")
+    twin.write_text(text.replace("T_ambient_C", "T_nowhere_C"), encoding="utf-8")
+    with pytest.raises(RecordError) as caught:
+        CliRunner().invoke(
+            commission, [str(folder.path), "--twin", str(twin), "--out", str(tmp_path / "new.toml")],
+            catch_exceptions=False,
+        )  # fmt: skip
+    assert str(caught.value).startswith(f"{folder.record} lacks T_nowhere_C")
