@@ -245,10 +245,10 @@ def test_a_run_folder_is_checked_and_commissioned_by_its_record(tmp_path):
         CliRunner().invoke(check, [str(tmp_path)], catch_exceptions=False)
     twin = tmp_path / "twin.toml"
     text = (Path(__file__).resolve().parents[2] / "profiles/twins/loop.toml").read_text(encoding="utf-8")
-    twin.write_text(text.replace("T_ambient_C", "T_nowhere_C"), encoding="utf-8")
+    twin.write_text(text.replace("pump_speed_pct", "pump_nowhere_pct"), encoding="utf-8")
     with pytest.raises(RecordError) as caught:
         CliRunner().invoke(
             commission, [str(folder.path), "--twin", str(twin), "--out", str(tmp_path / "new.toml")],
             catch_exceptions=False,
         )  # fmt: skip
-    assert str(caught.value).startswith(f"{folder.record} lacks T_nowhere_C")
+    assert str(caught.value).startswith(f"{folder.record} lacks pump_nowhere_pct")
