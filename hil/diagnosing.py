@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from drivers.rigfile import file_sha256
 from hil import __version__
 from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
+from hil.file_names import printable
 from hil.record import Reading, Record, read_record
 from hil.record_time import span
 from hil.record_units import beyond_declared
@@ -245,7 +246,7 @@ def _stamped(
     inputs = {c: s for c, s in bigger.inputs.items() if c in used or (c in network.inputs and c != CLOCK)}
     revision = Revision(
         number=network.revision.number + 1,
-        made_by=f"hil diagnose {record.name}",
+        made_by=f"hil diagnose {printable(record.name)}",
         window_s=(0.0, diagnosis.held_out_s[0]),
         error_before_K=before,
         error_after_K=after,

@@ -86,14 +86,14 @@ def write_curves(curves: Curves, path: Path) -> None:
         "unknowns": [{"site": u.site, "unit": u.unit, "log_evidence": u.log_evidence} for u in curves.unknowns],
     }
     table = pa.table({name: pa.array(np.ascontiguousarray(values)) for name, values in columns.items()})
-    with replacing(path) as temporary:
-        pq.write_table(table.replace_schema_metadata({_KEY: json.dumps(about).encode()}), temporary)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        pq.write_table(table.replace_schema_metadata({_KEY: json.dumps(about).encode()}), file)
 
 
 def read_curves(path: Path) -> Curves:
     """Read what `write_curves` wrote; raises DiagnosisFolderError."""
     try:
-        table = pq.read_table(path)
+        table = pq.read_table(pa.BufferReader(path.read_bytes()))
         about = json.loads(table.schema.metadata[_KEY])
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError) as error:
         raise DiagnosisFolderError(f"{path} holds no curves of a diagnosis ({error}); diagnose again") from error

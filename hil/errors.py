@@ -15,12 +15,12 @@ def exit_code(error: BaseException) -> int | None:
     from drivers.points import ConfigurationError, DriverError
     from hil.journal import JournalError
     from hil.rig_lock import RigBusyError
-    from hil.run_folder import RunFolderError
+    from hil.run_folder import FolderLostError, RunFolderError
     from hil.tracking_process import TrackingError
 
     if isinstance(error, ConfigurationError):
         return USAGE
-    if isinstance(error, DriverError | JournalError | RigBusyError | TrackingError):
+    if isinstance(error, DriverError | JournalError | RigBusyError | TrackingError | FolderLostError):
         return FOUND
     if isinstance(error, RunFolderError):
         return USAGE

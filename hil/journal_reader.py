@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import math
+import os
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.points import Signal
+from hil.file_names import LONGEST_DATABASE_PATH, connect_read_only
 from hil.journal_rows import (
     BandRow,
     CalibrationRow,
@@ -74,10 +76,15 @@ class JournalReader:
             raise JournalError(f"{path} does not exist; give the folder of a run")
         self._path = path
         try:
-            self._database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+            self._database = connect_read_only(path)
             begun = self._database.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone()
             meta = dict(self._database.execute("SELECT key, value FROM meta")) if begun else {}
         except (sqlite3.Error, ValueError, TypeError) as error:
+            if len(os.fsencode(path.resolve())) > LONGEST_DATABASE_PATH:
+                raise JournalError(
+                    f"{path} cannot be opened: SQLite takes {LONGEST_DATABASE_PATH} bytes for a path; move the run's "
+                    "folder to a shorter one"
+                ) from error
             why = _on_one_line(error)
             raise JournalError(f"{path} is not a journal of this harness ({why})") from error
         if "header" not in meta:

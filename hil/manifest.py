@@ -8,8 +8,8 @@ from typing import Any
 
 from drivers.bus_sections import CanBus
 from hil.engine import Outcome
-from hil.journal import JournalReader
-from hil.run_folder import RunFolder
+from hil.journal import JournalError, JournalReader
+from hil.run_folder import FolderLostError, RunFolder
 from hil.run_request import Prepared, RunRequest
 from hil.segments import Resumption, Standing
 from hil.tracking_process import Tracking
@@ -49,8 +49,6 @@ def how_it_stopped(manifest: dict[str, Any], was: Standing) -> str:
     """A sentence's beginning: how the segment before ended."""
     if manifest["exit_status"] == "running":
         return f"the run was cut while {was.state}"
-    if manifest["exit_status"].startswith("done"):
-        return "the run was over, but its report was not written"
     return f"the run {manifest['exit_status']} ({manifest['reason']})"
 
 
@@ -82,7 +80,10 @@ def _segments(
     """Every resumption so far as plain data, with what became of this one."""
     if resumption is None:
         return []
-    reader = JournalReader(folder.journal)
+    try:
+        reader = JournalReader(folder.located().journal)
+    except (JournalError, FolderLostError):
+        return list(manifest.get("segments", []))
     try:
         rows = reader.segments()
     finally:

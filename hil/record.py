@@ -325,9 +325,9 @@ def write_record(record: Record, path: Path) -> None:
         arrays[name + QUALITY] = pa.array(codes)
     table = pa.table(arrays)
     require_record_suffix(path)
-    with replacing(path) as unfinished:
+    with replacing(path) as unfinished, unfinished.open("wb") as file:
         if path.suffix == ".csv":
             options = pacsv.WriteOptions(quoting_style="none")
-            pacsv.write_csv(table, unfinished, options)
+            pacsv.write_csv(table, file, options)
         else:
-            pq.write_table(table.replace_schema_metadata(record.metadata), unfinished, compression="zstd")
+            pq.write_table(table.replace_schema_metadata(record.metadata), file, compression="zstd")

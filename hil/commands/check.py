@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.commands.paths import INPUT_FILE, VIRTUAL_RIG
+from hil.commands.paths import INPUT_FILE, INPUT_PATH, VIRTUAL_RIG
 from hil.commands.reading_options import reading
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("file", type=INPUT_FILE, required=False)
+@click.argument("file", type=INPUT_PATH, required=False)
 @click.option("--rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig that a profile is meant for.")
 @click.option("--catalogue", is_flag=True, help="Of a twin: which effects no record of its rig could tell apart.")
 @click.option("--kinds", is_flag=True, help="Without FILE: every kind of element a twin file may have, with its keys.")
@@ -48,6 +48,8 @@ def command(
 ) -> None:
     """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
 
+    Of RUN, a folder of runs/, its record is checked; where the run ended without one, that is made from its journal.
+
     --online exits with 1 where a bus is down or a point is not good at the end of the look.
 
     \b
@@ -59,6 +61,7 @@ def command(
       hil check my_load.csv --rig my_rig.toml
       hil check profiles/twins/loop_six.toml --picture network.svg
       hil check my_twin.toml --catalogue
+      hil check runs/<a run>
       hil check --kinds
     """
     from hil.record_raw import Reading
@@ -75,6 +78,10 @@ def command(
         raise click.UsageError(
             "Missing argument 'FILE'; give a file to check, or --kinds for what a twin file may have"
         )
+    if file.is_dir():
+        from hil.subject import record_of
+
+        file = record_of(file)
     checker = _checker(file, rig)
     if picture is not None and checker is not _twin:
         raise click.UsageError(f"--picture draws twins, and {file} is none")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.commands.paths import INPUT_FILE
+from hil.commands.paths import INPUT_FILE, INPUT_PATH
 from hil.commands.reading_options import reading
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("record", type=INPUT_FILE)
+@click.argument("target", type=INPUT_PATH, metavar="RUN|RECORD")
 @click.option("--twin", type=INPUT_FILE, help="Twin file to start from; it is not changed.")
 @click.option("--datasheet", type=INPUT_FILE, help="A rig's datasheet.json: fills in --twin, or loop.toml.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="New twin file to write.")
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @reading
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
-    record: Path,
+    target: Path,
     twin: Path | None,
     datasheet: Path | None,
     out: Path,
@@ -40,9 +40,9 @@ def command(
     as_json: bool,
     choice: Reading,
 ) -> None:
-    """Fit the tunables of a twin to RECORD, a healthy one, and write them as a new revision.
+    """Fit the tunables of a twin to RUN or RECORD, a healthy one, and write them as a new revision.
 
-    What the twin reads of RECORD is kept beside it, as <OUT>.healthy.parquet: `hil diagnose` asks it what is usual.
+    What the twin reads of it is kept beside it, as <OUT>.healthy.parquet: `hil diagnose` asks it what is usual.
 
     A fifth of the record, its end unless that alone shows some pump or fan speed, is kept out of the fit; errors before
     and after are of a free run over it. No twin is written where RECORD identifies none of the tunables, or where the
@@ -50,13 +50,15 @@ def command(
 
     \b
     Example:
-      hil commission runs/<a healthy run>/record.parquet --twin profiles/twins/loop.toml --out my_twin.toml
+      hil commission runs/<a healthy run> --twin profiles/twins/loop.toml --out my_twin.toml
       hil commission commissioning.parquet --datasheet datasheet.json --out my_twin.toml
       hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
     from hil.commissioned import beside, save_with_record
+    from hil.file_names import printable
     from hil.record import read_record
     from hil.record_units import beyond_declared
+    from hil.subject import record_of
     from hil.terminal import console
     from twin.commission import commission
     from twin.commission_check import clock_in_question, reason_to_refuse
@@ -70,6 +72,7 @@ def command(
         if path.exists():
             raise click.UsageError(f"{path} exists already; a twin is never overwritten, give --out another name")
     network = from_datasheet(datasheet, twin) if datasheet is not None else load(twin or "")
+    record = record_of(target)
     data = read_record(record, choice=choice)
     data.require(*network.input_columns)
     try:
@@ -78,7 +81,7 @@ def command(
         raise TwinFileError(f"{record}: {error}") from None
     result = commission(
         network, data.time_s, inputs, measured,
-        seed=seed, initial_sd=initial_sd, made_by=f"hil commission {record.name}",
+        seed=seed, initial_sd=initial_sd, made_by=f"hil commission {printable(record.name)}",
     )  # fmt: skip
     messages = (*data.messages, *beyond_declared(network, data.columns))
     if why := reason_to_refuse(result, measured):

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 @click.option("--healthy", type=INPUT_FILE, help="Where the healthy record lies now.")
 @click.option("--network", "card", type=INPUT_FILE, help="Where the card of the run's trained network lies now.")
 @click.option("--control", help="host:port of a `hil rig --mode lockstep` that runs already, if it is another now.")
+@click.option("--gap", help="How long the run has been down, such as 12min, where this machine's clock is wrong.")
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip of the rig's own; find its cause before.")
 @click.option("--no-guardian", is_flag=True, help="Nobody makes the rig safe if this process is killed or hangs.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
@@ -45,6 +46,7 @@ def command(
     healthy: Path | None,
     card: Path | None,
     control: str | None,
+    gap: str | None,
     rearm: bool,
     no_guardian: bool,
     viewer: bool | None,
@@ -60,8 +62,10 @@ def command(
     \b
     Example:
       hil resume runs/20260520T120000Z-battle_40h
+      hil resume runs/20260520T120000Z-battle_40h --gap 2.5h
       hil resume runs/20260520T120000Z-battle_40h --band 2 --timeout 14400
     """
+    from hil.gap_evidence import duration_s
     from hil.resuming import request_of
     from hil.run_folder import RunFolder
     from hil.session import resume_session
@@ -72,6 +76,7 @@ def command(
     moved = {
         "rig": rig, "profile": profile, "twin": twin, "effects": effects, "healthy": healthy, "network": card,
     }  # fmt: skip
+    gap_s = None if gap is None else duration_s(gap)
     where = None if control is None else address(control)
 
     def request(manifest: dict[str, Any]) -> RunRequest:
@@ -79,10 +84,10 @@ def command(
 
     with LiveRun(quiet=as_json) as live:
         rule = SoakRule(band_K, timeout_s)
-        result = asyncio.run(resume_session(folder, request, rule, live.update, live.announce))
+        result = asyncio.run(resume_session(folder, request, rule, live.update, live.announce, gap_s))
     if as_json:
         click.echo(json.dumps(as_json_document(result), indent=1))
     else:
         live.show_result(result)
-    if not result.outcome.in_order:
-        sys.exit(1)
+    if result.exit_code:
+        sys.exit(result.exit_code)

@@ -123,8 +123,8 @@ def command(
         click.echo(json.dumps(as_json_document(result), indent=1))
     else:
         live.show_result(result)
-    if not result.outcome.in_order:
-        sys.exit(1)
+    if result.exit_code:
+        sys.exit(result.exit_code)
 
 
 def address(text: str) -> tuple[str, int]:
