@@ -32,7 +32,8 @@ class RunRequest:
     network calibrators ask, None for the shipped one. `network_mode`: see `hil.adoption`. `control` is the control
     port of a virtual rig in lockstep that runs already, at the rig file's addresses. `rearm`: whether a trip that the
     rig brings along is acknowledged. `diagnose_s`: seconds of profile time between diagnoses of the record so far,
-    against the record `healthy`; `adopt` saves what they find.
+    against the record `healthy`; `adopt` saves what they find. `no_lock`: run although a second run is not kept off
+    the rig.
     """
 
     profile: Path
@@ -54,6 +55,7 @@ class RunRequest:
     diagnose_s: float | None = None
     healthy: Path | None = None
     adopt: bool = False
+    no_lock: bool = False
 
 
 @dataclass(frozen=True, slots=True)
