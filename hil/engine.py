@@ -25,6 +25,7 @@ from hil.profile import Profile
 from hil.recording import Position, Publisher, Recorder
 from hil.safing import make_safe, write_safe
 from hil.segments import Resumption
+from hil.setpoint_readback import SetpointReadback
 from hil.setpoints import bind
 from hil.soaking import Soak
 from hil.states import HEATED, UNTOUCHED, WAITING, Event, State
@@ -121,6 +122,8 @@ class Engine:
         self._interlocks = self._supervisor.interlocks
         self._targets: list[Point] = bind(self._rig, profile.columns)
         self._outputs = Outputs(connection)
+        self._readback = SetpointReadback(connection, self._told.event, lockstep=lockstep)
+        self._interlocks.add_alarm(self._readback)
         self._snapshot: Snapshot | None = None
         self._shown = 0.0
 
@@ -265,6 +268,7 @@ class Engine:
         began = time.perf_counter()
         snapshot = self._snapshot = await self._connection.read()
         now = clock.now()
+        await self._readback.look(snapshot, self._outputs.values, now)
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
         if ended is None and self._soak is not None:
             ended = self._lead_back(self._soak, snapshot, now)
@@ -315,6 +319,7 @@ class Engine:
             else:
                 await self._outputs.move(self._wanted(), elapsed_s)
         except DriverError as error:
+            self._readback.not_confirmed()
             if state in HEATED and isinstance(error, DeviceExceptionError):
                 raise
             self._told.event("WARN", str(error))

@@ -32,7 +32,7 @@ from hil.lock_folder import Holder, LockFile, LockFolder, RigLockError, open_fol
 from hil.machine_lock import Peer, take_name
 
 _SO_NETNS_COOKIE = 71
-"""Socket option that identifies a network namespace (Linux 5.14; <asm-generic/socket.h>), which Python does not name."""
+"""Socket option that identifies a network namespace (Linux 5.14, <asm-generic/socket.h>); Python has no name for it."""
 
 
 class RigBusyError(Exception):
