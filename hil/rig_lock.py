@@ -64,7 +64,7 @@ class RigClaim:
         self._folders, errors = open_folders()
         try:
             if errors and not no_lock:
-                raise RigLockError(f"{errors[0]}, or use --no-lock, and nothing keeps a second run off this rig")
+                raise RigLockError(f"{errors[0]}, or use --no-lock, which does not keep a second run off this rig")
             for key, place in points.items():
                 try:
                     self._lock(key, place)
@@ -91,7 +91,7 @@ class RigClaim:
         except OSError as error:
             raise RigLockError(
                 f"this machine's lock of {place} cannot be had ({error.strerror or error}); allow Unix sockets to this "
-                "process, or use --no-lock, and nothing keeps a second run off this rig"
+                "process, or use --no-lock, which does not keep a second run off this rig"
             ) from error
         if isinstance(taken, Peer):
             known = [folder.holder(name) for folder in self._folders]
@@ -104,7 +104,7 @@ class RigClaim:
             except OSError as error:
                 raise RigLockError(
                     f"{folder.path}, the folder of rig locks, cannot be used ({error.strerror or error}); have it made "
-                    "writable, or use --no-lock, and nothing keeps a second run off this rig"
+                    "writable, or use --no-lock, which does not keep a second run off this rig"
                 ) from error
             if file is None:
                 raise RigBusyError(_busy(place, None, folder.holder(name)))

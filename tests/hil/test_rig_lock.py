@@ -18,7 +18,6 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.bus_sections import ModbusRtuTcpBus
-from drivers.host_address import is_own
 from drivers.rig_model import Rig
 from drivers.rigfile import load_rig
 from hil.commands.resume import command as resume_command
@@ -207,21 +206,6 @@ def test_an_end_point_has_one_key_however_it_is_written(tmp_path):
         rig["bus"]["plc"] = {"transport": "modbus_rtu", "serial_port": path}
         found.append(set(end_points(Rig.model_validate(rig))))
     assert found[0] == found[1] == found[2] and len(found[0]) == 1
-
-
-def test_an_address_of_an_interface_is_this_machine_and_one_of_nobody_is_not(monkeypatch):
-    asked: list[object] = []
-
-    class Probe(socket.socket):
-        def connect(self, address):
-            asked.append(address[0])
-
-        def getsockname(self):
-            return ("198.51.100.4", 40000)  # of our only interface
-
-    monkeypatch.setattr("drivers.host_address.socket.socket", Probe)
-    assert is_own("198.51.100.4") and not is_own("198.51.100.5") and not is_own("no.such.host")
-    assert asked == ["198.51.100.4", "198.51.100.5"]
 
 
 def test_a_host_with_several_addresses_is_locked_at_each(monkeypatch):
