@@ -30,6 +30,7 @@ from hil.profile import Profile
 from hil.recording import Position, Publisher, Recorder
 from hil.safing import Safed, make_safe, write_safe
 from hil.segments import Resumption
+from hil.setpoint_readback import SetpointReadback
 from hil.setpoints import bind
 from hil.soaking import Soak
 from hil.states import ENDED, HEATED, UNTOUCHED, WAITING, Event, State, TransitionError
@@ -142,6 +143,8 @@ class Engine:
         self._interlocks = self._supervisor.interlocks
         self._targets: list[Point] = bind(self._rig, profile.columns)
         self._outputs = Outputs(connection)
+        self._readback = SetpointReadback(connection, self._told.event, lockstep=lockstep)
+        self._interlocks.add_alarm(self._readback)
         self._snapshot: Snapshot | None = None
         self._shown = 0.0
         self._guard: Guard = NoGuard() if guard is None else guard
@@ -374,6 +377,7 @@ class Engine:
         why = self._guard.failure() or (self._connection.exhausted if snapshot.faults else None)
         if why is not None:
             return Event.FAIL, why
+        await self._readback.look(snapshot, self._outputs.values, now)
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
         if ended is None and self._soak is not None:
             ended = self._lead_back(self._soak, snapshot, now)
@@ -466,6 +470,7 @@ class Engine:
             else:
                 self._told.event("WARN", "nothing was written on this tick: the guardian may have acted meanwhile")
         except DriverError as error:
+            self._readback.not_confirmed()
             if state in HEATED and isinstance(error, DeviceExceptionError):
                 raise
             self._told.event("WARN", str(error))

@@ -106,6 +106,7 @@ def request_of(
     *,
     control: tuple[str, int] | None = None,
     rearm: bool = False,
+    no_lock: bool = False,
     viewer: bool | None = None,
     guardian: bool = True,
 ) -> RunRequest:
@@ -139,6 +140,7 @@ def request_of(
         viewer=viewer,
         control=control or (None if known is None else (known[0], known[1])),
         rearm=rearm,
+        no_lock=no_lock,
         diagnose_s=settings.get("diagnose_s"),
         healthy=files.get("healthy"),
         adopt=settings.get("adopt", False),

@@ -71,7 +71,8 @@ async def run_session(
 ) -> RunResult:
     """Run `request` to its end and derive everything in its folder.
 
-    Raises what `prepare` and `Twins` raise, and RigBusyError where another run drives the rig.
+    Raises what `prepare` and `Twins` raise, RigBusyError where another run drives the rig, and RigLockError where that
+    cannot be known.
     """
     ready = prepare(request)
     async with contextlib.AsyncExitStack() as stack:
@@ -79,7 +80,7 @@ async def run_session(
         for note in ready.notes:
             announce(note)
         # Before anything is made or moved: a rig or a calibrator that cannot be had is refused here.
-        claim = stack.enter_context(claimed(_shared_rig(request, ready), announce))
+        claim = stack.enter_context(claimed(_shared_rig(request, ready), announce, no_lock=request.no_lock))
         tracking = await _start_tracking(request, ready)
         if tracking is not None:
             stack.push_async_callback(tracking.close)
@@ -116,7 +117,7 @@ async def resume_session(
         manifest = folder.read_manifest()
         request = request_of(manifest)
         ready = prepare(request)
-        claim = stack.enter_context(claimed(_shared_rig(request, ready), announce))
+        claim = stack.enter_context(claimed(_shared_rig(request, ready), announce, no_lock=request.no_lock))
         claim.tell(folder.path)
         was = questioned(folder, gap_s, announce)
         require_room(folder, _ticks(ready))

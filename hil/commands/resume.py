@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 @click.option("--gap", help="How long the run has been down, such as 12min, where this machine's clock is wrong.")
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip of the rig's own; find its cause before.")
 @click.option("--no-guardian", is_flag=True, help="Nobody makes the rig safe if this process is killed or hangs.")
+@click.option("--no-lock", is_flag=True, help="Run even if locks do not keep a second run off this rig.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
@@ -49,6 +50,7 @@ def command(
     gap: str | None,
     rearm: bool,
     no_guardian: bool,
+    no_lock: bool,
     viewer: bool | None,
     as_json: bool,
 ) -> None:
@@ -80,7 +82,10 @@ def command(
     where = None if control is None else address(control)
 
     def request(manifest: dict[str, Any]) -> RunRequest:
-        return request_of(folder, manifest, moved, control=where, rearm=rearm, viewer=viewer, guardian=not no_guardian)
+        return request_of(
+            folder, manifest, moved, control=where, rearm=rearm, no_lock=no_lock, viewer=viewer,
+            guardian=not no_guardian,
+        )  # fmt: skip
 
     with LiveRun(quiet=as_json) as live:
         rule = SoakRule(band_K, timeout_s)
