@@ -39,7 +39,7 @@ _SO_NETNS_COOKIE = 71
 
 
 class RigBusyError(Exception):
-    """Another run drives the rig; the message names it and the remedy. `pid` is its process on this machine, if known."""
+    """Another run drives the rig; the message names it and the remedy. `pid` is its process here, if known."""
 
     def __init__(self, said: str, pid: int | None = None) -> None:
         super().__init__(said)
