@@ -144,7 +144,7 @@ class RigClaim:
     @property
     def descriptors(self) -> tuple[int, ...]:
         """Open lock files: a process that holds them, too, keeps the rig from others."""
-        return tuple(one.fileno() for one in (*self._files, *self._names))
+        return (*(file.fileno() for file in self._files), *(name.fileno() for name in self._names))
 
     def release(self) -> None:
         """Let another run have the rig; harmless when repeated."""
