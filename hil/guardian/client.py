@@ -120,7 +120,7 @@ class Guardian:
         self._process: subprocess.Popen[bytes] | None = None
         self._buffer = b""
         self._probed: asyncio.Future[list[str]] | None = None
-        self._until = self._beat_s = self._heard_s = 0.0
+        self._until = self._beat_s = self._heard_s = self._looked_s = self._mute_s = 0.0
         self._lost: str | None = None
         self._watching = False
         self._sure = True
@@ -183,7 +183,7 @@ class Guardian:
             return
         self._say(b"watch")
         self._watching = True
-        self._beat_s = self._heard_s = steady_s()
+        self._beat_s, self._mute_s = steady_s(), 0.0
         self.expect(STARTS_WITHIN_S)
         self._beating = asyncio.get_running_loop().create_task(self._beat_on(), name="beats for the guardian")
 
@@ -205,9 +205,6 @@ class Guardian:
                 self._beat(now)
 
     def _beat(self, now: float) -> None:
-        # While this process was paused the guardian may have fallen silent with it: that is no silence.
-        if now - self._beat_s > MUTE_AFTER_S / 2:
-            self._heard_s = max(self._heard_s, now - MUTE_AFTER_S / 2)
         if now - self._beat_s > FENCE_S:
             self._sure = False  # until the guardian says that it has not acted meanwhile
             self._say(b"check")
@@ -232,7 +229,7 @@ class Guardian:
             return f"the guardian has made the rig safe: {self.acted.reason}"
         if self._lost is not None:
             return f"the guardian is gone ({self._lost}); nobody would make the rig safe if this process were killed"
-        if steady_s() - self._heard_s > MUTE_AFTER_S:
+        if self._mute_s > MUTE_AFTER_S:
             return f"the guardian has not answered for {MUTE_AFTER_S:g} s"
         return None
 
@@ -274,6 +271,10 @@ class Guardian:
     def _receive(self) -> None:
         if self._socket is None:
             return
+        # While this process was paused the guardian may have been silent with it: such time does not count.
+        now = steady_s()
+        self._mute_s += min(now - self._looked_s, 2.0 * BEAT_EVERY_S)
+        self._looked_s = now
         try:
             data = self._socket.recv(65536)
         except BlockingIOError:
@@ -284,7 +285,7 @@ class Guardian:
         if not data:
             self._lost = self._lost or "its process has ended"
             return
-        self._heard_s = steady_s()
+        self._heard_s, self._mute_s = now, 0.0
         *lines, self._buffer = (self._buffer + data).split(b"\n")
         for line in lines:
             self._take(line)

@@ -125,7 +125,12 @@ class Keeper(threading.Thread):
 
 
 def probe(plan: dict[str, Any]) -> str:
-    """Return why the guardian cannot reach a wire beside the engine, or an empty string; nothing is written."""
+    """Return why the guardian cannot reach a wire beside the engine, or an empty string; nothing is written.
+
+    A serial line is not touched: it would take the replies to the engine's requests.
+    """
+    if plan["kind"] == "serial":
+        return f"{plan['place']}: a serial line has one master"
     wire = Wire(plan)
     try:
         for check in plan["checks"]:
