@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 from drivers.virtual.registers import HEATER_SET, PUMP_SET
@@ -43,8 +43,10 @@ class ChaosKind:
     alarm: bool = False
     last: signal.Signals = signal.SIGTERM
     watched: bool = False
-    alone: bool = field(default=False)
+    alone: bool = False
     """It makes no pair at all."""
+    status: str = ""
+    """Exit status that the run has to record where this kind struck alone; any but `running` where empty."""
 
 
 def gravest(endings: Iterable[Ending]) -> Ending:
@@ -62,6 +64,7 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
     ),
     "guardian killed": ChaosKind(
         "kill -9 of the guardian", "stops", acts.guardian_sent(signal.SIGKILL), "guardian", disables=_GUARDIAN,
+        status="faulted",
     ),
     "guardian stopped": ChaosKind(
         "SIGSTOP of the guardian, for ever", "either", acts.guardian_sent(signal.SIGSTOP), "guardian",
@@ -76,10 +79,12 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
         early=True, spoils=True,
     ),
     "stopped, brief": ChaosKind("SIGSTOP for 0.3 to 0.8 s", "rides", acts.paused(acts.BRIEF_S), "process"),
-    "stopped and continued": ChaosKind("SIGSTOP for 1.5 to 6 s", "stops", acts.paused(acts.LONG_S), "process"),
+    "stopped and continued": ChaosKind(
+        "SIGSTOP for 1.5 to 6 s", "stops", acts.paused(acts.LONG_S), "process", disables=_HARNESS, status="faulted",
+    ),
     "all stopped and continued": ChaosKind(
         "the same of harness and guardian, as a paused machine; safe counts from the continuation", "stops",
-        acts.paused(acts.LONG_S, everything=True), "process",
+        acts.paused(acts.LONG_S, everything=True), "process", disables=_HARNESS, status="faulted",
     ),
     "SIGTERM": ChaosKind("at any instant", "stops", acts.sent(signal.SIGTERM), "signal", early=True),
     "SIGINT": ChaosKind("the same", "stops", acts.sent(signal.SIGINT), "signal", early=True),
@@ -114,13 +119,15 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
     ),
     "descriptors gone": ChaosKind(
         "no descriptor can be opened, and the link drops for 0.05 to 0.3 s", "either", acts.descriptors_gone, "limits",
-        spoils=True,
+        disables=_HARNESS, spoils=True,
     ),
-    "memory gone": ChaosKind("2 to 12 MB of address space left", "either", acts.memory_gone, "limits", spoils=True),
+    "memory gone": ChaosKind(
+        "2 to 12 MB of address space left", "either", acts.memory_gone, "limits", disables=_HARNESS, spoils=True,
+    ),
     "connections leaked": ChaosKind("300 connections to control.sock", "rides", control.leaked, "control"),
     "connections and descriptors": ChaosKind(
         "the same with room for 40, and the link drops for 0.05 to 0.3 s", "either", control.leaked_all, "limits",
-        spoils=True,
+        disables=_HARNESS, spoils=True,
     ),
     "control garbage": ChaosKind("what no client sends, up to 1 MB a line", "rides", control.garbage, "control"),
     "control flood": ChaosKind("status asked for 2 s, no answer read", "rides", control.flood, "control"),
@@ -141,7 +148,7 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
     ),
     "link drop, brief": ChaosKind("Modbus connection reset, port gone for 0.05 to 0.3 s", "rides", acts.link_blip, "wire"),
     "second master, heater": ChaosKind(
-        "another master writes 30 W", "either", acts.second_master(HEATER_SET, 300), "rig", alarm=True,
+        "another master writes 200 W", "either", acts.second_master(HEATER_SET, 2000), "rig", alarm=True,
     ),
     "second master, pump": ChaosKind(
         "another master stops the pump", "either", acts.second_master(PUMP_SET, 0), "rig", alarm=True,

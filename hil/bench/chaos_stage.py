@@ -66,7 +66,6 @@ class ChaosStage(Stage):
     """Intervals of wall time in which neither harness nor guardian could run or reach the rig."""
     destroyed: bool = False
     """True where the case has deleted the samples themselves."""
-    stopped: list[int] = field(default_factory=list)
     helpers: list[subprocess.Popen[bytes]] = field(default_factory=list)
     leaks: list[socket.socket] = field(default_factory=list)
     undo: list[Callable[[], None]] = field(default_factory=list)
@@ -91,12 +90,16 @@ class ChaosStage(Stage):
         """The run's guardian; an empty list where there is none."""
         return [pid for pid in self.descendants() if b"guardian" in _command(pid)]
 
-    def clear_up(self) -> None:
-        """Undo what outlives the run: stopped processes, leaked connections, immutable folders, what is left over."""
+    def undo_all(self) -> None:
+        """Make folders writable again."""
         for undo in self.undo:
             with contextlib.suppress(OSError, subprocess.SubprocessError):
                 undo()
         self.undo.clear()
+
+    def clear_up(self) -> None:
+        """Undo what outlives the run: leaked connections, immutable folders, helpers, processes left over."""
+        self.undo_all()
         for leak in self.leaks:
             leak.close()
         self.leaks.clear()
