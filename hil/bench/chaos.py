@@ -155,14 +155,12 @@ def _musts(results: Sequence[ChaosResult]) -> Table:
         text = f"{timely} of {len(half)}, worst {worst:.2f} s"
         rows.append((f"safe within {LIMIT_S:g} s, rig's watchdog {'on' if on else 'off'}", text))
     cold = [r for r in results if not r.heated]
-    rows.append(
-        ("attacked before anything heated, and nothing did", f"{sum(not r.failures for r in cold)} of {len(cold)}")
-    )
+    quiet = sum(not r.failures for r in cold)
+    rows.append(("attacked before anything heated, and nothing did", f"{quiet} of {len(cold)}"))
     alone = [r for r in results if r.ending == "unguarded"]
     cut = sum(r.safe is not None and r.safe <= WATCHDOG_S + ROUGH_S for r in alone)
-    rows.append(
-        (f"harness and guardian gone at once: cut by the rig's watchdog of {WATCHDOG_S:g} s", f"{cut} of {len(alone)}")
-    )
+    text = f"harness and guardian gone at once: cut by the rig's watchdog of {WATCHDOG_S:g} s"
+    rows.append((text, f"{cut} of {len(alone)}"))
     for on in (False, True):
         lied = [r for r in results if r.ending == "lies" and r.watchdog is on]
         kept = sum(not r.failures for r in lied)

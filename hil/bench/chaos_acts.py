@@ -12,7 +12,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Awaitable, Callable
-from pathlib import Path
 
 from hil.bench import processes
 from hil.bench.chaos_device import Mode, write_register
@@ -153,7 +152,7 @@ async def terminal_lost(stage: ChaosStage) -> None:
 async def journal_locked(stage: ChaosStage) -> None:
     """Hold the write lock on the journal from another process."""
     seconds = stage.generator.uniform(*LOCK_S)
-    helper = subprocess.Popen(
+    helper = subprocess.Popen(  # noqa: ASYNC220 - it returns at once
         [sys.executable, "-c", _LOCK, str(stage.folder() / "journal.sqlite"), f"{seconds:.2f}"],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -229,17 +228,15 @@ async def link_blip(stage: ChaosStage) -> None:
 
 async def descriptors_gone(stage: ChaosStage) -> None:
     """Leave the harness no descriptor to open, then drop its link briefly."""
-    opened = [int(entry.name) for entry in Path(f"/proc/{stage.pid}/fd").iterdir()]
-    limit = stage.generator.choice((3, max(opened) + 1))
+    limit = stage.generator.choice((3, max(processes.descriptors(stage.pid), default=2) + 1))
     _limit(stage.pid, resource.RLIMIT_NOFILE, limit)
     await link_blip(stage)
 
 
 async def memory_gone(stage: ChaosStage) -> None:
     """Leave the harness a few MB of address space."""
-    lines = Path(f"/proc/{stage.pid}/status").read_text(encoding="utf-8").splitlines()
-    now_kB = next(int(line.split()[1]) for line in lines if line.startswith("VmSize"))
-    _limit(stage.pid, resource.RLIMIT_AS, (now_kB << 10) + (stage.generator.randint(*MEMORY_MB) << 20))
+    limit = processes.address_space_bytes(stage.pid) + (stage.generator.randint(*MEMORY_MB) << 20)
+    _limit(stage.pid, resource.RLIMIT_AS, limit)
 
 
 def _limit(pid: int, what: int, value: int) -> None:

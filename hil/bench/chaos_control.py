@@ -10,6 +10,7 @@ import socket
 import time
 from pathlib import Path
 
+from hil.bench import processes
 from hil.bench.chaos_acts import Act, link_blip
 from hil.bench.chaos_stage import ChaosStage
 
@@ -21,8 +22,8 @@ REASONS = ("K\udcfchlung", "a\x00b", "one\ntwo\rthree", "\ud800\udfff", "ä" * 4
 """Lone surrogates as a Latin-1 terminal gives them, NUL, line ends, a long one, escapes of a terminal."""
 GARBAGE = (
     b"[" * 4000 + b"\n", b"\xff\xfe\n", b"{}\n", b"null\n", b'{"verb": 1e999}\n', b'{"verb": {"a": 1}}\n',
-    b"x" * 100_000 + b"\n", b'{"verb": "abort", "reason": "' + b"y" * 1_000_000 + b'"}\n', b'{"verb":"status"', b"\n" * 5000,
-    b'{"verb": "\\ud800"}\n', b'{"verb": "status", "reason": [[[]]]}\n', b"\x00" * 300,
+    b"x" * 100_000 + b"\n", b'{"verb": "abort", "reason": "' + b"y" * 1_000_000 + b'"}\n', b'{"verb":"status"',
+    b"\n" * 5000, b'{"verb": "\\ud800"}\n', b'{"verb": "status", "reason": [[[]]]}\n', b"\x00" * 300,
 )  # fmt: skip
 
 
@@ -96,7 +97,7 @@ async def leaked(stage: ChaosStage) -> None:
 
 async def leaked_all(stage: ChaosStage) -> None:
     """Leak connections until the run has no descriptor left, then drop its link briefly."""
-    opened = max(int(entry.name) for entry in Path(f"/proc/{stage.pid}/fd").iterdir())
+    opened = max(processes.descriptors(stage.pid))
     hard = resource.prlimit(stage.pid, resource.RLIMIT_NOFILE)[1]
     resource.prlimit(stage.pid, resource.RLIMIT_NOFILE, (opened + SPARE_DESCRIPTORS, hard))
     await leaked(stage)

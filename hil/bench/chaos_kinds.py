@@ -146,7 +146,9 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
         "the run's wall clock set by 10 min to 10 years, either way", "rides", acts.clock_stepped, "clock",
         needs=frozenset({"clock"}),
     ),
-    "link drop, brief": ChaosKind("Modbus connection reset, port gone for 0.05 to 0.3 s", "rides", acts.link_blip, "wire"),
+    "link drop, brief": ChaosKind(
+        "Modbus connection reset, port gone for 0.05 to 0.3 s", "rides", acts.link_blip, "wire",
+    ),
     "second master, heater": ChaosKind(
         "another master writes 200 W", "either", acts.second_master(HEATER_SET, 2000), "rig", alarm=True,
     ),

@@ -152,14 +152,12 @@ def misplaced_rows(journal: Path, stage: ChaosStage, began_s: float) -> int:
         return 0
     finally:
         database.close()
-    ahead = [
-        (unstepped(wall_s, stage) - time_s, wall_s, any(not q for q in quality)) for time_s, wall_s, quality in rows
-    ]
-    usual = [lead for lead, wall_s, _ in ahead if wall_s < began_s]
+    lead = [unstepped(wall_s, stage) - time_s for time_s, wall_s, _ in rows]
+    usual = [lead[k] for k, row in enumerate(rows) if row[1] < began_s]
     if not usual:
         return 0
     base = statistics.median(usual)
-    return sum(good and abs(lead - base) > TIME_TOLERANCE_S for lead, _, good in ahead)
+    return sum(not all(row[2]) and abs(lead[k] - base) > TIME_TOLERANCE_S for k, row in enumerate(rows))
 
 
 def read_manifest(stage: ChaosStage) -> dict[str, Any] | None:
