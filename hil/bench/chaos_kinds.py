@@ -28,7 +28,8 @@ class ChaosKind:
     disk of its own, `twin` for a calibrator, `device` for a relay that can lie, `clock` for a wall clock of its own.
 
     `disables` names who cannot act any more. `early`: it may come before anything heats. `spoils`: record and report
-    cannot be demanded. `alarm`: an event of level WARN or ERROR has to be recorded. `last` is the signal that ends a
+    cannot be demanded. `alarm`: an event of level WARN or ERROR
+    with one of these words has to be recorded within `chaos_verdict.ALARM_S`. `last` is the signal that ends a
     run which rode through. `watched`: only with the rig's watchdog on.
     """
 
@@ -40,7 +41,7 @@ class ChaosKind:
     disables: frozenset[str] = frozenset()
     early: bool = False
     spoils: bool = False
-    alarm: bool = False
+    alarm: tuple[str, ...] = ()
     last: signal.Signals = signal.SIGTERM
     watched: bool = False
     alone: bool = False
@@ -150,10 +151,12 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
         "Modbus connection reset, port gone for 0.05 to 0.3 s", "rides", acts.link_blip, "wire",
     ),
     "second master, heater": ChaosKind(
-        "another master writes 200 W", "either", acts.second_master(HEATER_SET, 2000), "rig", alarm=True,
+        "another master writes 200 W", "either", acts.second_master(HEATER_SET, 2000), "rig",
+        alarm=("master", "heater_power_set"),
     ),
     "second master, pump": ChaosKind(
-        "another master stops the pump", "either", acts.second_master(PUMP_SET, 0), "rig", alarm=True,
+        "another master stops the pump", "either", acts.second_master(PUMP_SET, 0), "rig",
+        alarm=("master", "pump_speed_set"),
     ),
     "device acknowledges only": ChaosKind(
         "heater set-points acknowledged, not applied; later SIGTERM", "lies", acts.device_is("echo"), "rig",

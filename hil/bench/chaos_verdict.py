@@ -25,6 +25,8 @@ ROUGH_S = 2.0 * PERIOD_S
 """The rig looks at its watchdog once a period, and its last heartbeat may be younger than the event."""
 WITHHELD_AFTER_S = 1.0
 """A heartbeat that comes later than this after the event, while the heater has power, holds the watchdog off."""
+ALARM_S = 5.0
+"""From a set-point that another master has written to the alarm, at most, s."""
 TIME_TOLERANCE_S = 0.5
 """Difference between a row's time and the instant of its recording, s. A stall of the machine of up to 0.4 s counts as
 the machine's."""
@@ -105,7 +107,7 @@ def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: lis
     result.failures += problems
     result.failures += _power(result, case, stage, ending, truth, event_s)
     result.failures += _claims(result, case, stage, ending, truth, manifest)
-    result.failures += _records(result, strikes, journal)
+    result.failures += _records(result, strikes, journal, stage.asked_s)
     if "Traceback" in stage.harness.said() and not case.early:
         result.failures.append("a traceback in the terminal instead of a sentence")
     return journal
@@ -251,7 +253,7 @@ def _claims(
     return broken
 
 
-def _records(result: ChaosResult, strikes: list[Strike], journal: judge.Journal) -> list[str]:
+def _records(result: ChaosResult, strikes: list[Strike], journal: judge.Journal, asked_s: float) -> list[str]:
     """Return what is wrong with samples, values and events."""
     broken = []
     if result.lost:
@@ -261,7 +263,9 @@ def _records(result: ChaosResult, strikes: list[Strike], journal: judge.Journal)
     if result.misplaced:
         broken.append(f"{result.misplaced} rows with values of another time than theirs")
     for kind, at_s in strikes:
-        told = (row for row in journal.events if row[0] >= at_s and row[1] in ("WARN", "ERROR"))
-        if kind.alarm and journal.wall_s and journal.wall_s[-1] > at_s + 1.0 and next(told, None) is None:
+        until_s = min(at_s + ALARM_S, asked_s)
+        told = (row[2] for row in journal.events if at_s <= row[0] <= until_s and row[1] in ("WARN", "ERROR"))
+        went_on = bool(journal.wall_s) and journal.wall_s[-1] > at_s + 1.0
+        if kind.alarm and went_on and not any(word in text for text in told for word in kind.alarm):
             broken.append("another master wrote a set-point, and no alarm was recorded")
     return broken

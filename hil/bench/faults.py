@@ -26,7 +26,8 @@ from hil.bench.report import Cell, Table
 
 ROOT = Path(__file__).resolve().parents[2]
 _SOURCES = (
-    "hil/*.py", "hil/bench/faults*.py", "hil/bench/chaos*.py", "drivers/*.py", "drivers/virtual/*.py", "profiles/rigs/*",
+    "hil/*.py", "hil/bench/faults*.py", "hil/bench/chaos*.py", "drivers/*.py",
+    "drivers/virtual/*.py", "profiles/rigs/*",
 )  # fmt: skip
 
 
