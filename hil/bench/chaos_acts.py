@@ -195,7 +195,11 @@ async def folder_read_only(stage: ChaosStage) -> None:
     done = await asyncio.to_thread(subprocess.run, ["chattr", "+i", str(folder)], capture_output=True, check=False)
     if done.returncode != 0:
         raise NotPossibleError("this file system has no immutable folders")
-    stage.undo.append(lambda: subprocess.run(["chattr", "-i", str(folder)], capture_output=True, check=True) and None)
+
+    def undo() -> None:
+        subprocess.run(["chattr", "-i", str(folder)], capture_output=True, check=True)
+
+    stage.undo.append(undo)
 
 
 def deleted(*patterns: str, samples: bool = False) -> Act:

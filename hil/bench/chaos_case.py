@@ -154,6 +154,7 @@ async def _follow(case: ChaosCase, stage: ChaosStage, result: ChaosResult, strik
         await _leave(stage, result)
         result.ended = result.ended or stage.harness.ended_as() or "ended"
     await stage.until(lambda: False, SETTLED_S)
+    stage.code = stage.harness.process.returncode
     stage.look()
     await stage.harness.finish()
     if stage.heater_W == 0.0 and not await stage.until(lambda: not _left(stage), NOBODY_LEFT_S):

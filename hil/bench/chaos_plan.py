@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hil.bench.chaos_kinds import CHAOS_KINDS, SEVERITY, ChaosKind
+from hil.bench.chaos_kinds import CHAOS_KINDS, SEVERITY, ChaosKind, Ending
 
 AND = " + "
 APART_S = 2.0
@@ -103,6 +103,6 @@ def compatible(one: str, other: str) -> bool:
     return a.group != b.group and not (a.alone or b.alone) and len(terminals) < 2 and not nobody_left
 
 
-def order(ending: str) -> int:
+def order(ending: Ending) -> int:
     """Return the place of an ending in `SEVERITY`."""
-    return SEVERITY.index(ending)  # type: ignore[arg-type]
+    return SEVERITY.index(ending)

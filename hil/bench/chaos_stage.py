@@ -64,6 +64,8 @@ class ChaosStage(Stage):
     """Wall time at which the run's clock was stepped."""
     nobody: list[tuple[float, float]] = field(default_factory=list)
     """Intervals of wall time in which neither harness nor guardian could run or reach the rig."""
+    code: int | None = None
+    """Exit code of the run; None where the campaign had to kill it."""
     destroyed: bool = False
     """True where the case has deleted the samples themselves."""
     helpers: list[subprocess.Popen[bytes]] = field(default_factory=list)

@@ -238,7 +238,7 @@ def _claims(
     manifest: dict[str, Any] | None,
 ) -> list[str]:
     """Return what the run said of itself and is not so."""
-    broken, code = [], stage.harness.process.returncode
+    broken, code = [], stage.code
     if manifest is not None and manifest.get("safe") is True and truth and truth[-1].heater_W > 0.0:
         broken.append("run.json says safe, and the heater has power")
     if ending in ("frozen", "killed", "unguarded") or case.early:
