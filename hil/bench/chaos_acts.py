@@ -19,8 +19,8 @@ from hil.bench.chaos_stage import ChaosStage
 
 Act = Callable[[ChaosStage], Awaitable[None]]
 
-BRIEF_S = (0.3, 0.8)
-"""Pause that the run has to ride through, s; the guardian waits for a beat for 1 s, and a machine adds to a pause."""
+BRIEF_S = (0.3, 0.7)
+"""Pause that the run has to ride through, s: the guardian waits for a beat for 1 s, and beats are 0.2 s apart."""
 LONG_S = (1.5, 6.0)
 """Pause that ends the run, s: well over the 1 s that the guardian waits for a beat."""
 LOCK_S = (1.0, 10.0)

@@ -79,7 +79,7 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
         "SIGSTOP of the harness, for ever", "frozen", acts.sent(signal.SIGSTOP), "process", disables=_HARNESS,
         early=True, spoils=True,
     ),
-    "stopped, brief": ChaosKind("SIGSTOP for 0.3 to 0.8 s", "rides", acts.paused(acts.BRIEF_S), "process"),
+    "stopped, brief": ChaosKind("SIGSTOP for 0.3 to 0.7 s", "rides", acts.paused(acts.BRIEF_S), "process"),
     "stopped and continued": ChaosKind(
         "SIGSTOP for 1.5 to 6 s", "stops", acts.paused(acts.LONG_S), "process", disables=_HARNESS, status="faulted",
     ),

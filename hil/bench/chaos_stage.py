@@ -34,8 +34,6 @@ from hil.bench.faults_stage import FANS_PCT, LOOK_EVERY_S, ROOT, Harness, Stage
 MARKER = "HIL_BENCH_CASE"
 WATCHDOG_OFF_S = 600.0
 """A watchdog that never cuts while a case lasts: as good as none, and the rig still takes heartbeats and arming."""
-ABORT_AFTER_S = 0.4
-"""A lost link ends the run after this and the staleness limit of 1 s, so that safe within 2 s can be asked for."""
 READBACK_WITHIN_S = 10.0
 """Time that a lying device is given to follow, s: a real heater's meter may take as long."""
 
@@ -183,7 +181,6 @@ def chaos_rig_text(ports: dict[str, int], *, watchdog: bool, slow: bool = False)
     text = rig_text(ports)
     seconds = WATCHDOG_S if watchdog else WATCHDOG_OFF_S
     text = _replaced(r"(?m)^watchdog_s = .*$", f"watchdog_s = {seconds}", text)
-    text = _replaced(r"(?m)^abort_after_s = [\d.]+", f"abort_after_s = {ABORT_AFTER_S}", text)
     if slow:
         text = _replaced(r"(?m)^readback_within_s = .*$", f"readback_within_s = {READBACK_WITHIN_S}", text)
     return text

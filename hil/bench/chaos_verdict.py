@@ -245,12 +245,17 @@ def _claims(
         return broken
     if code == 0:
         broken.append("exit code 0 of a run that did not get to its end")
-    elif code is not None and code < 0 and ending != "either" and "harness" not in case.kinds[-1].disables:
+    elif code is not None and code < 0 and ending != "either" and not _harness_gone(case):
         broken.append(f"the process died of signal {-code}")
     wanted = case.kinds[0].status if len(case.kinds) == 1 else ""
     if wanted and result.status not in ("", wanted):
         broken.append(f"ended as {result.status}, not as {wanted}")
     return broken
+
+
+def _harness_gone(case: ChaosCase) -> bool:
+    """Return whether an attack, or the guardian in the place of a harness that is stopped, may have killed it."""
+    return any("harness" in kind.disables for kind in case.kinds)
 
 
 def _records(result: ChaosResult, strikes: list[Strike], journal: judge.Journal, asked_s: float) -> list[str]:
