@@ -137,7 +137,8 @@ async def _follow(case: ChaosCase, stage: ChaosStage, result: ChaosResult, strik
         await stage.until(lambda: stage.heater_W == 0.0, LIMIT_S + CUT_S)
     elif ending != "stops":
         await stage.until(lambda: _is_over(stage), stage.generator.uniform(*RIDE_S))
-        if not _is_over(stage):
+        is_ending = ending == "either" and stage.heater_W == 0.0  # and cannot say so, or still waits for the meters
+        if not _is_over(stage) and not is_ending:
             result.ended = "rode through"
             _check_ride(case, stage, result, ending)
             stage.look()

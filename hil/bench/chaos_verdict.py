@@ -108,9 +108,19 @@ def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: lis
     result.failures += _power(result, case, stage, ending, truth, event_s)
     result.failures += _claims(result, case, stage, ending, truth, manifest)
     result.failures += _records(result, strikes, journal, stage.asked_s)
-    if "Traceback" in stage.harness.said() and not case.early:
-        result.failures.append("a traceback in the terminal instead of a sentence")
+    if not case.early and (error := traceback_in(stage.harness.said())):
+        result.failures.append(f"a traceback in the terminal instead of a sentence: {error}")
     return journal
+
+
+def traceback_in(said: str) -> str:
+    """Return the last lines of the first traceback in `said`; empty where there is none."""
+    _, found, after = said.partition("Traceback (most recent call last)")
+    if not found:
+        return ""
+    lines = after.splitlines()[1:]
+    end = next((k for k, line in enumerate(lines) if line and not line.startswith(" ")), len(lines) - 1)
+    return " / ".join(line.strip() for line in lines[max(end - 3, 0) : end + 1])[-400:]
 
 
 def event_of(strikes: list[Strike], stage: ChaosStage, journal: judge.Journal) -> tuple[Ending, float]:
