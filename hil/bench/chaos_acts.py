@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Awaitable, Callable
+from functools import partial
 
 from hil.bench import processes
 from hil.bench.chaos_device import Mode, write_register
@@ -107,6 +108,7 @@ def calibrator_sent(number: signal.Signals) -> Act:
             raise RuntimeError("the run has no process of calibrators")
         for pid in found:
             _send(pid, number)
+            stage.release.append(partial(_send, pid, signal.SIGCONT))
 
     return act
 

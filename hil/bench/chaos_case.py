@@ -132,8 +132,9 @@ def _is_over(stage: ChaosStage) -> bool:
 async def _follow(case: ChaosCase, stage: ChaosStage, result: ChaosResult, strikes: list[Strike]) -> None:
     """Wait until the heater is off and the run has ended; end one that goes on."""
     ending = gravest(kind.ending for kind, _ in strikes)
-    if ending in ("frozen", "killed", "unguarded"):
-        result.ended = ending
+    gone = [kind.ending for kind, _ in strikes if kind.ending in ("frozen", "killed", "unguarded")]
+    if gone:
+        result.ended = gravest(gone)
         await stage.until(lambda: stage.heater_W == 0.0, LIMIT_S + CUT_S)
     elif ending != "stops":
         await stage.until(lambda: _is_over(stage), stage.generator.uniform(*RIDE_S))
@@ -148,9 +149,10 @@ async def _follow(case: ChaosCase, stage: ChaosStage, result: ChaosResult, strik
         elif ending == "rides":
             result.failures.append("the run ended of an attack that it has to ride through")
     if result.ended in ("", "rode through"):
+        await stage.until(lambda: stage.heater_W == 0.0, LIMIT_S)
+        stage.release_all()
         if not await stage.until(lambda: _is_over(stage), END_S):
             result.failures.append(f"the run has not ended within {END_S:g} s")
-        await stage.until(lambda: stage.heater_W == 0.0, LIMIT_S)
         stage.waited_s = math.inf  # what is slow from now on harms nothing
         await _leave(stage, result)
         result.ended = result.ended or stage.harness.ended_as() or "ended"

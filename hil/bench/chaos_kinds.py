@@ -141,7 +141,7 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
         "kill -9 of the calibrators' process", "rides", acts.calibrator_sent(signal.SIGKILL), "child", needs=_TWIN,
     ),
     "calibrator stopped": ChaosKind(
-        "SIGSTOP of it, for ever", "rides", acts.calibrator_sent(signal.SIGSTOP), "child", needs=_TWIN,
+        "SIGSTOP of it, until the heater is off", "rides", acts.calibrator_sent(signal.SIGSTOP), "child", needs=_TWIN,
     ),
     "clock stepped": ChaosKind(
         "the run's wall clock set by 10 min to 10 years, either way", "rides", acts.clock_stepped, "clock",
