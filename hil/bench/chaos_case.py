@@ -34,7 +34,7 @@ END_S = 45.0
 """A run on a device that does not obey tries for 30 s."""
 LEAVE_S = 60.0
 STUCK_S = 10.0
-"""A terminal that is stuck is let go so long after the run has ended, s."""
+"""A terminal that is stuck is let go so long after the run has ended, or after the heater is off, s."""
 CUT_S = 6.0
 """A heater that has not been cut so long after its limit is called never cut, s."""
 SETTLED_S = 1.0
@@ -151,6 +151,8 @@ async def _follow(case: ChaosCase, stage: ChaosStage, result: ChaosResult, strik
     if result.ended in ("", "rode through"):
         await stage.until(lambda: stage.heater_W == 0.0, LIMIT_S)
         stage.release_all()
+        if stage.terminal is not None and not await stage.until(lambda: _is_over(stage), STUCK_S):
+            stage.terminal.let_go()  # a disk that is full leaves the terminal alone to say that the run has ended
         if not await stage.until(lambda: _is_over(stage), END_S):
             result.failures.append(f"the run has not ended within {END_S:g} s")
         stage.waited_s = math.inf  # what is slow from now on harms nothing
