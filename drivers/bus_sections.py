@@ -38,7 +38,8 @@ class ModbusBusSection(Section, ABC):
     """A Modbus device, however it is reached. Sections of the same line, or the same host and port, share that wire.
 
     `timeout_s` is what the device may take to answer, without the time that bytes take on a slow line; `gap_s` the
-    silence that it wants before a request, where that is longer than the protocol's. `uptime` names the point that
+    silence that it wants before a request, where that is longer than the protocol's; `connect_delay_s` the time after
+    connecting in which it would swallow requests, so that none is sent. `uptime` names the point that
     carries the device's own clock. `serial_baud` is the speed in bit/s of the serial line, or of that behind a gateway:
     what is polled must fit on it (`hil check`). `read_write` says that the device has function 23: what is written and
     read back is then one request.
@@ -47,6 +48,7 @@ class ModbusBusSection(Section, ABC):
     device_id: Annotated[int, Field(ge=0, le=255)] = 1
     timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.5
     gap_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    connect_delay_s: Annotated[float, Field(ge=0, le=60)] = 0.0
     max_read: Annotated[int, Field(ge=1, le=125)] = 125
     max_write: Annotated[int, Field(ge=1, le=123)] = 123
     max_gap: Annotated[int, Field(ge=0, le=124)] = 8
@@ -77,12 +79,15 @@ class ModbusTcpBus(ModbusBusSection):
     """A Modbus/TCP server and the device behind it.
 
     `transaction` is `zero` for a device that answers every request with transaction 0: read as a serial line is.
+    `frame_length` is `ignored` for one whose headers announce another length than its replies have: these then are as
+    long as their function and byte count say.
     """
 
     transport: Literal["modbus_tcp"]
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=1, le=65535)] = 502
     transaction: Literal["checked", "zero"] = "checked"
+    frame_length: Literal["checked", "ignored"] = "checked"
 
     @property
     def place(self) -> str:
@@ -122,8 +127,9 @@ class ModbusRtuTcpBus(ModbusTcpBus):
 
     @model_validator(mode="after")
     def _no_transaction(self) -> Self:
-        if "transaction" in self.model_fields_set:
-            raise ValueError("RTU frames have no transaction; take it out, or use transport = 'modbus_tcp'")
+        for key in ("transaction", "frame_length"):
+            if key in self.model_fields_set:
+                raise ValueError(f"RTU frames have no {key}; take it out, or use transport = 'modbus_tcp'")
         return self
 
     @property

@@ -14,6 +14,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from drivers.arrival import RECEIVE_TIMEOUT_S, Arrivals, Stamps
 from drivers.bus import Clock, Readings, judge_of
 from drivers.bus_sections import CanBus
 from drivers.can_ids import Senders
@@ -23,9 +24,12 @@ from drivers.points import ConfigurationError, LinkError, Quality
 from drivers.rig_model import Point
 from drivers.sensor_watch import watches
 
-RECEIVE_TIMEOUT_S = 0.2
 REOPEN_EVERY_S = 1.0
 _EMPTY_READS_OF_A_DEAD_LINK = 20
+_SETTLE_S = 5e-3
+"""Between two looks at a queue that was found empty after a gap, so that waiting for the third costs nothing."""
+_STAMPS: dict[str, Stamps] = {"socketcan": "kernel", "socketcand": "sender"}
+"""Whose time stamps the frames of a transport carry; slcan and virtual have none of their own."""
 _BUS_OFF = 0x40
 """CAN_ERR_BUSOFF of linux/can/error.h, in the identifier of an error frame: no interface tells it otherwise."""
 
@@ -52,6 +56,7 @@ class CanReceiver:
         self._clock = clock
         self._where = f"{name} ({config.place})"
         self._latest = [_Latest() for _ in points]
+        self._arrivals = Arrivals(clock, _STAMPS.get(config.transport, "none"))
         self._watches = watches(points)
         self._judges = [judge_of(point) for point in points]
         self._uptime = next((i for i, p in enumerate(points) if p.name == config.uptime), None)
@@ -81,7 +86,9 @@ class CanReceiver:
         self._thread.start()
 
     def _open(self) -> CanWire:
-        return CanWire(self._config, self._where, [message.match for message in self.messages])
+        wire = CanWire(self._config, self._where, [message.match for message in self.messages])
+        self._arrivals.restart()
+        return wire
 
     async def read(self) -> Readings:
         """The latest values; STALE once older than the point's stale_after, LINK_FAULT while the bus is down."""
@@ -109,6 +116,7 @@ class CanReceiver:
     async def wait_for_device_time(self, device_time_s: float, timeout_s: float) -> None:
         """Return once the frames of `device_time_s` (the module's uptime) have come; raises LinkError if late."""
         assert self._loop is not None
+        self._arrivals.in_step = True  # whoever waits so lets the rig go on step by step
         with self._lock:
             if self._uptime is None or self._latest[self._uptime].value >= device_time_s - 1e-6:
                 return
@@ -148,17 +156,23 @@ class CanReceiver:
 
     def _receive(self) -> None:
         empty_reads = 0
+        arrivals = self._arrivals
         while not self._stop.is_set():
             if self._bus is None and not self._reopened():
                 continue
             assert self._bus is not None
             began = time.monotonic()
             try:
-                frame = self._bus.receive(RECEIVE_TIMEOUT_S)
+                frame = self._bus.receive(arrivals.wait_s)
             except LinkError as error:
                 self._lost(str(error))
                 continue
             if frame is None:
+                was_in_doubt = arrivals.in_doubt
+                arrivals.empty()
+                if was_in_doubt:
+                    self._stop.wait(_SETTLE_S)
+                    continue
                 at_once = time.monotonic() - began < RECEIVE_TIMEOUT_S / 4
                 empty_reads = empty_reads + 1 if at_once else 0
                 if empty_reads > _EMPTY_READS_OF_A_DEAD_LINK:
@@ -166,7 +180,7 @@ class CanReceiver:
                     self._lost(f"{self._where}: the server closed the connection; reopening")
                 continue
             empty_reads = 0
-            self._take(frame)
+            self._take(frame, arrivals.frame(frame.timestamp))
 
     def _reopened(self) -> bool:
         if self._stop.wait(REOPEN_EVERY_S):
@@ -206,7 +220,9 @@ class CanReceiver:
                 )
         return None
 
-    def _take(self, frame: Frame) -> None:
+    def _take(self, frame: Frame, arrival: float | None = None) -> None:
+        """Decode a frame that arrived at `arrival` (rig time, s; now where none is given) and keep its values."""
+        arrival = self._clock() if arrival is None else arrival
         self.frames += 1
         if frame.is_error_frame or frame.is_remote_frame:
             self.error_frames += 1
@@ -227,7 +243,6 @@ class CanReceiver:
                     f"has it with {found.length}"
                 )
             return
-        arrival = self._clock()
         if found.name in self._senders:
             with self._lock:
                 used = self._senders[found.name].admits(frame.arbitration_id, arrival)

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from drivers.bus import Clock, Judge, Readings, judge_of
-from drivers.bus_sections import ModbusBusSection
+from drivers.bus_sections import ModbusBusSection, ModbusRtuBus
 from drivers.codec import CodecError, decode_text, decoder
 from drivers.modbus_link import RECONNECT_EVERY_S, ModbusLink
 from drivers.modbus_pdu import (
@@ -29,16 +29,23 @@ from drivers.points import (
     DeadlineError,
     DeviceExceptionError,
     DriverError,
+    LateReplyError,
     LinkError,
     ProtocolError,
 )
 from drivers.points import Quality as Q
 from drivers.rig_model import Point
 from drivers.sensor_watch import watches
+from drivers.steady_time import steady_s
 
 _Slot = tuple[int, int, Callable[[Sequence[int], int], float], Judge]
 _BUSY_RETRIES = 2
 _BUSY_WAIT_S = 0.05
+CONNECT_PATIENCE_S = (1.0, 3.5)
+"""So long a first and a second connection may be silent before the device counts as mute: gateways start up, or serve
+the connection before the last; more than their sum needs `connect_delay_s`."""
+_LONGER = 1.5
+"""A device that was deaf on one connection may be deaf for so many times as long on the next."""
 _MUTE_AFTER = 2
 """Deadlines missed in a row, after which a device is asked every `RECONNECT_EVERY_S` only: others wait behind it."""
 
@@ -92,14 +99,52 @@ class ModbusBus:
         return self._silences > 0
 
     async def connect(self) -> None:
-        """Connect and read each block once; raises LinkError, or ConfigurationError where the map is wrong."""
-        await self.link.open(self._where)
-        try:
-            await self._read_once()
-        except LinkError:
-            # In TLS 1.3 a client learns only now that its certificate was refused.
-            await self.link.explain(self._where)
-            raise
+        """Connect and read each block once; raises LinkError, or ConfigurationError where the map is wrong.
+
+        A device that is deaf after connecting is waited for, on the same connection and on a second one.
+        """
+        link, failure = self.link, None
+        for patience_s in CONNECT_PATIENCE_S:
+            link.patience_s = max(link.patience_s, patience_s)
+            try:
+                await link.open(self._where)
+            except LinkError as error:
+                raise failure or error from None
+            failure = await self._heard_within(patience_s)
+            if failure is None:
+                link.patience_s = _LONGER * link.deaf_s
+                return
+            if link.has_answered:
+                break
+        # In TLS 1.3 a client learns only now that its certificate was refused.
+        await link.explain(self._where)
+        raise failure if failure is not None else AssertionError("no connection was tried")
+
+    async def _heard_within(self, patience_s: float) -> LinkError | None:
+        """None once all was read; else why not, as soon as waiting longer is of no use."""
+        end = steady_s() + patience_s
+        while True:
+            try:
+                await self._read_once()
+            except LinkError as error:
+                failure = error
+            else:
+                return None
+            self._silences, self._again_at = 0, 0.0
+            if not self.link.connected or self.link.has_answered or steady_s() > end:
+                return self._with_remedy(failure)
+
+    def _with_remedy(self, failure: LinkError) -> LinkError:
+        """A silence with what may be done about it."""
+        if not isinstance(failure, DeadlineError) or self.link.has_answered or not self.link.heard_nothing:
+            return failure
+        serial = isinstance(self._config, ModbusRtuBus)
+        keys = "device_id, serial_baud and parity" if serial else "device_id and transport"
+        said = str(failure).removesuffix("; reconnecting")
+        return DeadlineError(
+            f"{said}; the {'line is open' if serial else 'port takes connections'} and nothing comes back: "
+            f"correct {keys}, or give connect_delay_s where the device is deaf for long after connecting"
+        )
 
     async def _read_once(self) -> None:
         """Each block once: a block that is refused is split, and a single value that is refused is a mistake."""
@@ -171,6 +216,7 @@ class ModbusBus:
         pending = self._plan.due(self._clock())
         while pending:
             block = pending.pop(0)
+            asked = self._clock()
             try:
                 registers = await self._request(block)
             except DriverError as error:
@@ -186,6 +232,8 @@ class ModbusBus:
                 watch = self._watches[index]
                 if watch is not None:
                     quality[index] = watch.judge(values[index], quality[index], now)
+                if now - asked > self.points[index].stale_after_s and quality[index] == Q.GOOD:
+                    quality[index] = int(Q.STALE)  # it may be as old as its request
                 source[index] = now
         if self._plan.refused and fault is None:
             fault = f"{self._where}: the device has no {', '.join(str(block) for block in self._plan.refused)}"
@@ -262,6 +310,9 @@ class ModbusBus:
         for tries_left in reversed(range(_BUSY_RETRIES + 1)):
             try:
                 return read.raw_of(await self._ask(read.request), self._where)
+            except LateReplyError:
+                if tries_left == 0 or not isinstance(read, Read):
+                    raise
             except DeviceExceptionError as error:
                 if error.code == GATEWAY_SILENCE:
                     self._steps.doubt(read.request)
@@ -296,6 +347,8 @@ class ModbusBus:
         self._steps.asked(request)
         try:
             reply = await self.link.ask(config.device_id, request, config.timeout_s, self._where)
+        except LateReplyError:
+            raise  # of this process, not of the device
         except DeadlineError:
             self.missed += 1
             self._silences += 1

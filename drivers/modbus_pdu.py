@@ -13,7 +13,7 @@ NO_SUCH_FUNCTION = 1
 NO_SUCH_ADDRESS = 2
 BUSY = 6
 GATEWAY_SILENCE = 11
-_EXCEPTIONS = {
+EXCEPTIONS = {
     1: "function not supported",
     2: "address does not exist (is the address zero-based?)",
     3: "value not accepted",
@@ -111,7 +111,7 @@ def _check_function(code: int, block: Block, reply: bytes, where: str) -> None:
     if len(reply) < 2:
         raise ProtocolError(f"{where} answered nothing that is a reply")
     if reply[0] == code | 0x80:
-        what = _EXCEPTIONS.get(reply[1], "an unknown exception")
+        what = EXCEPTIONS.get(reply[1], "an unknown exception")
         raise DeviceExceptionError(f"{where} refused {block}: exception {reply[1]}, {what}", reply[1])
     if reply[0] != code:
         raise ProtocolError(f"{where} answered function {reply[0] & 0x7F} to function {code}")

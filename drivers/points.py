@@ -71,6 +71,10 @@ class DeadlineError(LinkError, TimeoutError):
     """No answer within the deadline."""
 
 
+class LateReplyError(DeadlineError):
+    """A reply that lay in a queue while this process did not run: it says how things were before."""
+
+
 class ProtocolError(DriverError):
     """The device answered something that the request does not admit."""
 

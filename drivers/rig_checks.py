@@ -111,7 +111,15 @@ def _wire_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
         if isinstance(bus, CanBus):
             continue
         other, shared = first.setdefault(bus.wire, (name, bus))
-        for key in ("transport", "transaction", "serial_baud", "parity", "stop_bits"):
+        for key in (
+            "transport",
+            "transaction",
+            "frame_length",
+            "connect_delay_s",
+            "serial_baud",
+            "parity",
+            "stop_bits",
+        ):
             ours, theirs = getattr(bus, key, None), getattr(shared, key, None)
             if ours != theirs:
                 what = f"bus {name} has {key} {ours!r} and bus {other}, on the same wire, {theirs!r}; correct one"

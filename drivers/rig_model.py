@@ -67,6 +67,7 @@ class Point(Section):
     readback: str | None = None
     readback_tolerance: Annotated[float, Field(gt=0)] = 1.0
     readback_within_s: Annotated[float, Field(gt=0)] = 30.0
+    safe_below: float | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -101,6 +102,8 @@ class Point(Section):
                 raise ValueError("has limits, which are for set-points; add access = 'rw' or take limits out")
             if self.safe_value is None:
                 raise ValueError("is a set-point without safe_value; give the value that it is left at")
+            if self.safe_below is not None and self.readback is None:
+                raise ValueError("has safe_below, which is a reading of its meter; add readback, or take safe_below out")
             if not self.limits[0] <= self.safe_value <= self.limits[1]:
                 raise ValueError(f"safe_value {self.safe_value:g} is outside limits {list(self.limits)}")
         for mistake in (self._mistaken_type(), self._mistaken_number()):

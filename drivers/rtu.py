@@ -11,7 +11,8 @@ from __future__ import annotations
 from pymodbus.framer import FramerRTU
 
 from drivers.points import ProtocolError
-from drivers.replies import ECHOES, READS, answers
+from drivers.replies import answers
+from drivers.reply_defects import ECHOES, READS
 
 _LONGEST = 256  # Modbus over serial line V1.02, 2.5.1
 
@@ -41,6 +42,8 @@ class RtuGuard:
 
     def __init__(self) -> None:
         self.dropped = 0
+        self.others: str | None = None
+        """Sentence about the last frame that was dropped."""
         self._buffer = b""
 
     def clear(self) -> None:
@@ -62,11 +65,18 @@ class RtuGuard:
                 raise ProtocolError(f"a reply of {size} bytes, which is more than a frame may have")
             frame, self._buffer = self._buffer[:size], self._buffer[size:]
             if not FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big")):
-                raise ProtocolError(f"a reply with a wrong CRC: {frame[:8].hex(' ')}")
+                raise ProtocolError(
+                    f"a reply with a wrong CRC: {frame[:8].hex(' ')}; look for noise, termination and the line's speed"
+                )
             if frame[0] == device and answers(frame[1:-2], request):
                 passed.append(frame[1:-2])
             else:
                 self.dropped += 1
+                self.others = (
+                    f"it came from device {frame[0]} where device_id {device} was asked; correct device_id"
+                    if frame[0] != device
+                    else f"it was of function {frame[1]} with {len(frame) - 4} bytes; raise timeout_s of a slow device"
+                )
         if passed and (self._buffer or len(passed) > 1):
             raise ProtocolError("more than one reply to one request: which is ours is not known")
         return passed

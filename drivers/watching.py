@@ -90,11 +90,12 @@ class _Frames(CanReceiver):
         super().__init__(*arguments)
         self.raw: dict[str, tuple[bytes, float]] = {}
 
-    def _take(self, frame: Any) -> None:
-        super()._take(frame)
+    def _take(self, frame: Any, arrival: float | None = None) -> None:
+        came = time.monotonic() if arrival is None else arrival  # the clock of a watch is this one
+        super()._take(frame, came)
         found = self._message_of(frame)
         if found is not None and not frame.is_error_frame and not frame.is_remote_frame:
-            self.raw[found.name] = bytes(frame.data), time.monotonic()
+            self.raw[found.name] = bytes(frame.data), came
 
     def came(self, point: Point) -> tuple[str, float]:
         """Frame of a point in hexadecimal, and when it came."""
@@ -113,6 +114,8 @@ class BusWatch:
         """How long opening took; None while it is down."""
         self._refusal: str | None = None
         self._fault: str | None = None
+        delay_s = 0.0 if isinstance(config, CanBus) else config.connect_delay_s
+        self._connect_within_s = CONNECT_WITHIN_S + 2.0 * delay_s
         self._period_s = min(max(rig.period_s, FASTEST_S), SLOWEST_S)
         kind = _Frames if isinstance(config, CanBus) else _Registers
         self._bus: _Frames | _Registers = kind(name, config, self.points, time.monotonic)
@@ -137,13 +140,13 @@ class BusWatch:
     async def _open(self) -> None:
         began = time.monotonic()
         try:
-            async with asyncio.timeout(CONNECT_WITHIN_S):
+            async with asyncio.timeout(self._connect_within_s):
                 await self._bus.connect()
-        except TimeoutError:
-            self._fault = f"{self.name}: no answer within {CONNECT_WITHIN_S:g} s; is the rig on?"
-            return
-        except LinkError as error:
+        except LinkError as error:  # a missed deadline of the bus is one, and a TimeoutError, too
             self._fault = str(error)
+            return
+        except TimeoutError:
+            self._fault = f"{self.name}: not connected within {self._connect_within_s:g} s"
             return
         except DriverError as error:
             # It answers, though not as the rig file has it: the rest can be looked at.

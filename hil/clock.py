@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from typing import Protocol
 
 from drivers.points import LinkError
+from drivers.steady_time import steady_s
 
 LOCKSTEP_DEADLINE_S = 20.0
 LONGEST_WAIT_S = 1.0
@@ -17,7 +17,7 @@ LONGEST_WAIT_S = 1.0
 
 
 class Clock(Protocol):
-    """Ticks of one run. `overruns` counts ticks that began late by more than a period."""
+    """Ticks of one run. `overruns` counts how often one was late by more than a period, so that ticks were left out."""
 
     period_s: float
     overruns: int
@@ -34,6 +34,9 @@ class Clock(Protocol):
     async def next_tick(self) -> int:
         """Wait for the next tick and return its index; missed ticks are left out, never caught up in a burst."""
 
+    def current_tick(self) -> int:
+        """Index of the tick that is due now: a later one than `next_tick` returned where its work took so long."""
+
     async def advance(self) -> None:
         """Let one period of rig time pass, outside the grid."""
 
@@ -45,18 +48,19 @@ class Clock(Protocol):
 
 
 class MonotonicClock:
-    """Ticks every `period_s / speed` seconds of the monotonic clock, without drift."""
+    """Ticks every `period_s / speed` seconds of wall time, without drift; a suspended machine's time counts."""
 
     def __init__(self, period_s: float, speed: float = 1.0) -> None:
         self.period_s = period_s
         self.overruns = 0
         self._speed = speed
-        self._origin = time.monotonic()
+        self._origin = steady_s()
         self._tick = -1
+        self._first = 0
 
     def now(self) -> float:
         """Rig time since the clock was made or started, s."""
-        return (time.monotonic() - self._origin) * self._speed
+        return (steady_s() - self._origin) * self._speed
 
     async def start(self) -> None:
         """Tick 0 is due now. Rig time goes on, so that arrivals stamped before stay in the past."""
@@ -67,16 +71,32 @@ class MonotonicClock:
         """Nothing to do: the rig's time runs by itself."""
 
     async def next_tick(self) -> int:
-        """Sleep until the next tick is due."""
-        due = self._tick + 1
-        late = self.now() / self.period_s - due
-        if late > 1.0:
-            self.overruns += 1
-            due += int(late)
+        """Sleep until the next tick is due and return the tick that is due when the sleep is over.
+
+        A process that was stopped, or a machine that was suspended, oversleeps: the row's time must be that of the
+        values that are read now.
+        """
+        due = self._not_missed(self._tick + 1)
         wait = (due * self.period_s - self.now()) / self._speed
         await asyncio.sleep(max(wait, 0.0))
-        self._tick = due
-        return due - self._first
+        self._tick = self._not_missed(due)
+        return self._tick - self._first
+
+    def _not_missed(self, due: int) -> int:
+        """The tick `due`, or where it is late by more than a period the last one that has begun."""
+        late = self.now() / self.period_s - due
+        if late <= 1.0:
+            return due
+        self.overruns += 1
+        return due + int(late)
+
+    def current_tick(self) -> int:
+        """Index of the tick that is due now."""
+        due = int(self.now() / self.period_s)
+        if due > self._tick:
+            self.overruns += 1
+            self._tick = due
+        return self._tick - self._first
 
     async def advance(self) -> None:
         """Sleep for one period."""
@@ -183,6 +203,10 @@ class LockstepClock:
         self._now = float(answer[2:])
         self._granted = False
         self._tick += 1
+        return self._tick
+
+    def current_tick(self) -> int:
+        """Index of the step that was granted last: no time passes between two of them."""
         return self._tick
 
     async def advance(self) -> None:

@@ -90,6 +90,21 @@ class Untrusted:
 
 
 @dataclass(slots=True)
+class Paused:
+    """A gap between two ticks: the process or its machine stood still, and nobody watched the rig."""
+
+    after_s: float
+    _last_s: float = math.nan
+
+    def judge(self, tick: Tick, engaged: bool) -> str | None:
+        """Violated on the first tick after a gap of more than `after_s`."""
+        passed, self._last_s = tick.now_s - self._last_s, tick.now_s
+        if not passed > self.after_s:
+            return None
+        return f"no tick for {passed:.1f} s, at most {self.after_s:g} s is allowed: this process or its machine was paused"
+
+
+@dataclass(slots=True)
 class RateOfRise:
     """A reading that rises too fast, over a window of good values."""
 

@@ -1,8 +1,10 @@
-"""The loop: fixed ticks; each reads all groups, judges, obeys, writes set-points, journals and publishes.
+"""Engine: fixed ticks; each reads all groups, judges, obeys, writes set-points, journals and publishes.
 
 Where a run is, and what may follow, is the table in `hil.states`; what the outputs do follows from the state alone. The
 heater ends at its safe value on every way out: normal end, stop request, interlock, lost link, exception. There is one
-place that makes the rig safe, and no way around it.
+place that makes the rig safe, and no way around it: it comes before anything else that ends a run. What a person or a
+disk sees goes through queues that never wait. A guardian in a process of its own (`hil.guardian`) does the same when
+this process no longer can.
 """
 
 from __future__ import annotations
@@ -16,21 +18,27 @@ from typing import Literal
 from drivers.points import DeviceExceptionError, DriverError, Snapshot
 from drivers.rig import RigConnection
 from drivers.rig_model import Point
-from hil.clock import Clock
+from hil.clock import LONGEST_WAIT_S, Clock
 from hil.conditions import Residuals
+from hil.guardian.client import Guard, NoGuard
+from hil.heaters import Descent, good_readings, safe_limits, still_hot
 from hil.journal import JournalError, JournalWriter
 from hil.operator import Verb
 from hil.outputs import Outputs
 from hil.profile import Profile
 from hil.recording import Position, Publisher, Recorder
-from hil.safing import make_safe, write_safe
+from hil.safing import Safed, make_safe, write_safe
 from hil.segments import Resumption
 from hil.setpoints import bind
 from hil.soaking import Soak
-from hil.states import HEATED, UNTOUCHED, WAITING, Event, State
+from hil.states import ENDED, HEATED, UNTOUCHED, WAITING, Event, State, TransitionError
 from hil.supervisor import End, Supervisor
 
 FIRST_SAMPLE_TIMEOUT_S = 10.0
+PAUSED_S = 1.0
+"""Ticks that are further apart than this, and than two periods, are told as a pause of the process or the machine, s."""
+_INTERRUPTED_AT_MOST = 100
+"""So often making safe is begun again after whatever interrupted it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +59,15 @@ class Status:
     trips: tuple[str, ...]
     warnings: tuple[str, ...]
     units: dict[str, str] = field(default_factory=dict)
+    not_safe: str = ""
+    """Of a run whose outputs are to be safe: what says that they are not, read back or measured."""
 
 
 @dataclass(slots=True)
 class Outcome:
     """How a run ended. `ticks` counts from the run's beginning, gaps included; `soaked_s` is how long the rig was led
     back after one, `restarts` how often its program was seen to begin anew. `safe` is whether the safe values were read
-    back from the rig, `away` which measured value did not get there."""
+    back from the rig and no heater's meter contradicts them, `away` which measured value did not get there."""
 
     status: Literal["done", "aborted", "faulted"]
     reason: str
@@ -97,6 +107,7 @@ class Engine:
         lockstep: bool = False,
         resumption: Resumption | None = None,
         rearm: bool = False,
+        guard: Guard | None = None,
     ) -> None:
         self._connection = connection
         self._rig = connection.rig
@@ -123,6 +134,10 @@ class Engine:
         self._outputs = Outputs(connection)
         self._snapshot: Snapshot | None = None
         self._shown = 0.0
+        self._guard: Guard = NoGuard() if guard is None else guard
+        self._limits = safe_limits(self._rig)
+        self._descent = Descent(self._rig, self._limits, clock.period_s)
+        self._made_safe: Safed | None = None
 
     # What others ask of it ---------------------------------------------------------------------
 
@@ -164,7 +179,21 @@ class Engine:
             standing.trips,
             standing.warnings,
             {point.name: point.unit for point in self._rig.point if point.kind == "measured"},
+            self._not_safe(),
         )
+
+    def _hot(self) -> str:
+        """Return which heater's meter reads more than is safe, as a sentence; empty where none does."""
+        return still_hot(self._rig, self._limits, good_readings(self._connection.points, self._snapshot))
+
+    def _not_safe(self) -> str:
+        """Return what contradicts a state with safe outputs; empty where nothing does, and in every other state."""
+        state, done = self._machine.state, self._made_safe
+        if state in HEATED or state in UNTOUCHED:
+            return ""
+        if done is not None:
+            return done.problem if not done.safe else ""
+        return self._hot() or ("" if self._outputs.safe_held else "the safe values are not read back yet")
 
     # A run from its beginning to its end -------------------------------------------------------
 
@@ -172,37 +201,78 @@ class Engine:
         """Run to the end; whatever happens, the rig is made safe before this returns."""
         outcome = Outcome("faulted", "")
         event, reason = Event.FAIL, ""
+        fatal: BaseException | None = None
         try:
             event, reason = await self._drive()
         except (DriverError, JournalError) as error:
             reason = str(error)
         except BaseException as error:
-            reason = f"{type(error).__name__}: {error}"
-            raise
-        finally:
-            outcome.ticks, outcome.overruns = self._at.tick, self._clock.overruns
-            outcome.soaked_s, outcome.restarts = self._soaked_s, self._interlocks.restarts
-            outcome.reason = "" if event is Event.COMPLETE else reason
-            untouched = self._machine.state in UNTOUCHED
+            reason, fatal = f"{type(error).__name__}: {error}", error
+        outcome.safe = self._found_safe
+        if self._machine.state not in UNTOUCHED:
+            # Nothing may come before this: no file, no terminal, no message.
+            interrupted = await self._safely(event, reason, outcome)
+            fatal = fatal or interrupted
+        else:
             self._machine.take(event, reason)
-            outcome.safe = self._found_safe
-            if not untouched:
+        if self._machine.state in ENDED:
+            outcome.status = self._machine.state.value  # type: ignore[assignment]
+        outcome.reason = "" if event is Event.COMPLETE else reason
+        outcome.ticks, outcome.overruns = self._at.tick, self._clock.overruns
+        outcome.soaked_s, outcome.restarts = self._soaked_s, self._interlocks.restarts
+        outcome.trips = self._interlocks.standing().trips
+        self._supervisor.close()
+        outcome.problems += self._told.problems
+        await self._connection.close()
+        await self._guard.done(safe=outcome.safe)
+        await self._told.flush()
+        await self._clock.close()
+        if fatal is not None:
+            raise fatal
+        return outcome
+
+    async def _safely(self, event: Event, reason: str, outcome: Outcome) -> BaseException | None:
+        """Make the rig safe whatever interrupts that, and take the state along; returns what interrupted it.
+
+        A cancelled task, a signal or a lack of memory may hit any line here: making safe is begun again until it has
+        come to its end. What still fails then is left to the guardian and to the rig's own watchdog.
+        """
+        interrupted: BaseException | None = None
+        for _ in range(_INTERRUPTED_AT_MOST):
+            try:
+                if not outcome.safe:
+                    problem = await write_safe(self._connection, self._outputs.safe_values)
+                    if problem:
+                        self._guard.act()
+                    await self._answer_stopped(problem)
+                if self._machine.state not in ENDED | {State.FINISHING}:
+                    self._machine.take(event, reason)
                 outcome.safe = await self._make_safe(outcome)
                 self._machine.take(event, reason)
-            outcome.status = self._machine.state.value  # type: ignore[assignment]
-            outcome.trips = self._interlocks.standing().trips
-            self._supervisor.close()
-            outcome.problems += self._told.problems
-            await self._told.flush()
-            await self._connection.close()
-            await self._clock.close()
-        return outcome
+            except TransitionError as error:
+                event, reason, interrupted = Event.FAIL, str(error), interrupted or error
+            except BaseException as error:
+                interrupted = interrupted or error
+            if self._machine.state in ENDED:
+                return interrupted
+        self._guard.act()
+        return interrupted
+
+    async def _answer_stopped(self, problem: str) -> None:
+        """Answer operators who asked for the end, now that the rig was told and asked."""
+        if not self._supervisor.owes_end:
+            return
+        if problem:
+            self._supervisor.stopped(f"NOT confirmed safe yet, trying again: {problem}")
+        else:
+            self._supervisor.stopped(f"safe values read back{await self._meters()}; the run ends")
 
     async def _drive(self) -> End:
         machine, rig = self._machine, self._rig
         machine.take(Event.VALIDATE, f"{self._profile.name} on {rig.name}")
         machine.take(Event.CONNECT, ", ".join(rig.bus))
         await self._connection.connect()
+        await self._guard.start()
         if self._resumption is not None:
             # Nobody knows what the rig was told last, and its watchdog may still wait.
             problem = await write_safe(self._connection, self._outputs.safe_values)
@@ -211,13 +281,15 @@ class Engine:
                 "WARN" if problem else "INFO", problem or "safe values written on connecting, and read back"
             )
         self._snapshot = await self._first_snapshot()
+        await self._ask_guard()
         refusals = self._interlocks.refusals(self._snapshot, rearm=self._rearm)
         if refusals:
             return Event.FAIL, f"not started: {'; '.join(refusals)}"
         if self._supervisor.stop is not None:
             return self._supervisor.stop
+        self._guard.watch()
         machine.take(Event.SOAK, "safe set-points, heartbeat, arming")
-        await self._outputs.arm(self._clock.advance, self._interlocks.rig_trip)
+        await self._outputs.arm(self._advance, self._interlocks.rig_trip)
         if self._resumption is None:
             machine.take(Event.START, f"running {self._profile.name} on {rig.name}")
         await self._clock.start()
@@ -225,6 +297,18 @@ class Engine:
         while ended is None:
             ended = await self._one_tick()
         return ended
+
+    async def _ask_guard(self) -> None:
+        """Have the guardian reach the rig beside this engine; a wire that takes one connection is told, and read anew."""
+        alone = await self._guard.probe()
+        for why in alone:
+            self._told.event(
+                "WARN",
+                f"the guardian cannot have a connection of its own beside the run's ({why}); where this process hangs "
+                "it is ended first, and the guardian takes its place",
+            )
+        if alone:
+            self._snapshot = await self._connection.first_complete(FIRST_SAMPLE_TIMEOUT_S)
 
     def _go_on(self, resumption: Resumption) -> End | None:
         """Begin a new segment of a run that was cut: lead the rig back, unless there is nothing left to run."""
@@ -255,16 +339,24 @@ class Engine:
     async def _one_tick(self) -> End | None:
         """Read, obey, protect, write, record; how the run ends, where it does."""
         clock, machine = self._clock, self._machine
+        self._expect()
         if machine.state in WAITING:
             await clock.wait()
         last, was_running = self._at.tick, machine.state is State.RUNNING
         self._at.tick = self._first + await clock.next_tick()
-        passed = self._at.tick - last
+        self._expect()
         if self._lockstep:
             await self._connection.wait_for_device_time(clock.now(), FIRST_SAMPLE_TIMEOUT_S)
         began = time.perf_counter()
         snapshot = self._snapshot = await self._connection.read()
+        # A process that was stopped while it read has read what is now, not what was when the tick began.
+        self._at.tick = self._first + clock.current_tick()
+        passed = self._at.tick - last
         now = clock.now()
+        self._notice_pause(passed * clock.period_s)
+        why = self._guard.failure()
+        if why is not None:
+            return Event.FAIL, why
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
         if ended is None and self._soak is not None:
             ended = self._lead_back(self._soak, snapshot, now)
@@ -272,8 +364,9 @@ class Engine:
             self._at.profile_ticks += passed
         over = machine.state is State.RUNNING and self._at.profile_s >= self._profile.duration_s
         if ended is None:
-            await self._put_out((passed or 1) * clock.period_s)
-            self._supervisor.answer(self._obeyed())
+            await self._put_out(clock.period_s)
+            if self._supervisor.owes_answers:
+                self._supervisor.answer(await self._obeyed())
             ended = (Event.COMPLETE, "the profile is over") if over else None
             if ended is None:
                 clock.release()
@@ -283,6 +376,25 @@ class Engine:
             self._observer(self.status())
         await self._told.publish_if_due()
         return ended
+
+    def _expect(self) -> None:
+        """Tell the guardian how long this engine may be busy: until the next tick, and with devices that are mute."""
+        self._guard.expect(self._clock.period_s + LONGEST_WAIT_S + self._rig.abort_after_s)
+
+    async def _advance(self) -> None:
+        """Let one period pass, outside the grid."""
+        self._expect()
+        await self._clock.advance()
+
+    def _notice_pause(self, passed_s: float) -> None:
+        """Record a gap between two ticks; beyond `abort_after_s` an interlock trips as well."""
+        if self._lockstep or passed_s <= max(PAUSED_S, 2.0 * self._clock.period_s):
+            return
+        self._told.event(
+            "WARN",
+            f"no tick for {passed_s:.1f} s: this process or its machine was paused, or a device kept it waiting; "
+            "values from before the gap are stale",
+        )
 
     def _lead_back(self, soak: Soak, snapshot: Snapshot, now_s: float) -> End | None:
         """One tick of soaking: go on with the profile once the rig is back, end the run where it takes too long."""
@@ -296,24 +408,45 @@ class Engine:
     def _commanded(self) -> dict[str, float]:
         return {point.name: self._outputs.values[point.name] for point in self._rig.setpoints}
 
-    def _obeyed(self) -> str:
-        """What an operator is answered."""
+    async def _obeyed(self) -> str:
+        """Return what an operator is answered: the state, and outside `HEATED` what the rig holds and its meters read."""
         said = f"{self.state} at {self._at.profile_s:g} s of the profile"
         if self.state in HEATED:
             return said
-        return said + (
-            "; safe values read back" if self._outputs.safe_held else "; NOT confirmed safe yet, trying again"
-        )
+        if not self._outputs.safe_held:
+            return said + "; NOT confirmed safe yet, trying again"
+        return f"{said}; safe values read back{await self._meters()}"
+
+    async def _meters(self) -> str:
+        """Return what the heaters' meters read now, to go on with a sentence."""
+        if not self._limits:
+            return ""
+        readings = good_readings(self._connection.points, await self._connection.read())
+        hot = still_hot(self._rig, self._limits, readings)
+        if hot:
+            return f", but {hot}"
+        known = [limit.meter for limit in self._limits if limit.meter in readings]
+        listed = ", ".join(f"{name} reads {readings[name]:.1f} {self._rig.get(name).unit}" for name in known)
+        return f", {listed}" if known else ", but no meter can be read"
 
     async def _put_out(self, elapsed_s: float) -> None:
         """Write what the state asks for. A lost or garbled write is left to the interlocks of the next ticks and to the
-        rig's watchdog; one that the device refuses ends the run, unless it is a safe value, which is tried again."""
+        rig's watchdog; one that the device refuses ends the run, unless it is a safe value, which is tried again.
+
+        An engine that may have been relieved by the guardian writes no heat before it knows."""
         state, before = self._machine.state, dict(self._outputs.values)
         try:
             if state not in HEATED:
-                await self._outputs.put_safe(arm=self._supervisor.arming)
-            else:
+                if not self._outputs.safe_held:
+                    self._descent.clear()  # it counts from the read-back on
+                readings = good_readings(self._connection.points, self._snapshot)
+                hot = self._descent.stays(readings, self._clock.now())
+                await self._outputs.put_safe(arm=self._supervisor.arming, hot=hot)
+            elif self._guard.may_heat():
+                self._descent.clear()
                 await self._outputs.move(self._wanted(), elapsed_s)
+            else:
+                self._told.event("WARN", "nothing was written on this tick: the guardian may have acted meanwhile")
         except DriverError as error:
             if state in HEATED and isinstance(error, DeviceExceptionError):
                 raise
@@ -334,11 +467,15 @@ class Engine:
             self._connection,
             safe,
             heartbeat=self._outputs.heartbeat,
-            advance=self._clock.advance,
+            advance=self._advance,
             period_s=self._clock.period_s,
             hurried=lambda: self._supervisor.hurried,
+            progress=self._expect,
+            failed=self._guard_has_made_safe,
         )
+        self._made_safe = result
         listed = ", ".join(f"{name} {value:g} {self._rig.get(name).unit}" for name, value in safe.items())
+        acted = self._guard.acted
         if not result.written:
             text = (
                 f"the rig could not be made safe from here ({result.problem}); "
@@ -346,10 +483,22 @@ class Engine:
             )
             self._told.event("ERROR", text)
             outcome.problems.append(text)
+        elif result.hot:
+            text = f"NOT SAFE: safe values are held by the rig ({listed}), but {result.hot}; look at it now"
+            self._told.event("ERROR", text)
+            outcome.problems.append(text)
+            outcome.away = result.hot
         elif not result.followed:
             self._told.event("WARN", f"safe values are held by the rig ({listed}), but {result.problem}")
             outcome.problems.append(result.problem)
             outcome.away = result.problem
         else:
-            self._told.event("INFO", f"safe: {listed}; read back, and the measured values have followed")
-        return result.written
+            by = "" if acted is None or not acted.safe else f"; the guardian had made it so ({acted.reason})"
+            self._told.event("INFO", f"safe: {listed}; read back, and the measured values have followed{by}")
+        return result.safe
+
+    def _guard_has_made_safe(self) -> bool:
+        """Ask the guardian to act, after an attempt of this engine that failed; whether it has made the rig safe."""
+        self._guard.act()
+        self._guard.failure()
+        return self._guard.acted is not None and self._guard.acted.safe

@@ -28,6 +28,7 @@ from hil.conditions import (
     Frozen,
     Limit,
     NoFlow,
+    Paused,
     RateOfRise,
     Residual,
     Residuals,
@@ -38,7 +39,7 @@ from hil.conditions import (
     of_heartbeat,
 )
 
-_NOT_AT_START = (RigTrip, Frozen, Restarted, Disagreement, RateOfRise)
+_NOT_AT_START = (RigTrip, Frozen, Restarted, Disagreement, RateOfRise, Paused)
 """The first is asked by itself, the others need a history."""
 
 
@@ -107,6 +108,7 @@ class Interlocks:
         all_alarms: list[tuple[Condition, float]] = [
             *((Limit(point, *point.alarm), 0.0) for point in alarmed if point.alarm is not None),
             *((condition, 0.0) for condition in heartbeat),
+            (Paused(rig.abort_after_s + rig.period_s), 0.0),
             *((Untrusted(point, rig.abort_after_s, point.alarm is not None), rig.abort_after_s) for point in points),
         ]
         self._all = [Interlock("alarm", condition, delay) for condition, delay in all_alarms]

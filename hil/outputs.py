@@ -83,10 +83,11 @@ class Outputs:
             raise
         return changed
 
-    async def put_safe(self, *, arm: bool) -> None:
+    async def put_safe(self, *, arm: bool, hot: str = "") -> None:
         """Write the safe values in their order and read them back, once; then keep them, and `arm` where asked.
 
-        Until they are held the rig gets no heartbeat, so that its watchdog may act. Raises a DriverError.
+        Until they are held, and while a meter contradicts them (`hot`), the rig gets no heartbeat, so that its watchdog
+        may act. Raises a DriverError.
         """
         self._setpoints.put_safe()
         if not self._safe_held:
@@ -94,7 +95,7 @@ class Outputs:
             if problem:
                 raise LinkError(f"not safe yet, trying again: {problem}")
         self._safe_held = False
-        await self._connection.write(self.values | self.heartbeat())
+        await self._connection.write(self.values | ({} if hot and not arm else self.heartbeat()))
         self._safe_held = True
         if arm:
             await self._set_watchdog()  # a rig that began anew has forgotten it

@@ -15,6 +15,7 @@ from hil.states import Transition, level_of
 
 PUBLISH_TICKS = 60
 PUBLISH_WALL_S = 0.5
+BACKLOG_IN_LOCKSTEP = 2000
 
 
 class Publisher(Protocol):
@@ -77,7 +78,9 @@ class Recorder:
         source = snapshot.source_time_s + [now_s] * len(commanded)
         latency = time.perf_counter() - began
         self._journal.sample(self._at.tick, self._at.time_s, time.time(), latency, values, quality, source)
-        self._journal.commit_if_due()
+        self._journal.check()
+        if self._lockstep and self._journal.backlog > BACKLOG_IN_LOCKSTEP:
+            self._journal.commit()  # nobody waits for a tick in lockstep, and memory has an end
         ticks, times, rows = self._pending
         ticks.append(self._at.tick)
         times.append(self._at.time_s)
@@ -111,8 +114,8 @@ class Recorder:
         )
         self.event(level_of(step), f"{step.source} → {step.target}: {step.reason}")
         if self._told is not None:
-            # A terminal that went away must not come between a fault and safe outputs.
-            with contextlib.suppress(Exception):
+            # Nothing that a person sees may come between a fault and safe outputs.
+            with contextlib.suppress(BaseException):
                 self._told(f"{at.time_s:8.0f} s  {step.target}: {step.reason}")
 
     def segment(self, number: int, gap_s: float, aim_tick: int, reason: str) -> None:

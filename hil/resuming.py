@@ -90,6 +90,7 @@ def request_of(
     control: tuple[str, int] | None = None,
     rearm: bool = False,
     viewer: bool | None = None,
+    guardian: bool = True,
 ) -> RunRequest:
     """What the run in `folder` was asked to be. `moved` says where files lie now; the other options are today's.
 
@@ -121,6 +122,7 @@ def request_of(
         diagnose_s=settings.get("diagnose_s"),
         healthy=files.get("healthy"),
         adopt=settings.get("adopt", False),
+        guardian=guardian,
     )
 
 

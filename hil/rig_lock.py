@@ -72,6 +72,11 @@ class RigClaim:
                 os.pwrite(handle, text, 0)
                 os.ftruncate(handle, len(text))
 
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        """Open lock files: a process that holds them, too, keeps the rig from others."""
+        return tuple(self._files)
+
     def release(self) -> None:
         """Let another run have the rig; harmless when repeated."""
         # The files stay: one that is removed could be locked by two, each with its own.

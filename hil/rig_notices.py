@@ -1,4 +1,4 @@
-"""What a rig file says that is allowed and most likely not meant: a sentence each, with the line."""
+"""Notes on a rig file that is allowed and most likely not meant: a sentence each, with the line."""
 
 from __future__ import annotations
 
@@ -20,6 +20,27 @@ def notices(rig: Rig, file: Path) -> list[str]:
                 found.append(f"{file}, line {line_of(text, ('point', index, key))}: {what}")
     if any(has_memory(point.as_signal()) for point in rig.point) and (what := unled(rig, rig.setpoints)) is not None:
         found.append(f"{file}: {what}")
+    return [*found, *unguarded(rig, file)]
+
+
+def unguarded(rig: Rig, file: Path) -> list[str]:
+    """Return notes on a rig with set-points that nothing resets or trips: no heartbeat, no alarm."""
+    if not rig.setpoints:
+        return []
+    found = []
+    if rig.heartbeat is None:
+        names = ", ".join(point.name for point in rig.setpoints)
+        found.append(
+            f"{file}: there is no [heartbeat], so that the device has no watchdog that hil knows: it keeps {names} "
+            "when this machine loses power or hangs. The guardian process sets the safe values after `kill -9`, as "
+            "long as this machine runs. Add [heartbeat] with the device's watchdog, or switch on a time-out in the "
+            "device"
+        )
+    if all(point.alarm is None for point in rig.point) and all(spec.level != "alarm" for spec in rig.interlock):
+        found.append(
+            f"{file}: no point has alarm limits and no [[interlock]] is an alarm, so that nothing trips the run when "
+            "the rig gets too hot; give alarm to the points that show it"
+        )
     return found
 
 

@@ -12,6 +12,7 @@ from drivers.rig_model import Rig
 from drivers.rigfile import load_rig
 from hil.adoption import NetworkMode
 from hil.profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
+from hil.rig_notices import unguarded
 from hil.setpoints import setpoint_columns
 from hil.tracking import DEFAULT, STATIC, TrackingConfig
 
@@ -32,7 +33,8 @@ class RunRequest:
     network calibrators ask, None for the shipped one. `network_mode`: see `hil.adoption`. `control` is the control
     port of a virtual rig in lockstep that runs already, at the rig file's addresses. `rearm`: whether a trip that the
     rig brings along is acknowledged. `diagnose_s`: seconds of profile time between diagnoses of the record so far,
-    against the record `healthy`; `adopt` saves what they find.
+    against the record `healthy`; `adopt` saves what they find. `guardian` False does without the process that makes the
+    rig safe when this one is killed or hangs.
     """
 
     profile: Path
@@ -54,6 +56,7 @@ class RunRequest:
     diagnose_s: float | None = None
     healthy: Path | None = None
     adopt: bool = False
+    guardian: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +77,13 @@ def prepare(request: RunRequest) -> Prepared:
     twin = (request.twin or rig.twin) if request.use_twin else None
     least_s = 0.0 if twin is None else WINDOW_S
     notes = validate(profile, setpoint_limits(rig), min_duration_s=least_s, period_s=rig.period_s)
+    notes = [*unguarded(rig, request.rig), *notes]
     network = None
     if twin is not None:
         from twin.twinfile import load
 
         network = load(twin)
-        _check_twin_columns(twin, network, rig)
+        notes = [*notes, *_check_twin_columns(twin, network, rig)]
         check_calibrators(request.calibrators)
         chosen(request.calibrators, request.card)
     elif request.card is not None:
@@ -198,15 +202,29 @@ def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:
     return limits
 
 
-def _check_twin_columns(path: Path, network: Network, rig: Rig) -> None:
-    have = {point.as_signal().column for point in rig.point if not point.is_setpoint}
-    wanted = set(network.input_columns).union(*network.sensor_columns.values())
-    missing = sorted(wanted - have)
+def _check_twin_columns(path: Path, network: Network, rig: Rig) -> list[str]:
+    """Notes on inputs of the twin that the rig does not measure and a set-point stands for.
+
+    Raises:
+        ConfigurationError: an input is neither measured nor a set-point, or a sensor is not measured.
+    """
+    measured = {point.as_signal().column for point in rig.point if point.is_polled}
+    commanded = {point.as_signal().column for point in rig.setpoints} - measured
+    inputs = set(network.input_columns)
+    sensors = set().union(*network.sensor_columns.values())
+    missing = sorted((inputs - measured - commanded) | (sensors - measured))
     if missing:
+        column = next((name for name in missing if name in inputs), None)
+        named = "" if column is None else f", or call the set-point that stands for {column} as the twin's input"
         raise ConfigurationError(
             f"{path}: the twin needs {', '.join(missing)}, which the rig {rig.name} does not measure; "
-            "name a twin of this rig with --twin"
+            f"name a twin of this rig with --twin{named}"
         )
+    return [
+        f"{column} is not measured on {rig.name}: the twin takes the set-point, and does not see an actuator that fails"
+        for column in network.input_columns
+        if column in commanded
+    ]
 
 
 def tracking_config(request: RunRequest, ready: Prepared, columns: tuple[str, ...]) -> TrackingConfig | None:

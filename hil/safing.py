@@ -1,4 +1,8 @@
-"""Making the rig safe: the one way in which every run ends, and the one place that decides whether it worked."""
+"""Making the rig safe: the one way in which every run ends, and the one place that decides whether it worked.
+
+Safe means read back from the rig *and* measured: while a heater's meter reads more than its limit (`hil.heaters`) the
+rig is not safe, and while the meter does not come down it gets no heartbeat, so that its own watchdog can act.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +12,9 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-from drivers.points import DriverError
+from drivers.points import DriverError, Snapshot
 from drivers.rig import RigConnection
+from hil.heaters import Descent, good_readings, safe_limits, still_hot
 
 WRITE_DEADLINE_S = 30.0
 HURRIED_WRITE_DEADLINE_S = 5.0
@@ -18,11 +23,18 @@ RETRY_EVERY_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Safed:
-    """`written`: the rig holds the safe values, read back from it. `followed`: the measured values got there."""
+    """Result of making safe. `written`: the rig holds the safe values, read back from it. `followed`: the measured
+    values got there. `hot`: which heater's meter still reads more than is safe, as a sentence, or empty."""
 
     written: bool
     followed: bool
     problem: str
+    hot: str = ""
+
+    @property
+    def safe(self) -> bool:
+        """Whether the safe values are read back and no meter contradicts them."""
+        return self.written and not self.hot
 
 
 async def make_safe(
@@ -33,32 +45,47 @@ async def make_safe(
     advance: Callable[[], Awaitable[None]],
     period_s: float,
     hurried: Callable[[], bool],
+    progress: Callable[[], None] = lambda: None,
+    failed: Callable[[], bool] = lambda: False,
 ) -> Safed:
     """Write `safe_values` in their order, read them back, and wait until the measured values follow.
 
     A lost link is retried for `WRITE_DEADLINE_S` of wall time. `advance` lets one period of rig time pass. When
-    `hurried()` turns true the waits are cut short; the writing and its read-back never are. Raises nothing.
+    `hurried()` turns true the waits are cut short; the writing and its read-back never are. `progress` is called
+    before each attempt, `failed` after each that failed: it returns whether somebody else has made the rig safe.
+    Raises nothing.
     """
     began = time.monotonic()
     while True:
+        progress()
         problem = await write_safe(connection, safe_values)
         if not problem:
             break
+        if failed():
+            return Safed(True, True, "")
         if time.monotonic() - began > (HURRIED_WRITE_DEADLINE_S if hurried() else WRITE_DEADLINE_S):
             return Safed(False, False, problem)
         await asyncio.sleep(RETRY_EVERY_S)
     waits = [connection.rig.get(name).readback_within_s for name in safe_values]
-    for _ in range(math.ceil(max(waits, default=0.0) / period_s)):
+    hot, limits = "", safe_limits(connection.rig)
+    descent = Descent(connection.rig, limits, period_s)
+    for number in range(math.ceil(max(waits, default=0.0) / period_s)):
+        progress()
         try:
-            problem = await _not_followed(connection, safe_values)
+            snapshot = await connection.read()
+            problem = _not_followed(connection, snapshot, safe_values)
+            readings = good_readings(connection.points, snapshot)
+            hot = still_hot(connection.rig, limits, readings)
+            problem = hot or problem
             if not problem or hurried():
                 break
-            await connection.write(heartbeat())
+            if not descent.stays(readings, number * period_s):
+                await connection.write(heartbeat())
             await advance()
         except DriverError as error:
             problem = str(error)
             await asyncio.sleep(RETRY_EVERY_S)
-    return Safed(True, not problem, problem)
+    return Safed(True, not problem, problem, hot)
 
 
 async def write_safe(connection: RigConnection, safe_values: dict[str, float]) -> str:
@@ -81,9 +108,9 @@ async def write_safe(connection: RigConnection, safe_values: dict[str, float]) -
     return "; ".join(wrong)
 
 
-async def _not_followed(connection: RigConnection, safe_values: dict[str, float]) -> str:
-    """Which measured value is still away from its safe value, or an empty string; raises DriverError."""
-    snapshot = await connection.read()
+def _not_followed(connection: RigConnection, snapshot: Snapshot, safe_values: dict[str, float]) -> str:
+    """Return which measured value is still away from its safe value, as a sentence, empty where there is none; raises
+    DriverError of a link that is lost."""
     if snapshot.faults:
         raise DriverError(snapshot.faults[0])
     measured = dict(zip((point.name for point in connection.points), snapshot.values, strict=True))

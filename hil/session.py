@@ -17,9 +17,11 @@ from hil.adoption import Adoption
 from hil.commissioned import commissioned_on, copy_record
 from hil.control import serving
 from hil.engine import Engine, Outcome, Status
+from hil.guardian.client import Guard, Guardian, NoGuard
 from hil.journal import Header, JournalReader, JournalWriter
 from hil.live_diagnosis import LiveConfig, LiveDiagnosis, Reply
 from hil.manifest import ended, files_of, how_it_stopped, settings_of
+from hil.output_queue import queued_output
 from hil.record import export_record, read_record
 from hil.recording import Publisher
 from hil.restoring import restore
@@ -65,9 +67,10 @@ async def run_session(
     Raises what `prepare` and `Twins` raise, and RigBusyError where another run drives the rig.
     """
     ready = prepare(request)
-    for note in ready.notes:
-        announce(note)
     async with contextlib.AsyncExitStack() as stack:
+        observer, announce = stack.enter_context(queued_output(observer, announce))
+        for note in ready.notes:
+            announce(note)
         # Before anything is made or moved: a rig or a calibrator that cannot be had is refused here.
         claim = stack.enter_context(claimed(_shared_rig(request, ready), announce))
         tracking = await _start_tracking(request, ready)
@@ -98,6 +101,7 @@ async def resume_session(
     Raises what `run_session` raises, and RunFolderError where the run still goes on or cannot go on.
     """
     async with contextlib.AsyncExitStack() as stack:
+        observer, announce = stack.enter_context(queued_output(observer, announce))
         stack.enter_context(folder.owned())
         manifest = folder.read_manifest()
         request = request_of(manifest)
@@ -210,6 +214,7 @@ async def _run_in(run: _Run) -> RunResult:
             lockstep=request.mode == "lockstep",
             resumption=resumption,
             rearm=request.rearm,
+            guard=_guard(request, run, rig),
         )
         async with serving(folder.control, engine, announce):
             with stopping(engine):
@@ -251,6 +256,13 @@ async def _run_in(run: _Run) -> RunResult:
     duration_s = outcome.ticks * clock.period_s
     gates = adoption.closed_gates(proposals) if proposals else None
     return RunResult(folder, outcome, comparison, duration_s, wall_s, follower, told, adopted, gates)
+
+
+def _guard(request: RunRequest, run: _Run, rig: Rig) -> Guard:
+    """Return the guardian of a rig that goes on without this process; a virtual one of the run's own ends with it."""
+    if request.virtual or request.control is not None or not request.guardian:
+        return NoGuard()
+    return Guardian(rig, run.folder.path / "guardian.log", run.claim.descriptors)
 
 
 async def _restored(

@@ -8,6 +8,7 @@ nobody is waited for: the run can be resumed again. Hold, pause and resume are o
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable, Mapping
 
@@ -46,6 +47,7 @@ class Supervisor:
         self._note = note
         self._desk = Desk()
         self._obeyed: list[Request] = []
+        self._aborting: list[Request] = []
         self._acking: tuple[Request, int] | None = None
         self._trips: tuple[str, ...] = ()
         self._tripped_s = 0.0
@@ -82,7 +84,9 @@ class Supervisor:
         """Have `verb` obeyed on the next tick, and what came of it as a sentence; raises RefusedError."""
         if verb is Verb.ABORT:
             self.request_stop(reason)
-            return "aborting: the outputs go to their safe values; the run's own terminal says when they are there"
+            request = Request(verb, reason, asyncio.get_running_loop().create_future())
+            self._aborting.append(request)
+            return await request.answer
         why_not = unheard(self.state)
         if why_not is not None:
             raise RefusedError(why_not)
@@ -97,14 +101,31 @@ class Supervisor:
         self._obey(judgement)
         return self._protect(self.interlocks.standing(), now_s) or self._overdue(now_s) or self.stop
 
+    @property
+    def owes_answers(self) -> bool:
+        """Whether operators wait for what came of what they asked."""
+        return bool(self._obeyed)
+
+    @property
+    def owes_end(self) -> bool:
+        """Whether operators wait to read that the run has ended safe."""
+        return bool(self._aborting)
+
     def answer(self, said: str) -> None:
         """Tell operators what came of what they asked, now that it is written."""
         for request in self._obeyed:
             request.done(said)
         self._obeyed.clear()
 
+    def stopped(self, said: str) -> None:
+        """Tell operators who asked for an end what the rig holds and its meters read."""
+        for request in self._aborting:
+            request.done(said)
+        self._aborting.clear()
+
     def close(self) -> None:
         """The run has ended: nobody is left waiting."""
+        self.stopped(f"the run is {self.state}")
         acking = [] if self._acking is None else [self._acking[0]]
         for request in [*self._desk.take(), *self._obeyed, *acking]:
             request.refuse(f"the run is {self.state}")

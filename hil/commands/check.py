@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -73,21 +74,22 @@ def command(
         raise click.UsageError(f"--picture draws twins, and {file} is none")
     if catalogue and checker is not _twin:
         raise click.UsageError(f"--catalogue lists what a twin may lack, and {file} is none")
-    if online:
-        if checker is not _rig:
-            raise click.UsageError(f"--online connects to the rig of a rig file, and {file} is none")
-        _online(file, seconds, None if as_json else console())
-        return
-    if seconds is not None:
+    if online and checker is not _rig:
+        raise click.UsageError(f"--online connects to the rig of a rig file, and {file} is none")
+    if seconds is not None and not online:
         raise click.UsageError("--seconds belongs to --online")
-    if as_json:
-        if checker is not _rig:
-            raise click.UsageError(f"--json tells the read plan of a rig file, and {file} is none")
-        from hil.rig_check import as_json as plan
+    if as_json and checker is not _rig:
+        raise click.UsageError(f"--json tells the read plan of a rig file, and {file} is none")
+    with _named(file, checker):
+        if online:
+            _online(file, seconds, None if as_json else console())
+            return
+        if as_json:
+            from hil.rig_check import as_json as plan
 
-        click.echo(plan(file))
-        return
-    checker(file, rig, console())
+            click.echo(plan(file))
+            return
+        checker(file, rig, console())
     if catalogue:
         _catalogue(file, console())
     if picture is not None:
@@ -96,6 +98,24 @@ def command(
 
         draw(load(file), picture)
         click.echo(str(picture))
+
+
+@contextlib.contextmanager
+def _named(file: Path, checker: Callable[[Path, Path, Console], None]) -> Iterator[None]:
+    """Name the kind of file before a complaint about it, where it had to be guessed: another may have been meant."""
+    try:
+        yield
+    except Exception:
+        if checker in _GUESSED and not (checker is _rig and _has_rig(file)):
+            click.echo(f"{file}: checked as {_GUESSED[checker]}", err=True)
+        raise
+
+
+def _has_rig(file: Path) -> bool:
+    """Whether a TOML file has a table that only rig files have."""
+    from drivers.toml_lines import tables_of
+
+    return not {"rig", "bus", "point"}.isdisjoint(tables_of(file.read_bytes())[1])
 
 
 def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
@@ -270,3 +290,10 @@ _TELLING: dict[str, Callable[[Path, Path, Console], None]] = {
     "systems": _scenario,
 }  # fmt: skip
 """Key at the top of a TOML file -> what it makes of the file; without any of them it is a rig file."""
+
+_GUESSED: dict[Callable[[Path, Path, Console], None], str] = {
+    _rig: "a rig file, since it has no [elements] (twin), [[effect]] (effects file) or [[system]] (scenario)",
+    _profile: "a load profile, since no column is a temperature; a record has columns such as T_tank_C",
+    _record: "a record, since it is Parquet or has a column that is a temperature",
+}
+"""Kind that a check takes a file for where no key names it, with the reason."""

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 @click.option("--network", "card", type=INPUT_FILE, help="Where the card of the run's trained network lies now.")
 @click.option("--control", help="host:port of a `hil rig --mode lockstep` that runs already, if it is another now.")
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip of the rig's own; find its cause before.")
+@click.option("--no-guardian", is_flag=True, help="Nobody makes the rig safe if this process is killed or hangs.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
@@ -45,6 +46,7 @@ def command(
     card: Path | None,
     control: str | None,
     rearm: bool,
+    no_guardian: bool,
     viewer: bool | None,
     as_json: bool,
 ) -> None:
@@ -73,7 +75,7 @@ def command(
     where = None if control is None else address(control)
 
     def request(manifest: dict[str, Any]) -> RunRequest:
-        return request_of(folder, manifest, moved, control=where, rearm=rearm, viewer=viewer)
+        return request_of(folder, manifest, moved, control=where, rearm=rearm, viewer=viewer, guardian=not no_guardian)
 
     with LiveRun(quiet=as_json) as live:
         rule = SoakRule(band_K, timeout_s)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 @click.option("--speed", type=float, help="This many times real time, up to 100 (virtual rig).")
 @click.option("--control", help="host:port that grants steps, of a `hil rig --mode lockstep` that runs already.")
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip that the rig brings along; find its cause before.")
+@click.option("--no-guardian", is_flag=True, help="Nobody makes the rig safe if this process is killed or hangs.")
 @click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not know of (virtual rig).")
 @CALIBRATORS
 @NETWORK
@@ -50,6 +51,7 @@ def command(
     speed: float | None,
     control: str | None,
     rearm: bool,
+    no_guardian: bool,
     effects: Path | None,
     calibrators: tuple[str, ...],
     card: Path | None,
@@ -105,6 +107,7 @@ def command(
         diagnose_s=None if diagnose is None else interval_of(diagnose),
         healthy=healthy,
         adopt=adopt,
+        guardian=not no_guardian,
     )
     if check_only:
         ready = check_session(request)

@@ -68,7 +68,7 @@ def test_what_answers_with_transaction_0_is_told_from_what_answers_something_els
     frames = TcpFrames()
     frames.frame(1, ASKED)
     assert frames.feed(b"\0\x09" + GOOD[2:], 1, ASKED) is None
-    assert frames.unused == "1 replies to another request or of another unit were not used"
+    assert "the last has transaction 9 where 1 was asked" in (frames.unused or "")
     assert frames.feed(b"\0\0" + GOOD[2:], 1, ASKED) is None
     assert "give transaction = 'zero' where it always does" in (frames.unused or "")
 
@@ -77,17 +77,64 @@ def test_what_answers_with_transaction_0_is_told_from_what_answers_something_els
     ("frame", "said"),
     [
         (GOOD[:2] + b"\0\x01" + GOOD[4:], "of protocol 1"),
-        (GOOD[:4] + b"\0\x02" + GOOD[6:], "length 2"),
-        (GOOD[:4] + b"\x01\x00" + GOOD[6:], "length 256"),
-        (GOOD[:8] + b"\x02" + GOOD[9:], "with 6 bytes where it says 4"),
-        (GOOD[:4] + b"\0\x08" + GOOD[6:] + b"\0", "with 7 bytes where it says 6"),
+        (b"\0\x08" + GOOD[2:4] + b"\x01\x00" + GOOD[6:], "length 256"),
+        (GOOD[:4] + b"\0\x02" + GOOD[6:], "announces 2 bytes and has 7; give frame_length = 'ignored'"),
+        (GOOD[:4] + b"\x01\x00" + GOOD[6:], "announces 256 bytes and has 7; give frame_length = 'ignored'"),
+        (GOOD[:8] + b"\x02" + GOOD[9:], "announces 7 bytes and its content has 5"),
+        (GOOD[:4] + b"\0\x08" + GOOD[6:] + b"\0", "announces 8 bytes and its content has 7"),
+        (GOOD[:4] + b"\0\x06" + GOOD[6:], "announces 6 bytes and its content has 7; give frame_length"),
         (GOOD[:7] + b"\x2b" + GOOD[8:], "function 43, which was not asked for"),
-        (GOOD[:4] + b"\0\x04\x01\x84\x02\x00", "function 132 with 3 bytes where it says 2"),
+        (GOOD[:4] + b"\0\x04\x01\x83\x02\x00", "function 131 announces 4 bytes and its content has 3"),
     ],
 )
 def test_what_makes_no_sense_is_refused(frame, said):
     with pytest.raises(ProtocolError, match=said):
-        FrameGuard().feed(frame, 7, 1)
+        FrameGuard().feed(frame, 7, 1, ASKED)
+
+
+@pytest.mark.parametrize("length", [0, 1, 2, 4, 5, 9, 250, 300, 65535])
+def test_an_exception_reply_counts_whatever_its_header_announces(length):
+    refused = b"\0\x07\0\0" + struct.pack(">H", length) + b"\x01\x84\x02"
+    guard = FrameGuard()
+    assert guard.feed(refused, 7, 1, ASKED) == [refused]
+    following = b"\0\x08" + GOOD[2:]
+    assert guard.feed(following[:3], 8, 1, ASKED) + guard.feed(following[3:], 8, 1, ASKED) == [following]
+
+
+@pytest.mark.parametrize("more", [1, 2, 6])
+@pytest.mark.parametrize("later", [False, True], ids=["at once", "later"])
+def test_bytes_behind_an_exception_reply_are_no_part_of_the_next_reply(more, later):
+    refused, rest = b"\0\x07\0\0" + struct.pack(">H", 3 + more) + b"\x01\x84\x02", bytes(more)
+    guard = FrameGuard()
+    frames = guard.feed(refused if later else refused + rest, 7, 1, ASKED)
+    assert [frame[7:] for frame in frames] == [b"\x84\x02"]
+    following = b"\0\x08" + GOOD[2:]
+    assert guard.feed((rest if later else b"") + following, 8, 1, ASKED) == [following]
+
+
+def test_an_exception_to_another_function_or_of_an_unknown_code_is_none():
+    for pdu in (b"\x83\x02", b"\x84\x63"):
+        guard = FrameGuard()
+        assert guard.feed(b"\0\x07\0\0\0\x04\x01" + pdu, 7, 1, ASKED) == []
+        assert "announces 4 bytes and has 3" in (guard.unfinished(7, 1) or "")
+
+
+@pytest.mark.parametrize("length", [0, 2, 6, 8, 13, 65535])
+@pytest.mark.parametrize("behind", [b"", b"\0\0"])
+def test_a_reply_is_as_long_as_its_content_where_the_rig_file_says_so(length, behind):
+    frames = TcpFrames(by_content=True)
+    for number in (1, 2, 3):
+        frames.frame(1, ASKED)
+        reply = struct.pack(">HHHB", number, 0, length, 1) + GOOD[7:]
+        assert frames.feed(reply[:9], 1, ASKED) is None
+        assert frames.feed(reply[9:] + behind, 1, ASKED) == GOOD[7:]
+
+
+def test_bytes_behind_a_reply_are_named_when_the_next_one_cannot_be_read():
+    guard = FrameGuard()
+    assert guard.feed(GOOD + b"\1\2\3", 7, 1, ASKED) == [GOOD]
+    with pytest.raises(ProtocolError, match=r"3 bytes came behind a reply.*give frame_length = 'ignored'"):
+        guard.feed(b"\0\x08" + GOOD[2:], 8, 1, ASKED)
 
 
 @given(data=st.lists(st.binary(max_size=40), max_size=8))
@@ -95,7 +142,7 @@ def test_any_bytes_are_frames_of_the_request_or_our_own_error(data):
     guard = FrameGuard()
     try:
         for segment in data:
-            for frame in guard.feed(segment, 7, 1):
+            for frame in guard.feed(segment, 7, 1, ASKED):
                 assert frame[:2] == b"\0\x07" and frame[6] == 1
     except ProtocolError:
         pass
@@ -115,7 +162,7 @@ async def test_no_mutated_reply_is_ever_a_wrong_value_that_counts_as_good():
 class Naive(FrameGuard):
     """Passes everything on, as pymodbus by itself would take it."""
 
-    def feed(self, data: bytes, transaction: int, unit: int) -> list[bytes]:
+    def feed(self, data: bytes, transaction: int, unit: int, request: bytes = b"") -> list[bytes]:
         return [data]
 
 

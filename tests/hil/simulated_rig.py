@@ -165,6 +165,9 @@ class SimulatedClock:
     async def start(self) -> None:
         self._tick = -1
 
+    def current_tick(self) -> int:
+        return self._tick
+
     def release(self) -> None:
         pass
 
@@ -213,7 +216,7 @@ class MemoryJournal:
         self._refuse()
         self.events.append((level, text))
 
-    def commit_if_due(self) -> None:
+    def check(self) -> None:
         self._refuse()
 
     def _refuse(self) -> None:

@@ -372,3 +372,25 @@ def test_help_loads_no_heavy_library():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=PROJECT, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "kind"),
+    [
+        ("a.toml", "[pump]\nspeed = 3\n", "checked as a rig file, since it has no [elements]"),
+        ("a.csv", "time_s,tank\n0,20\n900,21\n", "checked as a load profile, since no column is a temperature"),
+        ("a.csv", "T_tank_C\nwarm\nwarmer\n", "checked as a record, since it is Parquet or has a column"),
+    ],
+)
+def test_check_names_the_kind_of_file_that_it_guessed_before_it_complains(tmp_path, name, content, kind):
+    path = tmp_path / name
+    path.write_text(content, encoding="utf-8")
+    code, printed = hil("check", path)
+    assert code != 0
+    assert printed.splitlines()[0].startswith(f"{path}: {kind}")
+
+
+def test_check_names_no_kind_where_a_key_says_it(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text('[rig]\nname = "r"\n', encoding="utf-8")
+    assert "checked as" not in hil("check", path)[1]

@@ -18,6 +18,7 @@ from drivers.virtual.rig import start_virtual_rig
 from hil.clock import LockstepClock, MonotonicClock
 from hil.engine import Engine, Outcome
 from hil.journal import Header, JournalError, JournalReader, JournalWriter
+from hil.journal_store import JournalStore
 from hil.profile import read_profile
 from hil.safing import make_safe
 
@@ -183,10 +184,10 @@ async def test_a_journal_that_cannot_be_written_ends_the_run_safe(tmp_path, monk
         while not hasattr(trial, "engine") or trial.engine.tick < 100:
             await asyncio.sleep(0.005)
 
-        def commit(self: JournalWriter) -> None:
+        def write(self: JournalStore, batch: list[Any]) -> list[str]:
             raise JournalError("journal.sqlite cannot be written (database or disk is full)")
 
-        monkeypatch.setattr(JournalWriter, "commit", commit)
+        monkeypatch.setattr(JournalStore, "write", write)
 
     with contextlib.suppress(JournalError):
         await trial.run(fill_the_disk)

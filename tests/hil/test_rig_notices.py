@@ -13,7 +13,8 @@ from click.testing import CliRunner
 from drivers.rigfile import load_rig
 from drivers.roles import ROLES
 from hil.commands.check import command
-from hil.rig_notices import notices
+from hil.rig_notices import notices, unguarded
+from hil.run_request import RunRequest, prepare
 from hil.soaking import unled
 from tests.hil.test_resume import hil, killed
 
@@ -92,6 +93,35 @@ def test_a_rig_that_resume_cannot_lead_back_is_told(tmp_path):
     assert cannot == f"{path}: {unled(rig, rig.setpoints)}"
     assert "none of heater_power_set, pump_speed_set, fan_speed_set has the role heater_power or fan_speed" in cannot
     assert "`hil resume` only holds the profile's load and waits" in cannot
+
+
+NO_HEARTBEAT = (r"(?s)\[heartbeat\].*?\n\n", "")
+NO_ALARMS = (r"(?m)^alarm = .*\n", "")
+AN_ALARM = (r"\Z", '\n[[interlock]]\nkind = "limit"\nlevel = "alarm"\npoint = "T_tank"\nhigh = 70.0\n')
+
+
+def test_a_rig_without_a_watchdog_is_told_before_a_run_moves_it(tmp_path):
+    path = rig_file(tmp_path, NO_HEARTBEAT)
+    (sentence,) = told(path)
+    assert "it keeps heater_power_set, pump_speed_set, fan_speed_set when this machine loses power" in sentence
+    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    assert sentence in prepare(RunRequest(tmp_path / "load.csv", path, None, tmp_path, use_twin=False)).notes
+
+
+def test_a_rig_without_any_alarm_is_told(tmp_path):
+    (sentence,) = told(rig_file(tmp_path, NO_ALARMS))
+    assert "nothing trips the run when the rig gets too hot" in sentence
+
+
+def test_an_interlock_that_trips_is_an_alarm(tmp_path):
+    assert told(rig_file(tmp_path, NO_ALARMS, AN_ALARM)) == []
+
+
+def test_a_rig_that_is_only_read_needs_neither(tmp_path):
+    text = rig_file(tmp_path, NO_HEARTBEAT, NO_ALARMS).read_text(encoding="utf-8")
+    read_only = "[[point]]".join(part for part in text.split("[[point]]") if "limits = " not in part)
+    (tmp_path / "read.toml").write_text(read_only.split("[[interlock]]")[0], encoding="utf-8")
+    assert unguarded(load_rig(tmp_path / "read.toml"), tmp_path) == []
 
 
 def test_one_set_point_that_leads_is_enough(tmp_path):

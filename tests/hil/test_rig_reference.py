@@ -44,7 +44,7 @@ WORDS = {
 
 def fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
     """Keys of a section of the file: those of the rig that are sections of their own have headings of their own."""
-    refused = {"transaction"} if model is bus_sections.ModbusRtuTcpBus else set()
+    refused = {"transaction", "frame_length"} if model is bus_sections.ModbusRtuTcpBus else set()
     others = set(SECTIONS_OF_RIG) if model is Rig else set()
     return {key: field for key, field in model.model_fields.items() if key not in refused | others}
 

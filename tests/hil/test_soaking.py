@@ -155,7 +155,7 @@ def test_a_pause_makes_a_soak_safe_and_stops_its_clock_and_resume_goes_on_soakin
     with EngineBench(rig_with(), resumption=cut_at(120.0, AIM, timeout_s=100.0)) as bench:
         bench.ticks(50)
         assert bench.ask(Verb.RESUME) == "soaking at 120 s of the profile"  # it does already
-        assert bench.ask(Verb.PAUSE) == "paused at 120 s of the profile; safe values read back"
+        assert bench.ask(Verb.PAUSE).startswith("paused at 120 s of the profile; safe values read back")
         assert bench.rig.heater_W == 0.0
         bench.ticks(500)
         assert (bench.state, bench.rig.armed) == ("paused", True)

@@ -110,7 +110,8 @@ def test_a_trip_ends_the_run_where_nobody_is_waited_for(fault):
         bench.ticks(within)
         assert bench.state == "faulted"
         assert said in bench.outcome.reason
-        assert bench.outcome.safe == (fault is not link_lost)
+        # A meter that still reads 350 W contradicts what is read back: nobody may call that safe.
+        assert bench.outcome.safe == (fault not in (link_lost, heater_does_not_follow))
         assert not bench.violations
         bench.rig.pass_time(11.0)
         assert bench.rig.heater_W == 0.0
@@ -204,7 +205,7 @@ def test_hold_keeps_the_outputs_pause_makes_them_safe_and_the_profile_waits():
         assert bench.ask(Verb.HOLD) == f"held at {before:g} s of the profile"
         bench.ticks(50)
         assert bench.rig.heater_W == pytest.approx(700.0)
-        assert bench.ask(Verb.PAUSE) == f"paused at {before:g} s of the profile; safe values read back"
+        assert bench.ask(Verb.PAUSE).startswith(f"paused at {before:g} s of the profile; safe values read back")
         assert bench.rig.heater_W == 0.0
         bench.ticks(50)
         assert bench.rig.armed  # the heartbeat goes on
@@ -326,7 +327,7 @@ def test_a_warning_that_does_not_go_away_ends_the_run_after_a_time():
 def test_an_abort_a_bug_and_a_full_disk_end_safe():
     with EngineBench(rig_with()) as aborted:
         warm(aborted)
-        assert "aborting" in aborted.ask(Verb.ABORT)
+        assert "safe values read back" in aborted.ask(Verb.ABORT)
         assert (aborted.state, aborted.outcome.safe, aborted.rig.heater_W) == ("aborted", True, 0.0)
     with EngineBench(rig_with()) as buggy:
         warm(buggy)

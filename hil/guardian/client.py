@@ -1,0 +1,298 @@
+"""Engine's half of the guardian: started and told the plan before anything is armed, given a beat while ticks go on."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from drivers.points import LinkError
+from drivers.rig_model import Rig
+from hil.guardian.plan import SILENCE_S, plan_of
+
+BEAT_EVERY_S = 0.2
+FENCE_S = 0.8 * SILENCE_S
+"""An engine that has not beaten for so long may have been relieved: it writes no more heat until it knows, s."""
+STARTS_WITHIN_S = 10.0
+MUTE_AFTER_S = 2.0
+"""A guardian that says nothing for so long, while this process was running all the time, is not there, s."""
+_PACKAGE = Path(__file__).resolve().parents[2]
+
+
+class GuardianError(LinkError):
+    """The guardian cannot guard this rig; the message says what would not be guarded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Acted:
+    """What the guardian has done: why, whether the safe values are read back and the meters agree, and why not."""
+
+    reason: str
+    safe: bool
+    problem: str
+    meters: dict[str, float] = field(default_factory=dict)
+
+
+class Guard(Protocol):
+    """What the engine needs of a guardian."""
+
+    acted: Acted | None
+
+    async def start(self) -> None:
+        """Start it and tell it the plan; raises GuardianError."""
+
+    async def probe(self) -> list[str]:
+        """Return why wires cannot be reached beside the engine; each is taken over by ending the engine."""
+
+    def watch(self) -> None:
+        """Arm it: from now on silence counts."""
+
+    def expect(self, within_s: float) -> None:
+        """Beat on by itself for so long; a tick that takes longer than that is silence."""
+
+    def may_heat(self) -> bool:
+        """Return whether this engine is sure to be in charge: it has not been silent, and the guardian has not acted."""
+
+    def failure(self) -> str | None:
+        """Return why the run has to end: the guardian is gone, or has acted."""
+
+    def act(self) -> None:
+        """Have it make the rig safe now, beside the engine."""
+
+    async def done(self, *, safe: bool) -> None:
+        """End it; one that is not told that the rig is `safe` makes it so as soon as this process is gone."""
+
+
+class NoGuard:
+    """Nobody guards: the rig is this process's own virtual one, or the operator gave the guardian up."""
+
+    acted: Acted | None = None
+
+    async def start(self) -> None:
+        """Nothing to start."""
+
+    async def probe(self) -> list[str]:
+        """Nothing is unreachable."""
+        return []
+
+    def watch(self) -> None:
+        """Nothing to arm."""
+
+    def expect(self, within_s: float) -> None:
+        """Nobody waits for beats."""
+
+    def may_heat(self) -> bool:
+        """Nobody else is in charge."""
+        return True
+
+    def failure(self) -> str | None:
+        """Nothing can fail."""
+        return None
+
+    def act(self) -> None:
+        """Nobody to ask."""
+
+    async def done(self, *, safe: bool) -> None:
+        """Nothing to end."""
+
+
+class Guardian:
+    """The guardian of one run. `log` is its file; `keep` are descriptors that it holds open as long as it lives.
+
+    The rig's locks are such: nobody else drives the rig before the guardian has made it safe.
+    """
+
+    def __init__(self, rig: Rig, log: Path, keep: Sequence[int] = ()) -> None:
+        self.acted: Acted | None = None
+        self._plan = plan_of(rig)
+        self._log = log
+        self._keep = tuple(keep)
+        self._socket: socket.socket | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._buffer = b""
+        self._probed: asyncio.Future[list[str]] | None = None
+        self._until = self._beat_s = self._heard_s = 0.0
+        self._lost: str | None = None
+        self._watching = False
+        self._sure = True
+        self._beating: asyncio.Task[None] | None = None
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the guardian's process, once it is started."""
+        return None if self._process is None else self._process.pid
+
+    async def start(self) -> None:
+        """Start the process and tell it the plan; raises GuardianError where it does not answer."""
+        if self._plan is None:
+            return
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        code = (
+            f"import sys; sys.path.insert(0, {str(_PACKAGE)!r}); "
+            f"from hil.guardian.process import main; main({theirs.fileno()}, {os.getpid()})"
+        )
+        try:
+            with theirs:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-I", "-S", "-c", code],
+                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                    pass_fds=(theirs.fileno(), *self._keep), cwd="/", start_new_session=True,
+                )  # fmt: skip
+        except OSError as error:
+            ours.close()
+            raise GuardianError(f"not armed: the guardian cannot be started ({error})") from error
+        self._socket = ours
+        ours.sendall(json.dumps(self._plan | {"log": str(self._log.absolute())}, ensure_ascii=True).encode() + b"\n")
+        ours.setblocking(False)
+        loop = asyncio.get_running_loop()
+        end = loop.time() + STARTS_WITHIN_S
+        while self._heard_s == 0.0:
+            self._receive()
+            if self._lost is not None or loop.time() > end:
+                raise GuardianError(f"not armed: the guardian does not start ({self._lost or 'no answer'})")
+            await asyncio.sleep(0.005)
+
+    async def probe(self) -> list[str]:
+        """Return why wires cannot be reached beside the engine's own connection, a sentence each."""
+        if self._socket is None or self._plan is None:
+            return []
+        self._probed = asyncio.get_running_loop().create_future()
+        self._say(b"probe")
+        end = time.monotonic() + STARTS_WITHIN_S
+        while not self._probed.done():
+            self._receive()
+            if self._lost is not None or time.monotonic() > end:
+                raise GuardianError(f"not armed: the guardian is gone ({self._lost or 'no answer'})")
+            await asyncio.sleep(0.005)
+        return [why for why in self._probed.result() if why]
+
+    def watch(self) -> None:
+        """Arm it: from now on silence counts."""
+        if self._socket is None:
+            return
+        self._say(b"watch")
+        self._watching = True
+        self._beat_s = self._heard_s = time.monotonic()
+        self.expect(STARTS_WITHIN_S)
+        self._beating = asyncio.get_running_loop().create_task(self._beat_on(), name="beats for the guardian")
+
+    def expect(self, within_s: float) -> None:
+        """Beat now and, by the loop, for `within_s` of wall time; a tick that takes longer is silence."""
+        if not self._watching:
+            return
+        now = time.monotonic()
+        self._until = now + within_s
+        if now - self._beat_s > 0.5 * BEAT_EVERY_S:
+            self._beat(now)
+
+    async def _beat_on(self) -> None:
+        while True:
+            await asyncio.sleep(BEAT_EVERY_S)
+            now = time.monotonic()
+            self._receive()
+            if now < self._until:
+                self._beat(now)
+
+    def _beat(self, now: float) -> None:
+        # While this process was paused the guardian may have fallen silent with it: that is no silence.
+        if now - self._beat_s > MUTE_AFTER_S / 2:
+            self._heard_s = max(self._heard_s, now - MUTE_AFTER_S / 2)
+        if now - self._beat_s > FENCE_S:
+            self._sure = False  # until the guardian says that it has not acted meanwhile
+            self._say(b"check")
+        self._say(b"beat")
+        self._beat_s = now
+
+    def may_heat(self) -> bool:
+        """Return whether the guardian is sure to have had beats, and has not acted."""
+        if not self._watching:
+            return True
+        if time.monotonic() - self._beat_s > FENCE_S:
+            return False
+        self._receive()
+        return self._sure and self.acted is None and self._lost is None
+
+    def failure(self) -> str | None:
+        """Return why the run has to end: the guardian has acted, is gone or does not answer."""
+        if not self._watching:
+            return None
+        self._receive()
+        if self.acted is not None:
+            return f"the guardian has made the rig safe: {self.acted.reason}"
+        if self._lost is not None:
+            return f"the guardian is gone ({self._lost}); nobody would make the rig safe if this process were killed"
+        if time.monotonic() - self._heard_s > MUTE_AFTER_S:
+            return f"the guardian has not answered for {MUTE_AFTER_S:g} s"
+        return None
+
+    def act(self) -> None:
+        """Have it make the rig safe now, beside the engine."""
+        self._say(b"act")
+
+    async def done(self, *, safe: bool) -> None:
+        """End it where the rig is `safe`; otherwise leave it to make the rig safe when this process is gone."""
+        if self._beating is not None:
+            self._beating.cancel()
+            self._beating = None
+        watching, self._watching = self._watching, False
+        if self._socket is None or self._process is None:
+            return
+        if safe or not watching:
+            self._say(b"done")
+        with contextlib.suppress(OSError):
+            self._socket.close()
+        self._socket = None
+        # Where it still tries to make the rig safe it is left alone: it outlives this process, and its log says more.
+        end = time.monotonic() + (2.0 if safe or not watching else 0.0)
+        while self._process.poll() is None and time.monotonic() < end:
+            await asyncio.sleep(0.01)
+        if self._process.returncode is None:
+            self._process.returncode = 0  # no warning about a process that is meant to go on
+
+    def _say(self, line: bytes) -> None:
+        if self._socket is None:
+            return
+        try:
+            self._socket.send(line + b"\n", socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
+        except BlockingIOError:
+            pass  # it does not read: `failure` says so
+        except OSError as error:
+            self._lost = self._lost or error.strerror or "its socket is closed"
+
+    def _receive(self) -> None:
+        if self._socket is None:
+            return
+        try:
+            data = self._socket.recv(65536)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._lost = self._lost or error.strerror or "its socket is closed"
+            return
+        if not data:
+            self._lost = self._lost or "its process has ended"
+            return
+        self._heard_s = time.monotonic()
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
+        for line in lines:
+            self._take(line)
+
+    def _take(self, line: bytes) -> None:
+        if not line.startswith(b"{"):
+            return
+        document: dict[str, Any] = json.loads(line)
+        if "acted" in document:
+            self.acted = Acted(**document["acted"])
+        elif "checked" in document:
+            self._sure = bool(document["checked"])
+        elif "probe" in document and self._probed is not None and not self._probed.done():
+            self._probed.set_result(document["probe"])

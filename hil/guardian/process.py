@@ -1,0 +1,338 @@
+"""Guardian process: waits for the engine's beats, and makes the rig safe by its own connection when they stop.
+
+Started as `python -I -S` with the standard library alone. It talks to the engine over one socket, a line a message:
+
+    from the engine   {plan}  probe  watch  beat  check  act  done
+    to the engine     alive  {"probe": ...}  {"checked": ...}  {"acted": ...}
+
+`watch` arms it: from then on it acts when no beat has come for `silence_s`, when the socket closes, or on `act`. It
+acts until the safe values are read back and the meters agree, and then keeps them so until the engine says `done` or
+is gone. What it does is written to a log of its own, a JSON object a line.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import socket
+import struct
+import sys
+import threading
+import time
+from typing import Any
+
+from hil.guardian.wires import Wire, WireError
+
+LOOK_S = 0.1
+ALIVE_EVERY_S = 0.25
+OVERSLEPT_S = 0.3
+"""A wait that took so much longer than asked means that this process was paused, and perhaps the engine with it."""
+GRACE_S = 0.5
+"""After a pause of its own the guardian gives the engine so long to beat again, s."""
+RETRY_S = 0.05
+KEEP_S = 0.25
+"""The safe values are checked so often while an engine that is silent is still there."""
+FREE_AFTER_S = 0.4
+"""So long a device is tried before the silent engine is ended, whose connection may be the only one admitted, s."""
+GIVE_UP_S = 3600.0
+_FORMATS = {
+    "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f",
+    "float64": "d",
+}  # fmt: skip
+
+
+def now_s() -> float:
+    """Return time that also goes on while the machine sleeps, s."""
+    return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
+
+
+class Log:
+    """The guardian's own file: opened before anything is armed, so that a lost folder or a full disk cannot stop it."""
+
+    def __init__(self, path: str) -> None:
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW, 0o600)
+        except OSError:
+            self._file = -1
+
+    def write(self, what: str, **more: object) -> None:
+        """Append a line; what cannot be written is not."""
+        stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        line = json.dumps({"time": stamp, "what": what, **more}, ensure_ascii=True) + "\n"
+        try:
+            if self._file >= 0:
+                os.write(self._file, line.encode())
+        except OSError:
+            pass
+
+
+class Keeper(threading.Thread):
+    """Makes one wire safe and keeps it so. `safe` is whether the last look found it safe, `problem` why not."""
+
+    def __init__(self, plan: dict[str, Any], free: Any) -> None:
+        super().__init__(daemon=True)
+        self.safe = False
+        self.problem = "not tried yet"
+        self.meters: dict[str, float] = {}
+        self.attempts = 0
+        self.ended = threading.Event()
+        self.may_open = threading.Event()
+        self._plan = plan
+        self._free = free
+
+    def run(self) -> None:
+        """Write, read back, look at the meters, until `ended`; ends the silent engine where its line is not free."""
+        wire = Wire(self._plan)
+        self.may_open.wait()
+        began = now_s()
+        while not self.ended.is_set():
+            self.attempts += 1
+            try:
+                self.problem = self._attempt(wire)
+            except Exception as error:
+                self.problem = str(error) or type(error).__name__
+                if not isinstance(error, WireError):
+                    wire.close()
+                if now_s() - began > FREE_AFTER_S:
+                    self._free(self._plan["place"])
+            self.safe = not self.problem
+            self.ended.wait(KEEP_S if self.safe else RETRY_S)
+        wire.close()
+
+    def _attempt(self, wire: Wire) -> str:
+        """Return what is not safe after writing where that was needed."""
+        if not self.safe:
+            for step in self._plan["writes"]:
+                wire.ask(step["device"], bytes.fromhex(step["pdu"]))
+        wrong = [said for check in self._plan["checks"] if (said := _differs(wire, check))]
+        if wrong:
+            self.safe = False
+            return "; ".join(wrong)
+        return "; ".join(said for meter in self._plan["meters"] if (said := self._reads(wire, meter)))
+
+    def _reads(self, wire: Wire, meter: dict[str, Any]) -> str:
+        raw = number(_registers(wire, meter), meter)
+        value = raw * meter["scale"] + meter["offset"]
+        if value != value or raw in meter["invalid"]:
+            return ""
+        self.meters[meter["name"]] = round(value, 3)
+        if value <= meter["limit"]:
+            return ""
+        return f"{meter['name']} still reads {value:.1f} {meter['unit']}"
+
+
+def probe(plan: dict[str, Any]) -> str:
+    """Return why the guardian cannot reach a wire beside the engine, or an empty string; nothing is written."""
+    wire = Wire(plan)
+    try:
+        for check in plan["checks"]:
+            _registers(wire, check)
+    except WireError as error:
+        return str(error)
+    finally:
+        wire.close()
+    return ""
+
+
+def _registers(wire: Wire, step: dict[str, Any]) -> list[int]:
+    reply = wire.ask(step["device"], bytes.fromhex(step["pdu"]))
+    if step["type"] == "bit":
+        return [reply[2] & 1]
+    if len(reply) < 2 + 2 * step["words"]:
+        raise WireError(f"{wire.place}: fewer registers than were asked for")
+    return list(struct.unpack_from(f">{step['words']}H", reply, 2))
+
+
+def _differs(wire: Wire, check: dict[str, Any]) -> str:
+    """Return how a read-back differs from its safe value by more than one count; empty where it does not."""
+    found = _registers(wire, check)
+    if found == check["want"]:
+        return ""
+    held, want = number(found, check), number(check["want"], check)
+    if abs(held - want) <= 1.0:
+        return ""
+    return f"{check['name']} holds {held * check['scale'] + check['offset']:g}"
+
+
+def number(registers: list[int], step: dict[str, Any]) -> float:
+    """Return the raw number in `registers`, by type and byte order of the plan."""
+    if step["type"] == "bit":
+        return float(registers[0])
+    words = list(registers)
+    if step["order"] in ("CDAB", "DCBA"):
+        words.reverse()
+    packed = struct.pack(f"{'<' if step['order'] in ('BADC', 'DCBA') else '>'}{len(words)}H", *words)
+    if step["type"] == "bool":
+        return float(any(packed))
+    value = struct.unpack(">" + _FORMATS[step["type"]], packed)[0]
+    if step["bits"]:
+        lowest, highest = step["bits"]
+        value = value >> lowest & (1 << highest - lowest + 1) - 1
+    return float(value)
+
+
+class Guardian:
+    """State of the guardian: the engine's socket, the plan, and the keepers once it acts."""
+
+    def __init__(self, engine: socket.socket, pid: int) -> None:
+        self._engine: socket.socket | None = engine
+        self._pid = pid
+        self._buffer = b""
+        self._plan: dict[str, Any] = {}
+        self._exclusive: list[bool] = []
+        self._log = Log(os.devnull)
+        self._armed = False
+        self._done = False
+        self._beat_s = now_s()
+        self._silent = False
+        self._reason = self._reported = ""
+        self._acted_s = 0.0
+        self._keepers: list[Keeper] = []
+
+    def run(self) -> None:
+        """Wait and act; returns when the rig is safe and nobody is left who could change that, or nothing was armed."""
+        alive_s = 0.0
+        while not self._done and (self._engine is not None or self._armed):
+            asked = now_s()
+            self._receive(LOOK_S)
+            woke = now_s()
+            if woke - asked > LOOK_S + OVERSLEPT_S and self._armed and not self._reason:
+                self._log.write("paused", seconds=round(woke - asked, 2))
+                self._beat_s = max(self._beat_s, woke - self._plan["silence_s"] + GRACE_S)
+            if woke - alive_s > ALIVE_EVERY_S:
+                self._say(b"alive")
+                alive_s = woke
+            if self._armed and not self._done:
+                self._watch()
+        for keeper in self._keepers:
+            keeper.ended.set()
+            keeper.join(1.0)
+        self._log.write("ended")
+
+    def _watch(self) -> None:
+        silence_s = now_s() - self._beat_s
+        self._silent = self._engine is None or silence_s > self._plan["silence_s"]
+        if not self._reason:
+            if self._engine is None:
+                self._act("the engine is gone")
+            elif self._silent:
+                self._act(f"no beat of the engine for {self._plan['silence_s']:g} s")
+            return
+        for keeper, exclusive in zip(self._keepers, self._exclusive, strict=True):
+            if exclusive and self._silent:
+                self.free(keeper.name)
+            if not exclusive or self._engine is None:
+                keeper.may_open.set()
+        self._report()
+
+    def _act(self, reason: str) -> None:
+        self._reason, self._acted_s, self._reported = reason, now_s(), ""
+        self._log.write("acting", reason=reason)
+        for plan in self._plan["wires"]:
+            keeper = Keeper(plan, self.free)
+            keeper.name = plan["place"]
+            self._keepers.append(keeper)
+            keeper.start()
+        self._watch()
+
+    def _report(self) -> None:
+        """Log and send what has changed; end where the rig is safe and the engine is gone, or nothing helps."""
+        problems = [f"{keeper.problem}" for keeper in self._keepers if not keeper.safe]
+        meters = {name: value for keeper in self._keepers for name, value in keeper.meters.items()}
+        said = "; ".join(problems) or "safe"
+        took_s = round(now_s() - self._acted_s, 3)
+        if said != self._reported:
+            self._reported = said
+            self._log.write("safe" if not problems else "not safe", problem="; ".join(problems), after_s=took_s,
+                            meters=meters)  # fmt: skip
+            acted = {"reason": self._reason, "safe": not problems, "problem": "; ".join(problems), "meters": meters}
+            self._say(json.dumps({"acted": acted}, ensure_ascii=True).encode())
+        gone = self._engine is None
+        if gone and (not problems or took_s > GIVE_UP_S):
+            self._done = True
+
+    def free(self, place: str) -> None:
+        """End an engine that is there and silent: it may hold the only connection, and must not write any more."""
+        if self._silent and self._engine is not None and os.getppid() == self._pid:
+            self._log.write("ended the engine", pid=self._pid, wire=place)
+            try:
+                os.kill(self._pid, signal.SIGKILL)
+            except OSError:
+                pass
+
+    # The engine's socket -----------------------------------------------------------------------
+
+    def _receive(self, seconds: float) -> None:
+        if self._engine is None:
+            time.sleep(seconds)
+            return
+        if not select.select([self._engine], [], [], seconds)[0]:
+            return
+        try:
+            data = self._engine.recv(65536)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._engine.close()
+            self._engine = None
+            return
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
+        for line in lines:
+            self._take(line)
+
+    def _take(self, line: bytes) -> None:
+        if line == b"beat":
+            self._beat_s = now_s()
+        elif line == b"check":
+            self._beat_s = now_s()
+            self._say(json.dumps({"checked": not self._reason}).encode())
+        elif line == b"watch":
+            self._armed, self._beat_s = bool(self._plan), now_s()
+            self._log.write("watching", pid=self._pid)
+        elif line == b"act":
+            if self._armed and not self._reason:
+                self._act("the engine asked for it")
+        elif line == b"probe":
+            found = [probe(plan) for plan in self._plan["wires"]]
+            self._exclusive = [self._exclusive[k] or bool(why) for k, why in enumerate(found)]
+            self._log.write("probe", problems=[why for why in found if why])
+            self._say(json.dumps({"probe": found}, ensure_ascii=True).encode())
+        elif line == b"done":
+            self._log.write("done", reason="the engine has made the rig safe, or nothing was moved")
+            self._done = True
+        elif line.startswith(b"{"):
+            self._plan = json.loads(line)
+            # A serial line has one owner: it is not touched while the engine may use it.
+            self._exclusive = [wire["kind"] == "serial" for wire in self._plan["wires"]]
+            self._log = Log(self._plan["log"])
+
+    def _say(self, line: bytes) -> None:
+        if self._engine is None:
+            return
+        try:
+            self._engine.send(line + b"\n", socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
+        except OSError:
+            pass  # an engine that is stopped does not read
+
+
+def main(descriptor: int, pid: int) -> None:
+    """Run on the socket that the engine handed over; `pid` is the engine's process."""
+    for number_ in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGPIPE, signal.SIGTSTP):
+        signal.signal(number_, signal.SIG_IGN)
+    try:  # the last to be ended when memory runs out; only a privileged user may ask for it
+        with open("/proc/self/oom_score_adj", "w", encoding="ascii") as file:
+            file.write("-1000")
+    except OSError:
+        pass
+    threading.stack_size(256 * 1024)
+    with socket.socket(fileno=descriptor) as engine:
+        engine.setblocking(False)
+        Guardian(engine, pid).run()
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

@@ -1,0 +1,106 @@
+"""Heaters of a rig and their meters: the measured power below which an output counts as safe, and the way there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from drivers.points import Quality, Snapshot
+from drivers.rig_model import Point, Rig
+
+
+@dataclass(frozen=True, slots=True)
+class SafeLimit:
+    """A heater's meter, the highest reading, in the meter's unit, at which the heater is safe, and how long it may take
+    the meter to get there, s."""
+
+    heater: str
+    meter: str
+    at_most: float
+    within_s: float
+
+
+def is_heater(rig: Rig, point: Point) -> bool:
+    """Return whether a set-point asks for heat: its unit is W or kW, or the point that it moves has the role heater_power."""
+    moved = None if point.readback is None else rig.get(point.readback)
+    return point.unit in ("W", "kW") or point.role == "heater_power" or (moved is not None and moved.role == "heater_power")
+
+
+def safe_limit(rig: Rig, point: Point) -> SafeLimit | None:
+    """Return the meter of a heater and its limit; None for another set-point, and for a heater that nothing measures.
+
+    The limit is `safe_below` of the set-point, else its safe value and `readback_tolerance`.
+    """
+    if point.readback is None or not is_heater(rig, point):
+        return None
+    at_most = point.safe_below
+    if at_most is None:
+        at_most = (point.safe_value or 0.0) + point.readback_tolerance
+    return SafeLimit(point.name, point.readback, at_most, point.readback_within_s)
+
+
+def safe_limits(rig: Rig) -> tuple[SafeLimit, ...]:
+    """Return the limits of all heaters that are measured."""
+    found = (safe_limit(rig, point) for point in rig.setpoints)
+    return tuple(limit for limit in found if limit is not None)
+
+
+def still_hot(rig: Rig, limits: tuple[SafeLimit, ...], readings: Mapping[str, float]) -> str:
+    """Return which meter still reads more than is safe, as a sentence; empty where none does.
+
+    `readings` are good values by point; one that is missing or NaN proves nothing, and is left to the interlocks.
+    """
+    for limit in limits:
+        value = readings.get(limit.meter, math.nan)
+        if value > limit.at_most:
+            unit = rig.get(limit.meter).unit
+            return f"{limit.meter} still reads {value:.1f} {unit}, safe is {limit.at_most:g} {unit} at most"
+    return ""
+
+
+DEAD_TIME_S = 1.0
+"""So long a meter may show nothing of a heater that was switched off, s: it samples, averages and is polled."""
+
+
+class Descent:
+    """Way of the meters down after the heaters were told to be safe.
+
+    The rig file declares that a meter is at its limit within `readback_within_s`. A first-order lag that just does so
+    falls along an exponential from its first reading to the limit, after a dead time; what reads more than that does
+    not follow: the heater has not obeyed, whatever it answers.
+    """
+
+    def __init__(self, rig: Rig, limits: tuple[SafeLimit, ...], period_s: float) -> None:
+        self._rig = rig
+        self._limits = limits
+        self._dead_s = max(DEAD_TIME_S, 2.0 * period_s)
+        self._first: dict[str, tuple[float, float]] = {}
+
+    def clear(self) -> None:
+        """Forget the way: the heaters are heated again."""
+        self._first.clear()
+
+    def stays(self, readings: Mapping[str, float], now_s: float) -> str:
+        """Return which meter does not come down as declared, as a sentence; empty where all do or are there."""
+        for limit in self._limits:
+            value = readings.get(limit.meter, math.nan)
+            if not value > limit.at_most:
+                continue
+            first, began_s = self._first.setdefault(limit.meter, (value, now_s))
+            share = min((now_s - began_s - self._dead_s) / limit.within_s, 1.0)
+            if share <= 0.0:
+                continue
+            floor = max(limit.at_most, 1e-3 * first)
+            if value > first * (floor / first) ** share + self._rig.get(limit.heater).readback_tolerance:
+                unit = self._rig.get(limit.meter).unit
+                return f"{limit.meter} does not come down: it reads {value:.1f} {unit}, and {first:.1f} {unit} at first"
+        return ""
+
+
+def good_readings(points: tuple[Point, ...], snapshot: Snapshot | None) -> dict[str, float]:
+    """Return the good values of a snapshot by point name; implausible ones count, since they may be the worst."""
+    if snapshot is None:
+        return {}
+    rows = zip(points, snapshot.values, snapshot.quality, strict=True)
+    return {point.name: value for point, value, quality in rows if quality in (Quality.GOOD, Quality.OUT_OF_RANGE)}

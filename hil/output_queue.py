@@ -1,0 +1,103 @@
+"""Output queue: what a person is to see, written by a thread that may block, fail or fall behind.
+
+A terminal can be stopped (Ctrl-S), a pipe can lose its reader, a viewer can hang. None of that may delay a tick or come
+before making the rig safe, so nobody on the event loop writes to any of them: they put a call into this queue.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+LONGEST = 1000
+"""Calls that wait at most. What comes beyond is dropped: an operator who sees nothing misses nothing more."""
+LAST_WORDS_S = 2.0
+
+
+class OutputQueue:
+    """Bounded queue of calls and the thread that makes them, in their order. Putting never blocks and never raises."""
+
+    def __init__(self, name: str = "output") -> None:
+        self.dropped = 0
+        self._queue: queue.Queue[tuple[Callable[..., Any], tuple[Any, ...]] | None] = queue.Queue(LONGEST)
+        self._broken = False
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, call: Callable[..., Any], *arguments: Any) -> None:
+        """Have `call(*arguments)` made by the thread; dropped where the queue is full or the output is gone."""
+        try:
+            self._queue.put_nowait((call, arguments))
+        except queue.Full:
+            self.dropped += 1
+
+    def wrapped(self, call: Callable[..., Any]) -> Callable[..., None]:
+        """Return a function that puts `call` with its arguments."""
+
+        def put(*arguments: Any) -> None:
+            self.put(call, *arguments)
+
+        return put
+
+    def close(self, within_s: float) -> bool:
+        """Wait until everything is written, `within_s` at most; returns whether the thread has ended."""
+        end = time.monotonic() + within_s
+        while self._thread.is_alive():
+            try:
+                self._queue.put(None, timeout=0.05)
+                break
+            except queue.Full:
+                if time.monotonic() > end:
+                    break
+        self._thread.join(max(end - time.monotonic(), 0.0))
+        return not self._thread.is_alive()
+
+    def _work(self) -> None:
+        while (item := self._queue.get()) is not None:
+            if self._broken:
+                continue
+            call, arguments = item
+            try:
+                call(*arguments)
+            except OSError:
+                self._broken = True  # a pipe without a reader, a terminal that went away
+            except SystemExit:
+                self._broken = True  # rich raises it on a broken pipe
+            except BaseException:
+                self.dropped += 1
+
+
+class QueuedLog(logging.Handler):
+    """Log handler that writes through an output queue: logging, too, ends at a terminal that may be stopped."""
+
+    def __init__(self, output: OutputQueue, write: Callable[[str], None]) -> None:
+        super().__init__(logging.ERROR)
+        self._output = output
+        self._write = write
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Queue a record as a line."""
+        self._output.put(lambda: self._write(self.format(record)))
+
+
+@contextlib.contextmanager
+def queued_output(
+    observer: Callable[..., None] | None, announce: Callable[[str], None]
+) -> Iterator[tuple[Callable[..., None] | None, Callable[[str], None]]]:
+    """Yield both calls through one queue, which also takes what is logged meanwhile and what the event loop complains
+    of. At the end what is queued is written, for `LAST_WORDS_S` at most."""
+    output = OutputQueue()
+    say = output.wrapped(announce)
+    handler = QueuedLog(output, announce)
+    root = logging.getLogger()
+    root.addHandler(handler)
+    try:
+        yield None if observer is None else output.wrapped(observer), say
+    finally:
+        output.close(LAST_WORDS_S)
+        root.removeHandler(handler)
