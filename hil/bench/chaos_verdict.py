@@ -62,6 +62,8 @@ class ChaosResult:
     wrong: list[str] = field(default_factory=list)
     misplaced: int = 0
     readable: bool = True
+    claimed: bool | None = None
+    """The run's own word on being safe, from `run.json`."""
     resumed: bool | None = None
     failures: list[str] = field(default_factory=list)
     left_out: str = ""
@@ -249,8 +251,12 @@ def _claims(
 ) -> list[str]:
     """Return what the run said of itself and is not so."""
     broken, code = [], stage.code
-    if manifest is not None and manifest.get("safe") is True and truth and truth[-1].heater_W > 0.0:
+    result.claimed = None if manifest is None else manifest.get("safe")
+    has_power = bool(truth) and truth[-1].heater_W > 0.0
+    if result.claimed is True and has_power:
         broken.append("run.json says safe, and the heater has power")
+    if result.claimed is False and not has_power and ending in ("rides", "pauses", "stops") and not _harness_gone(case):
+        broken.append("run.json says not safe, and nothing heats")
     if ending in ("frozen", "killed", "unguarded") or case.early:
         return broken
     if code == 0:
