@@ -18,7 +18,17 @@ LEAKED = 300
 SPARE_DESCRIPTORS = 40
 """Descriptors that the run is left when connections leak: fewer than leak, more than a run needs."""
 FLOOD_S = 2.0
-REASONS = ("K\udcfchlung", "a\x00b", "one\ntwo\rthree", "\ud800\udfff", "ä" * 4000, "\x1b[2J\x07", "{}[]\"'%s%n")
+REASONS = (
+    "K\udcfchlung",
+    "\udc80",
+    "\ud83d",
+    "a\x00b",
+    "one\ntwo\rthree",
+    "\ud800\udfff",
+    "ä" * 4000,
+    "\x1b[2J\x07",
+    "{}[]\"'%s%n",
+)
 """Lone surrogates as a Latin-1 terminal gives them, NUL, line ends, a long one, escapes of a terminal."""
 GARBAGE = (
     b"[" * 4000 + b"\n", b"\xff\xfe\n", b"{}\n", b"null\n", b'{"verb": 1e999}\n', b'{"verb": {"a": 1}}\n',
