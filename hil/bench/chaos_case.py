@@ -19,7 +19,7 @@ from hil.bench.chaos_acts import NotPossibleError
 from hil.bench.chaos_kinds import ChaosKind, gravest
 from hil.bench.chaos_plan import ChaosCase
 from hil.bench.chaos_stage import ChaosStage, environment, set_chaos_stage, unstepped
-from hil.bench.chaos_verdict import LIMIT_S, ChaosResult, Strike, judged
+from hil.bench.chaos_verdict import LIMIT_S, ChaosResult, Strike, is_of_the_machine, judged
 from hil.bench.faults_case import STALL_S
 from hil.bench.faults_stage import last_words
 
@@ -63,7 +63,8 @@ async def run_chaos_case(case: ChaosCase, seed: int, *, resume: bool = False, re
             except Exception as error:  # a case that cannot be carried out is no reason to leave out the others
                 result.failures.append(f"not carried out: {type(error).__name__}: {error}")
         result.attempts = attempt
-        if result.struck and (not result.failures or result.stall_s < STALL_S or result.resumed is False):
+        stalled = result.stall_s >= STALL_S and is_of_the_machine(result) and result.resumed is not False
+        if result.struck and not (result.failures and stalled):
             break
     return result
 

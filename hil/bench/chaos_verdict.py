@@ -18,18 +18,21 @@ from hil.bench.chaos_kinds import ChaosKind, Ending, gravest
 from hil.bench.chaos_plan import ChaosCase, order
 from hil.bench.chaos_stage import ChaosStage, unstepped
 from hil.bench.faults_rig import PERIOD_S, WATCHDOG_S
+from hil.heaters import DEAD_TIME_S
 
 LIMIT_S = 2.0
 """From the event to nothing heats any more, whoever acts; the rig's own watchdog is not needed for it."""
 ROUGH_S = 2.0 * PERIOD_S
 """The rig looks at its watchdog once a period, and its last heartbeat may be younger than the event."""
-WITHHELD_AFTER_S = 1.0
-"""A heartbeat that comes later than this after the event, while the heater has power, holds the watchdog off."""
+WITHHELD_AFTER_S = DEAD_TIME_S + 0.5
+"""A heartbeat that comes later than this after the event, while the heater has power, holds the watchdog off, s: the dead
+time that a run allows a meter, and half a second for ticks and the meter's noise."""
 ALARM_S = 5.0
 """From a set-point that another master has written to the alarm, at most, s."""
 TIME_TOLERANCE_S = 0.5
 """Difference between a row's time and the instant of its recording, s. A stall of the machine of up to 0.4 s counts as
 the machine's."""
+_NOT_OF_TIME = ("a traceback", "a resume ended with a traceback", "another master", "exit code", "run.json", "ended as")
 _ENDED = ("finishing", "faulted", "aborted", "done")
 
 Strike = tuple[ChaosKind, float]
@@ -113,6 +116,11 @@ def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: lis
     if not case.early and (error := traceback_in(stage.harness.said())):
         result.failures.append(f"a traceback in the terminal instead of a sentence: {error}")
     return journal
+
+
+def is_of_the_machine(result: ChaosResult) -> bool:
+    """Return whether a machine that stood still may be the cause of a failure; it writes no traceback, and no claims."""
+    return any(not failure.startswith(_NOT_OF_TIME) for failure in result.failures)
 
 
 def traceback_in(said: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import math
 import os
 import shutil
@@ -41,6 +42,7 @@ ATTACKS = (
 @pytest.fixture(scope="module")
 def results() -> list[ChaosResult]:
     cases = [chaos_case(names, k, SEED, watchdog=False) for k, names in enumerate(ATTACKS)]
+    cases = [dataclasses.replace(case, early=False) for case in cases]
     return asyncio.run(campaign(cases, SEED, jobs=4, resume=False))
 
 
