@@ -103,7 +103,9 @@ class Point(Section):
             if self.safe_value is None:
                 raise ValueError("is a set-point without safe_value; give the value that it is left at")
             if self.safe_below is not None and self.readback is None:
-                raise ValueError("has safe_below, which is a reading of its meter; add readback, or take safe_below out")
+                raise ValueError(
+                    "has safe_below, which is a reading of its meter; add readback, or take safe_below out"
+                )
             if not self.limits[0] <= self.safe_value <= self.limits[1]:
                 raise ValueError(f"safe_value {self.safe_value:g} is outside limits {list(self.limits)}")
         for mistake in (self._mistaken_type(), self._mistaken_number()):

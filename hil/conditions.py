@@ -101,7 +101,9 @@ class Paused:
         passed, self._last_s = tick.now_s - self._last_s, tick.now_s
         if not passed > self.after_s:
             return None
-        return f"no tick for {passed:.1f} s, at most {self.after_s:g} s is allowed: this process or its machine was paused"
+        return (
+            f"no tick for {passed:.1f} s, at most {self.after_s:g} s is allowed: this process or its machine was paused"
+        )
 
 
 @dataclass(slots=True)

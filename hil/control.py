@@ -21,9 +21,14 @@ from typing import Any
 
 from hil.engine import Engine, Status
 from hil.operator import RefusedError, Verb
+from hil.plain_text import plain
 
 LONGEST_LINE = 4096
 ANSWER_WITHIN_S = 20.0
+MOST_CLIENTS = 16
+"""Connections at a time: whoever forgets to close theirs must not use up this process's descriptors."""
+IDLE_S = 30.0
+LONGEST_REASON = 200
 
 
 class ControlError(Exception):
@@ -49,6 +54,9 @@ async def serving(path: Path, engine: Engine, announce: Callable[[str], None]) -
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
+        if len(talks) >= MOST_CLIENTS:
+            writer.close()
+            return
         talks.add(task)
         try:
             await _talk(engine, reader, writer)
@@ -81,9 +89,9 @@ async def serving(path: Path, engine: Engine, announce: Callable[[str], None]) -
 
 
 async def _talk(engine: Engine, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Answer line by line until the client goes."""
-    with contextlib.suppress(OSError, ValueError):
-        while line := await reader.readline():
+    """Answer line by line until the client goes, or says nothing for `IDLE_S`."""
+    with contextlib.suppress(OSError, ValueError, TimeoutError):
+        while line := await asyncio.wait_for(reader.readline(), IDLE_S):
             writer.write(json.dumps(await _answer(engine, line), allow_nan=False).encode() + b"\n")
             await writer.drain()
 
@@ -91,11 +99,12 @@ async def _talk(engine: Engine, reader: asyncio.StreamReader, writer: asyncio.St
 async def _answer(engine: Engine, line: bytes) -> dict[str, Any]:
     try:
         asked = json.loads(line)
-        verb, reason = asked["verb"], str(asked.get("reason") or "by an operator (hil ctl)")[:200]
+        verb = asked["verb"]
+        reason = plain(str(asked.get("reason") or "by an operator (hil ctl)"), LONGEST_REASON).replace("\n", " ")
         text = str(engine.state) if verb == "status" else await engine.ask(Verb(verb), reason)
     except RefusedError as error:
         return {"ok": False, "text": str(error), "status": document(engine.status())}
-    except (ValueError, TypeError, KeyError, AttributeError):
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         verbs = ", ".join(["status", *Verb])
         return {"ok": False, "text": f"not understood; send one JSON object a line, with verb one of {verbs}"}
     return {"ok": True, "text": text, "status": document(engine.status())}
@@ -121,8 +130,8 @@ def ask(path: Path, verb: str, reason: str = "") -> dict[str, Any]:
                 line = lines.readline()
         except TimeoutError:
             raise ControlError(
-                f"{path.parent}: the run does not answer within {ANSWER_WITHIN_S:g} s; if its process hangs, the rig's "
-                f"own watchdog has cut the heater: `kill -9 {_listener(client)}`, then `hil resume` goes on with it"
+                f"{path.parent}: the run does not answer within {ANSWER_WITHIN_S:g} s; if its process hangs, its guardian "
+                f"has made the rig safe (guardian.log): `kill -9 {_listener(client)}`, then `hil resume` goes on with it"
             ) from None
         except OSError as error:
             raise ControlError(

@@ -36,7 +36,7 @@ from hil.supervisor import End, Supervisor
 
 FIRST_SAMPLE_TIMEOUT_S = 10.0
 PAUSED_S = 1.0
-"""Ticks that are further apart than this, and than two periods, are told as a pause of the process or the machine, s."""
+"""Ticks that are further apart than this, and than two periods, are reported as a pause of process or machine, s."""
 _INTERRUPTED_AT_MOST = 100
 """So often making safe is begun again after whatever interrupted it."""
 
@@ -299,7 +299,7 @@ class Engine:
         return ended
 
     async def _ask_guard(self) -> None:
-        """Have the guardian reach the rig beside this engine; a wire that takes one connection is told, and read anew."""
+        """Have the guardian reach the rig beside this engine; a wire that takes one connection only is reported."""
         alone = await self._guard.probe()
         for why in alone:
             self._told.event(
@@ -409,7 +409,7 @@ class Engine:
         return {point.name: self._outputs.values[point.name] for point in self._rig.setpoints}
 
     async def _obeyed(self) -> str:
-        """Return what an operator is answered: the state, and outside `HEATED` what the rig holds and its meters read."""
+        """Return the answer to an operator: the state, and outside `HEATED` what the rig holds and its meters read."""
         said = f"{self.state} at {self._at.profile_s:g} s of the profile"
         if self.state in HEATED:
             return said

@@ -22,9 +22,13 @@ class SafeLimit:
 
 
 def is_heater(rig: Rig, point: Point) -> bool:
-    """Return whether a set-point asks for heat: its unit is W or kW, or the point that it moves has the role heater_power."""
+    """Return whether a set-point asks for heat: in W or kW, or for a point with the role heater_power."""
     moved = None if point.readback is None else rig.get(point.readback)
-    return point.unit in ("W", "kW") or point.role == "heater_power" or (moved is not None and moved.role == "heater_power")
+    return (
+        point.unit in ("W", "kW")
+        or point.role == "heater_power"
+        or (moved is not None and moved.role == "heater_power")
+    )
 
 
 def safe_limit(rig: Rig, point: Point) -> SafeLimit | None:

@@ -154,9 +154,7 @@ class JournalWriter:
             wanted = self._put_count
             self._urgent = True
             self._changed.notify_all()
-            self._changed.wait_for(
-                lambda: self._done_count >= wanted or self._failure is not None, COMMIT_WITHIN_S
-            )
+            self._changed.wait_for(lambda: self._done_count >= wanted or self._failure is not None, COMMIT_WITHIN_S)
         if self._done_count >= wanted:
             return
         self.check()

@@ -16,6 +16,7 @@ from hil.states import Transition, level_of
 PUBLISH_TICKS = 60
 PUBLISH_WALL_S = 0.5
 BACKLOG_IN_LOCKSTEP = 2000
+BEHIND_S = 1.0
 
 
 class Publisher(Protocol):
@@ -67,6 +68,7 @@ class Recorder:
         self._lockstep = lockstep
         self._pending: tuple[list[int], list[float], list[list[float]]] = ([], [], [])
         self._published = time.monotonic()
+        self._behind = False
 
     def sample(self, snapshot: Snapshot, commanded: Mapping[str, float], now_s: float, began: float) -> None:
         """The tick: what was read and what is commanded now; `began` is when its work began, of `perf_counter`.
@@ -79,6 +81,10 @@ class Recorder:
         latency = time.perf_counter() - began
         self._journal.sample(self._at.tick, self._at.time_s, time.time(), latency, values, quality, source)
         self._journal.check()
+        behind = self._journal.behind_s > BEHIND_S
+        if behind and not self._behind:
+            self.event("WARN", "the journal is held by another program: rows wait in memory until it lets go")
+        self._behind = behind
         if self._lockstep and self._journal.backlog > BACKLOG_IN_LOCKSTEP:
             self._journal.commit()  # nobody waits for a tick in lockstep, and memory has an end
         ticks, times, rows = self._pending

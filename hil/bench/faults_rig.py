@@ -20,6 +20,7 @@ ABORT_AFTER_S = 1.5
 STALE_LIMIT_S = 3.0
 """From an occurrence to safe: staleness, the wait before a trip, and half a second for ticks, write and read-back."""
 WATCHDOG_S = 2.0
+METER_WITHIN_S = 6.0
 _PUMP, _FAN = 1, 2
 LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,{0},100,100\n600,{0},100,100\n"
 
@@ -79,7 +80,9 @@ def _point(text: str) -> str:
     )
     text = re.sub(r"(?m)^readback_within_s = .*\n", "", text)
     if "readback = " in text:
-        text = text.replace("readback = ", "readback_within_s = 0.3\nreadback = ", 1)
+        # The power meter follows with a second's lag and must be below 10 W before the rig is called safe.
+        within_s = METER_WITHIN_S if 'readback = "heater_power"' in text else 0.3
+        text = text.replace("readback = ", f"readback_within_s = {within_s}\nreadback = ", 1)
     return re.sub(r"(?m)^max_rate = 100\.0$", "max_rate = 1000.0", text)
 
 

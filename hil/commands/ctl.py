@@ -66,6 +66,8 @@ def _show(folder: Path, status: dict[str, Any]) -> None:
     from hil.terminal import hours
 
     click.echo(f"{status['state']}: {status['reason']}")
+    if status["not_safe"]:
+        click.echo(f"NOT SAFE: {status['not_safe']}")
     for level in ("trips", "warnings"):
         for sentence in status[level]:
             click.echo(f"{level.removesuffix('s')}: {sentence}")

@@ -9,7 +9,6 @@ import os
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any, Protocol
 
 from drivers.points import LinkError
 from drivers.rig_model import Rig
+from drivers.steady_time import steady_s
 from hil.guardian.plan import SILENCE_S, plan_of
 
 BEAT_EVERY_S = 0.2
@@ -60,7 +60,7 @@ class Guard(Protocol):
         """Beat on by itself for so long; a tick that takes longer than that is silence."""
 
     def may_heat(self) -> bool:
-        """Return whether this engine is sure to be in charge: it has not been silent, and the guardian has not acted."""
+        """Return whether this engine is sure to be in charge: not silent meanwhile, and the guardian has not acted."""
 
     def failure(self) -> str | None:
         """Return why the run has to end: the guardian is gone, or has acted."""
@@ -135,6 +135,15 @@ class Guardian:
         """Start the process and tell it the plan; raises GuardianError where it does not answer."""
         if self._plan is None:
             return
+        self._spawn(self._plan)
+        end = steady_s() + STARTS_WITHIN_S
+        while self._heard_s == 0.0:
+            self._receive()
+            if self._lost is not None or steady_s() > end:
+                raise GuardianError(f"not armed: the guardian does not start ({self._lost or 'no answer'})")
+            await asyncio.sleep(0.005)
+
+    def _spawn(self, plan: dict[str, Any]) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         code = (
             f"import sys; sys.path.insert(0, {str(_PACKAGE)!r}); "
@@ -151,15 +160,8 @@ class Guardian:
             ours.close()
             raise GuardianError(f"not armed: the guardian cannot be started ({error})") from error
         self._socket = ours
-        ours.sendall(json.dumps(self._plan | {"log": str(self._log.absolute())}, ensure_ascii=True).encode() + b"\n")
+        ours.sendall(json.dumps(plan | {"log": str(self._log.absolute())}, ensure_ascii=True).encode() + b"\n")
         ours.setblocking(False)
-        loop = asyncio.get_running_loop()
-        end = loop.time() + STARTS_WITHIN_S
-        while self._heard_s == 0.0:
-            self._receive()
-            if self._lost is not None or loop.time() > end:
-                raise GuardianError(f"not armed: the guardian does not start ({self._lost or 'no answer'})")
-            await asyncio.sleep(0.005)
 
     async def probe(self) -> list[str]:
         """Return why wires cannot be reached beside the engine's own connection, a sentence each."""
@@ -167,10 +169,10 @@ class Guardian:
             return []
         self._probed = asyncio.get_running_loop().create_future()
         self._say(b"probe")
-        end = time.monotonic() + STARTS_WITHIN_S
+        end = steady_s() + STARTS_WITHIN_S
         while not self._probed.done():
             self._receive()
-            if self._lost is not None or time.monotonic() > end:
+            if self._lost is not None or steady_s() > end:
                 raise GuardianError(f"not armed: the guardian is gone ({self._lost or 'no answer'})")
             await asyncio.sleep(0.005)
         return [why for why in self._probed.result() if why]
@@ -181,7 +183,7 @@ class Guardian:
             return
         self._say(b"watch")
         self._watching = True
-        self._beat_s = self._heard_s = time.monotonic()
+        self._beat_s = self._heard_s = steady_s()
         self.expect(STARTS_WITHIN_S)
         self._beating = asyncio.get_running_loop().create_task(self._beat_on(), name="beats for the guardian")
 
@@ -189,7 +191,7 @@ class Guardian:
         """Beat now and, by the loop, for `within_s` of wall time; a tick that takes longer is silence."""
         if not self._watching:
             return
-        now = time.monotonic()
+        now = steady_s()
         self._until = now + within_s
         if now - self._beat_s > 0.5 * BEAT_EVERY_S:
             self._beat(now)
@@ -197,7 +199,7 @@ class Guardian:
     async def _beat_on(self) -> None:
         while True:
             await asyncio.sleep(BEAT_EVERY_S)
-            now = time.monotonic()
+            now = steady_s()
             self._receive()
             if now < self._until:
                 self._beat(now)
@@ -216,7 +218,7 @@ class Guardian:
         """Return whether the guardian is sure to have had beats, and has not acted."""
         if not self._watching:
             return True
-        if time.monotonic() - self._beat_s > FENCE_S:
+        if steady_s() - self._beat_s > FENCE_S:
             return False
         self._receive()
         return self._sure and self.acted is None and self._lost is None
@@ -230,7 +232,7 @@ class Guardian:
             return f"the guardian has made the rig safe: {self.acted.reason}"
         if self._lost is not None:
             return f"the guardian is gone ({self._lost}); nobody would make the rig safe if this process were killed"
-        if time.monotonic() - self._heard_s > MUTE_AFTER_S:
+        if steady_s() - self._heard_s > MUTE_AFTER_S:
             return f"the guardian has not answered for {MUTE_AFTER_S:g} s"
         return None
 
@@ -252,8 +254,9 @@ class Guardian:
             self._socket.close()
         self._socket = None
         # Where it still tries to make the rig safe it is left alone: it outlives this process, and its log says more.
-        end = time.monotonic() + (2.0 if safe or not watching else 0.0)
-        while self._process.poll() is None and time.monotonic() < end:
+        for _ in range(200 if safe or not watching else 0):
+            if self._process.poll() is not None:
+                break
             await asyncio.sleep(0.01)
         if self._process.returncode is None:
             self._process.returncode = 0  # no warning about a process that is meant to go on
@@ -281,7 +284,7 @@ class Guardian:
         if not data:
             self._lost = self._lost or "its process has ended"
             return
-        self._heard_s = time.monotonic()
+        self._heard_s = steady_s()
         *lines, self._buffer = (self._buffer + data).split(b"\n")
         for line in lines:
             self._take(line)

@@ -36,9 +36,7 @@ def plan_of(rig: Rig) -> dict[str, Any] | None:
         wire = wires.setdefault(bus.wire, wire_of(bus))
         for block, raw in Writes({name: point}, bus).of({name: value}):
             said = f"{name} {value:g} {point.unit}"
-            wire["writes"].append(
-                {"device": bus.device_id, "pdu": write_request(block, raw).hex(), "name": said}
-            )
+            wire["writes"].append({"device": bus.device_id, "pdu": write_request(block, raw).hex(), "name": said})
         (block,) = plan_reads([point], max_gap=0)
         want = encoder(point.type, point.order)((value - point.offset) / point.scale)
         wire["checks"].append(
@@ -68,7 +66,9 @@ def wire_of(bus: ModbusBusSection) -> dict[str, Any]:
     found: dict[str, Any] = {
         "place": bus.place, "timeout_s": min(bus.timeout_s, DEADLINE_S), "writes": [], "checks": [], "meters": [],
         "framing": "rtu" if is_rtu(bus) else "mbap" if is_numbered(bus) else "mbap0",
-        "connect_delay_s": getattr(bus, "connect_delay_s", 0.0),
+        "connect_delay_s": bus.connect_delay_s if isinstance(bus, ModbusTcpBus) else 0.0,
+        # A device that counts its replies wrongly is known by the length that the function code gives them.
+        "counts": not isinstance(bus, ModbusTcpBus) or bus.frame_length == "checked",
     }  # fmt: skip
     if isinstance(bus, ModbusRtuBus):
         return found | {

@@ -12,6 +12,7 @@ is gone. What it does is written to a log of its own, a JSON object a line.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -257,10 +258,8 @@ class Guardian:
         """End an engine that is there and silent: it may hold the only connection, and must not write any more."""
         if self._silent and self._engine is not None and os.getppid() == self._pid:
             self._log.write("ended the engine", pid=self._pid, wire=place)
-            try:
+            with contextlib.suppress(OSError):
                 os.kill(self._pid, signal.SIGKILL)
-            except OSError:
-                pass
 
     # The engine's socket -----------------------------------------------------------------------
 
@@ -313,10 +312,8 @@ class Guardian:
     def _say(self, line: bytes) -> None:
         if self._engine is None:
             return
-        try:
+        with contextlib.suppress(OSError):  # an engine that is stopped does not read
             self._engine.send(line + b"\n", socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
-        except OSError:
-            pass  # an engine that is stopped does not read
 
 
 def main(descriptor: int, pid: int) -> None:

@@ -85,7 +85,7 @@ class Wire:
             transaction, protocol, size, unit = struct.unpack(">HHHB", self._exactly(7, end))
             if protocol != 0 or not 2 <= size <= 254:
                 raise WireError(f"{self.place}: the reply is no Modbus/TCP frame")
-            reply = self._exactly(size - 1, end)
+            reply = self._exactly(size - 1, end) if self._plan["counts"] else self._pdu(end)
             if transaction == self._transaction or (transaction == 0 and self._plan["framing"] == "mbap0"):
                 return _checked(reply, pdu, f"{self.place}, device {unit}")
 
@@ -94,18 +94,21 @@ class Wire:
         self._fall_silent()
         frame = bytes((device,)) + pdu
         self._send(frame + crc16(frame))
-        head = self._exactly(2, end)
-        if head[1] & 0x80:
-            rest = self._exactly(3, end)
-        elif head[1] in _ECHOED:
-            rest = self._exactly(6, end)
-        else:
-            count = self._exactly(1, end)
-            rest = count + self._exactly(count[0] + 2, end)
-        reply = head + rest
-        if crc16(reply[:-2]) != reply[-2:] or reply[0] != device:
+        unit = self._exactly(1, end)
+        reply = self._pdu(end)
+        if crc16(unit + reply) != self._exactly(2, end) or unit[0] != device:
             raise WireError(f"{self.place}: a reply of another device or with a wrong CRC")
-        return _checked(reply[1:-2], pdu, f"{self.place}, device {device}")
+        return _checked(reply, pdu, f"{self.place}, device {device}")
+
+    def _pdu(self, end: float) -> bytes:
+        """Return the PDU that arrives, as long as its function code says."""
+        code = self._exactly(1, end)
+        if code[0] & 0x80:
+            return code + self._exactly(1, end)
+        if code[0] in _ECHOED:
+            return code + self._exactly(4, end)
+        count = self._exactly(1, end)
+        return code + count + self._exactly(count[0], end)
 
     def _fall_silent(self) -> None:
         """Discard what is left of an exchange that the engine began."""

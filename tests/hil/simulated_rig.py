@@ -216,6 +216,8 @@ class MemoryJournal:
         self._refuse()
         self.events.append((level, text))
 
+    behind_s = 0.0
+
     def check(self) -> None:
         self._refuse()
 

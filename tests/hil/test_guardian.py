@@ -1,0 +1,280 @@
+"""The guardian: a rig is made safe when the engine is killed, stopped, hung or asks for it, and not otherwise."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.rigfile import load_rig
+from hil.guardian import process
+from hil.guardian.client import Guardian
+from hil.guardian.plan import plan_of
+from tests.hil.guarded_device import HEATER, Device
+
+PROJECT = Path(__file__).resolve().parents[2]
+ENGINE = """
+import asyncio, sys, time
+from pathlib import Path
+from drivers.rig import RigConnection
+from drivers.rigfile import load_rig
+from hil.guardian.client import Guardian
+
+async def main(rig_path, log, how):
+    rig = load_rig(Path(rig_path))
+    connection = RigConnection(rig, time.monotonic)
+    await connection.connect()
+    guardian = Guardian(rig, Path(log))
+    await guardian.start()
+    alone = await guardian.probe()
+    while alone and not await tried(connection):
+        await asyncio.sleep(0.1)
+    guardian.watch()
+    await connection.write({"heater_set": 500.0})
+    print("alone" if alone else "shared", guardian.pid, flush=True)
+    if how == "hung":
+        time.sleep(30)
+    while guardian.failure() is None:
+        guardian.expect(1.0 if how == "stuck" else 30.0)
+        await asyncio.sleep(30.0 if how == "stuck" else 0.05)
+    print(guardian.failure(), guardian.may_heat(), flush=True)
+    await connection.write({"heater_set": 0.0})
+    await guardian.done(safe=True)
+    await connection.close()
+
+async def tried(connection):
+    snapshot = await connection.read()
+    return not snapshot.faults
+
+asyncio.run(main(*sys.argv[1:]))
+"""
+
+
+@contextlib.contextmanager
+def engine(tmp_path: Path, device: Device, how: str = "beats") -> Iterator[subprocess.Popen[str]]:
+    """A process that heats and beats."""
+    (tmp_path / "rig.toml").write_text(device.rig_text())
+    command = [sys.executable, "-c", ENGINE, str(tmp_path / "rig.toml"), str(tmp_path / "guardian.log"), how]
+    running = subprocess.Popen(command, cwd=PROJECT, stdout=subprocess.PIPE, text=True)
+    try:
+        yield running
+    finally:
+        running.kill()
+        running.wait()
+        assert running.stdout is not None
+        running.stdout.close()
+
+
+def started(running: subprocess.Popen[str]) -> tuple[str, int]:
+    """How the guardian found the device, and its process."""
+    assert running.stdout is not None
+    words = running.stdout.readline().split()
+    return words[0], int(words[1])
+
+
+def until(condition: Callable[[], bool], seconds: float) -> bool:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.01)
+    return condition()
+
+
+def gone(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+def log(tmp_path: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in (tmp_path / "guardian.log").read_text().splitlines()]
+
+
+@pytest.mark.parametrize("how", ["killed", "stopped", "hung", "stuck"])
+def test_a_rig_without_a_watchdog_is_safe_within_two_seconds_of_an_engine_that_is(how, tmp_path):
+    device = Device()
+    with engine(tmp_path, device, how) as running:
+        found, pid = started(running)
+        assert found == "shared"
+        assert device.registers[HEATER] == 500
+        event_s = time.monotonic()
+        if how in ("killed", "stopped"):
+            running.send_signal(signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+        assert until(lambda: device.off_s is not None, 4.0)
+        assert device.off_s is not None
+        # An engine whose tick hangs was expected for another second.
+        assert device.off_s - event_s < (3.0 if how == "stuck" else 2.0)
+        said = [entry["what"] for entry in log(tmp_path)]
+        assert "acting" in said
+        assert until(lambda: "safe" in [entry["what"] for entry in log(tmp_path)], 2.0)
+        if how == "killed":
+            assert until(lambda: gone(pid), 2.0)
+        else:
+            assert not gone(pid)  # an engine that may wake up again is watched on
+            device.registers[HEATER] = 300
+            assert until(lambda: device.registers[HEATER] == 0, 2.0)
+    device.close()
+
+
+def test_an_engine_that_wakes_up_learns_that_it_was_relieved_and_heats_no_more(tmp_path):
+    device = Device()
+    with engine(tmp_path, device) as running:
+        _, pid = started(running)
+        running.send_signal(signal.SIGSTOP)
+        assert until(lambda: device.off_s is not None, 4.0)
+        time.sleep(0.3)
+        running.send_signal(signal.SIGCONT)
+        assert running.stdout is not None
+        assert "the guardian has made the rig safe: no beat of the engine for 1 s False" in running.stdout.readline()
+        assert running.wait(10) == 0
+        assert device.registers[HEATER] == 0
+        assert until(lambda: gone(pid), 3.0)
+    device.close()
+
+
+def test_a_stop_of_half_a_second_and_a_whole_pause_are_no_silence(tmp_path):
+    device = Device()
+    with engine(tmp_path, device) as running:
+        _, pid = started(running)
+        running.send_signal(signal.SIGSTOP)
+        time.sleep(0.5)
+        running.send_signal(signal.SIGCONT)
+        time.sleep(0.3)
+        for one in (running.pid, pid):
+            os.kill(one, signal.SIGSTOP)
+        time.sleep(2.0)
+        for one in (running.pid, pid):
+            os.kill(one, signal.SIGCONT)
+        time.sleep(1.0)
+        assert device.registers[HEATER] == 500
+        assert running.poll() is None
+    assert until(lambda: device.off_s is not None, 3.0)
+    device.close()
+
+
+def test_a_device_that_admits_one_connection_is_taken_over_by_ending_the_engine_that_holds_it(tmp_path):
+    device = Device(single=True)
+    with engine(tmp_path, device) as running:
+        found, _ = started(running)
+        assert found == "alone"
+        running.send_signal(signal.SIGSTOP)
+        event_s = time.monotonic()
+        assert until(lambda: device.off_s is not None, 5.0)
+        assert device.off_s is not None
+        assert device.off_s - event_s < 2.0
+        assert running.wait(3) == -signal.SIGKILL
+    device.close()
+
+
+def test_a_serial_line_is_taken_over(tmp_path):
+    device = Device(serial=True)
+    with engine(tmp_path, device) as running:
+        started(running)
+        running.send_signal(signal.SIGKILL)
+        event_s = time.monotonic()
+        assert until(lambda: device.off_s is not None, 5.0)
+        assert device.off_s is not None
+        assert device.off_s - event_s < 2.0
+
+
+def test_the_engine_learns_that_its_guardian_was_killed(tmp_path):
+    device = Device()
+    with engine(tmp_path, device) as running:
+        _, pid = started(running)
+        os.kill(pid, signal.SIGKILL)
+        assert running.stdout is not None
+        assert "nobody would make the rig safe" in running.stdout.readline()
+        assert running.wait(10) == 0
+        assert device.registers[HEATER] == 0
+    device.close()
+
+
+def test_a_meter_that_stays_hot_is_no_safe_rig_whatever_is_read_back(tmp_path):
+    device = Device()
+    with engine(tmp_path, device) as running:
+        started(running)
+        running.send_signal(signal.SIGSTOP)
+        assert until(lambda: device.registers[HEATER] == 0, 4.0)
+        device.registers[4] = 480
+        assert until(lambda: log(tmp_path)[-1].get("problem") == "heater still reads 480.0 W", 3.0)
+    device.close()
+
+
+def test_the_guardian_is_small(tmp_path):
+    device = Device()
+    with engine(tmp_path, device) as running:
+        _, pid = started(running)
+        status = Path(f"/proc/{pid}/status").read_text()
+        kilobytes = int(status.partition("VmHWM:")[2].split()[0])
+        assert kilobytes < 40_000
+        assert os.getsid(pid) == pid
+        assert os.readlink(f"/proc/{pid}/fd/0") == os.devnull
+    device.close()
+
+
+async def test_a_run_that_ends_in_order_leaves_no_guardian_and_no_write(tmp_path):
+    device = Device()
+    (tmp_path / "rig.toml").write_text(device.rig_text())
+    guardian = Guardian(load_rig(tmp_path / "rig.toml"), tmp_path / "guardian.log")
+    await guardian.start()
+    assert await guardian.probe() == []
+    guardian.watch()
+    device.registers[HEATER] = 77
+    await asyncio.sleep(0.2)
+    pid = guardian.pid
+    await guardian.done(safe=True)
+    assert pid is not None
+    assert until(lambda: gone(pid), 2.0)
+    assert device.registers[HEATER] == 77
+    device.close()
+
+
+async def test_the_guardian_acts_when_the_engine_asks(tmp_path):
+    device = Device()
+    (tmp_path / "rig.toml").write_text(device.rig_text())
+    guardian = Guardian(load_rig(tmp_path / "rig.toml"), tmp_path / "guardian.log")
+    await guardian.start()
+    guardian.watch()
+    device.registers[HEATER] = 500
+    guardian.act()
+    for _ in range(200):
+        guardian.expect(5.0)
+        if guardian.failure() is not None and guardian.acted is not None and guardian.acted.safe:
+            break
+        await asyncio.sleep(0.01)
+    assert guardian.acted is not None
+    assert (guardian.acted.safe, guardian.acted.reason) == (True, "the engine asked for it")
+    assert device.registers[HEATER] == 0
+    assert not guardian.may_heat()
+    await guardian.done(safe=True)
+    device.close()
+
+
+def test_a_read_back_may_be_one_count_off_and_no_more():
+    step = {"type": "int16", "order": "ABCD", "scale": 0.1, "offset": 0.0, "words": 1, "bits": None}
+    assert process.number([0xFFFF], step) == -1.0
+    assert process.number([0x0000, 0x4248], step | {"type": "float32", "order": "CDAB", "words": 2}) == 50.0
+    assert process.number([0x4248, 0x0000], step | {"type": "float32", "words": 2}) == 50.0
+    assert process.number([0b1010], step | {"type": "uint16", "bits": [1, 3]}) == 0b101
+
+
+def test_the_shipped_rig_has_a_plan_that_turns_the_heater_off_first():
+    plan = plan_of(load_rig(PROJECT / "profiles" / "rigs" / "virtual.toml"))
+    assert plan is not None
+    (wire,) = plan["wires"]
+    assert [step["name"] for step in wire["writes"]] == [
+        "heater_power_set 0 W", "pump_speed_set 100 %", "fan_speed_set 100 %"
+    ]  # fmt: skip
+    assert wire["writes"][0]["pdu"] == "0600000000"
+    assert [meter["name"] for meter in wire["meters"]] == ["heater_power"]
