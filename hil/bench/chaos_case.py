@@ -137,6 +137,7 @@ async def _follow(case: ChaosCase, stage: ChaosStage, result: ChaosResult, strik
     if gone:
         result.ended = gravest(gone)
         await stage.until(lambda: stage.heater_W == 0.0, LIMIT_S + CUT_S)
+        stage.release_all()
     elif ending != "stops":
         await stage.until(lambda: _is_over(stage), stage.generator.uniform(*RIDE_S))
         is_ending = ending == "either" and stage.heater_W == 0.0  # and cannot say so, or still waits for the meters

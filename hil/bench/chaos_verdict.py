@@ -25,8 +25,9 @@ LIMIT_S = 2.0
 ROUGH_S = 2.0 * PERIOD_S
 """The rig looks at its watchdog once a period, and its last heartbeat may be younger than the event."""
 WITHHELD_AFTER_S = DEAD_TIME_S + 0.5
-"""A heartbeat that comes later than this after the event, while the heater has power, holds the watchdog off, s: the dead
-time that a run allows a meter, and half a second for ticks and the meter's noise."""
+"""A heartbeat that comes later than this after the event, while the heater has power, holds the watchdog off, s.
+
+A run allows the meter its dead time; half a second is for ticks and for the meter's noise."""
 ALARM_S = 5.0
 """From a set-point that another master has written to the alarm, at most, s."""
 TIME_TOLERANCE_S = 0.5
@@ -119,7 +120,7 @@ def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: lis
 
 
 def is_of_the_machine(result: ChaosResult) -> bool:
-    """Return whether a machine that stood still may be the cause of a failure; it writes no traceback, and no claims."""
+    """Return whether a machine that stood still may be the cause of a failure; of a traceback or a claim it is not."""
     return any(not failure.startswith(_NOT_OF_TIME) for failure in result.failures)
 
 
