@@ -9,6 +9,7 @@ from drivers.bus_sections import CanBus, ModbusBusSection, is_rtu
 from drivers.plan import BIT_TABLES, Block, plan_reads
 from drivers.rig_model import Point, Rig
 from drivers.serial_line import BITS_PER_BYTE, silence_s
+from drivers.wires import wires
 
 MBAP_BYTES = 7
 """Header of a Modbus/TCP frame (Modbus messaging on TCP/IP implementation guide V1.0b, 3.1.3)."""
@@ -46,11 +47,12 @@ def polling(name: str, bus: ModbusBusSection, points: Sequence[Point]) -> Pollin
 def overloads(rig: Rig, polled: Sequence[Polling]) -> list[tuple[tuple[str, ...], str]]:
     """Buses on which a tick's polling does not fit into the period, with their place in the rig file."""
     found: list[tuple[tuple[str, ...], str]] = []
+    wire = wires(rig)
     for one in polled:
         bus = rig.bus[one.bus]
         if one.line_s is None or isinstance(bus, CanBus):
             continue
-        sharing = [other for other in polled if getattr(rig.bus[other.bus], "wire", None) == bus.wire]
+        sharing = [other for other in polled if wire.get(other.bus) == wire[one.bus]]
         line_s = sum(other.line_s or 0.0 for other in sharing)
         if line_s > rig.period_s:
             others = ", ".join(other.bus for other in sharing if other is not one)
@@ -69,7 +71,10 @@ def unsaid(rig: Rig) -> list[str]:
     """What the rig file leaves open and would be missed when something breaks: a sentence each."""
     measured = [p for p in rig.point if p.is_polled and p.kind == "measured" and p.labels is None and p.type != "bool"]
     groups = (
-        ("no plausible range, so that any number is believed", [p.name for p in measured if p.plausible is None]),
+        (
+            "no plausible range but that of the unit",
+            [p.name for p in measured if p.plausible is None],
+        ),
         ("no max_rate, so that a profile may jump", [p.name for p in rig.setpoints if p.max_rate is None]),
         ("no readback, so that nobody sees whether it obeys", [p.name for p in rig.setpoints if p.readback is None]),
     )

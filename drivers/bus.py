@@ -9,6 +9,7 @@ from typing import Protocol
 
 from drivers.points import Quality
 from drivers.rig_model import Point
+from drivers.units import plausible_range
 
 Clock = Callable[[], float]
 _GOOD, _OUT_OF_RANGE, _SENSOR_FAULT = int(Quality.GOOD), int(Quality.OUT_OF_RANGE), int(Quality.SENSOR_FAULT)
@@ -55,12 +56,13 @@ Judge = Callable[[float], tuple[float, int]]
 def judge_of(point: Point) -> Judge:
     """What turns a raw number of `point` into its engineering value and quality; made once, since it is asked often.
 
-    Quality is SENSOR_FAULT (not finite, or one of the point's `invalid`, raw or scaled), OUT_OF_RANGE (no label, or not
-    plausible) or GOOD. What the device gives instead of a value is none: of a SENSOR_FAULT the value is NaN.
+    Quality is SENSOR_FAULT (not finite, or one of the point's `invalid`, raw or scaled), OUT_OF_RANGE (no label, or
+    outside the plausible range of the point, else of its unit) or GOOD. What the device gives instead of a value is
+    none: of a SENSOR_FAULT the value is NaN.
     """
     scale, offset, sentinels, labels = point.scale, point.offset, point.sentinels, point.label_of
     scaled = tuple((sentinel, 1e-9 * max(1.0, abs(sentinel))) for sentinel in point.invalid)
-    low, high = (-math.inf, math.inf) if point.plausible is None else point.plausible
+    low, high = plausible_range(point.unit) if point.plausible is None else point.plausible
 
     def judged(raw: float) -> tuple[float, int]:
         value = raw * scale + offset

@@ -65,11 +65,6 @@ class ModbusBusSection(Section, ABC):
         """Protocol and address, as a person reads them."""
 
     @property
-    @abstractmethod
-    def wire(self) -> tuple[object, ...]:
-        """What tells this wire from another: sections in which it is the same share one."""
-
-    @property
     def where(self) -> str:
         """Protocol, address and device."""
         return f"{self.place}, device {self.device_id}"
@@ -93,11 +88,6 @@ class ModbusTcpBus(ModbusBusSection):
     def place(self) -> str:
         """Protocol, host and port."""
         return f"Modbus/TCP {self.host}:{self.port}"
-
-    @property
-    def wire(self) -> tuple[object, ...]:
-        """Host and port."""
-        return (self.host, self.port)
 
 
 class ModbusTlsBus(ModbusTcpBus):
@@ -153,11 +143,6 @@ class ModbusRtuBus(ModbusBusSection):
         """Protocol, line, speed and character."""
         character = f"8{self.parity[0].upper()}{self.stop_bits}"
         return f"Modbus RTU {self.serial_port}, {self.serial_baud} bit/s {character}"
-
-    @property
-    def wire(self) -> tuple[object, ...]:
-        """The serial port."""
-        return (self.serial_port,)
 
 
 class CanMessage(Section):

@@ -1,10 +1,11 @@
-"""DBC files through cantools: the one module that imports it. What a file describes, and what points want of it."""
+"""DBC files through cantools: the signals that a file describes, and the messages that points want of it."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +13,24 @@ import cantools.database
 
 from drivers.bus_sections import CanBus
 from drivers.can_ids import IdMatch, by_id, by_j1939, pgn_of
+from drivers.dbc_layout import is_whole, layout_faults, part_of, shared_bits
+from drivers.dbc_text import DbcText, usable
+from drivers.encodings import decoded
 from drivers.points import ConfigurationError
 from drivers.rig_model import Point
 from drivers.units import canonical_unit
 
 _LONGEST = 8
 """Bytes of a frame of classical CAN."""
+_LONGEST_CYCLE_MS = 1e9
+"""A message that comes once in eleven days is no cyclic one."""
 
 
 @dataclass(frozen=True, slots=True)
 class DbcSignal:
     """One signal as a DBC file describes it; `minimum` and `maximum` in `unit`, `cycle_s` in s.
 
-    `match` are the frames of its message.
+    `match` are the frames of its message, `line` is its line in the file.
     """
 
     message: str
@@ -38,6 +44,7 @@ class DbcSignal:
     cycle_s: float | None
     multiplexed: bool
     comment: str
+    line: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,51 +82,175 @@ class Bound:
     cycle_s: float | None
     message: Any
     wanted: list[tuple[int, Wanted]]
+    parts: list[Any] = field(default_factory=list)
+    """The message once more for every set of signals that share no bit, where some of its signals do."""
 
     def decode(self, data: bytes) -> dict[str, float] | None:
         """Values by signal, of those that are in this frame; None where it cannot be decoded."""
         try:
-            found = self.message.decode(data, decode_choices=False, scaling=True)
+            found: dict[str, Any] = {}
+            for part in self.parts or (self.message,):
+                found |= part.decode(data, decode_choices=False, scaling=True)
             return {name: float(value) for name, value in found.items()}
         except Exception:  # cantools raises DecodeError, but bad DBCs leak others; a frame is then not used
             return None
 
 
-def _load_dbc(path: Path, encoding: str) -> Any:
+@dataclass(frozen=True, slots=True)
+class DbcContents:
+    """Signals of a DBC file and the encoding that it was read in.
+
+    `left_out` has the line of each item that cannot be used and why, `notes` what a user should know of the others.
+    """
+
+    signals: list[DbcSignal]
+    encoding: str
+    left_out: list[tuple[int, str]]
+    notes: list[tuple[int, str]]
+
+
+def _load_dbc(path: Path, encoding: str | None) -> tuple[Any, DbcText, str]:
+    """Return cantools' database of the lines that can be used; raise ConfigurationError."""
     try:
-        return cantools.database.load_file(path, encoding=encoding)
+        text, found = decoded(path.read_bytes(), encoding)
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: there is no such DBC file; correct the path") from None
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(
-            f"{path}: is not {encoding} text ({error.reason}); give its encoding, cp1252 for most older files"
-        ) from None
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read ({error.strerror or error}); correct the path") from None
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
+    if path.suffix.lower() != ".dbc":  # cantools reads other formats, too, of which no line is known here
+        usable_text, kind = DbcText(text), None
+    else:
+        usable_text, kind = usable(text), "dbc"
+    try:
+        return cantools.database.load_string(usable_text.text, kind, strict=False), usable_text, found
+    except RecursionError:
+        raise ConfigurationError(f"{path}: is not a DBC file that can be used (it is nested too deeply)") from None
     except Exception as error:  # cantools raises parse errors of several unrelated types
-        raise ConfigurationError(f"{path}: is not a DBC file that can be used ({error})") from error
+        if usable_text.left_out and not usable_text.messages:
+            line, why = usable_text.left_out[0]
+            raise ConfigurationError(f"{path}, line {line}: is not a DBC file that can be used ({why})") from None
+        raise ConfigurationError(f"{path}{_where(error)}") from error
 
 
-def describe_dbc(path: Path, encoding: str = "utf-8") -> list[DbcSignal]:
-    """Every signal of a DBC file, in the order of the file; raises ConfigurationError."""
-    found: list[DbcSignal] = []
-    for message in _load_dbc(path, encoding).messages:
+def _where(error: Exception) -> str:
+    """Return the line of a mistake that cantools found, and a sentence."""
+    said = " ".join(str(error).split())
+    found = re.search(r"line (\d+), column (\d+)", said)
+    if found is not None:
+        return f", line {found[1]}: is not a DBC file that can be used, from column {found[2]} on; correct the line"
+    return f": is not a DBC file that can be used ({said[:120]}); correct it"
+
+
+def describe_dbc(path: Path, encoding: str | None = None) -> list[DbcSignal]:
+    """Return every signal of a DBC file that can be read, in the order of the file; raise ConfigurationError."""
+    return read_dbc(path, encoding).signals
+
+
+def read_dbc(path: Path, encoding: str | None = None) -> DbcContents:
+    """Return what a DBC file describes, and what of it cannot be read; raise ConfigurationError.
+
+    Without `encoding` UTF-8 and cp1252 are tried.
+    """
+    database, text, named = _load_dbc(path, encoding)
+    contents = DbcContents([], named, list(text.left_out), [])
+    twice = _of_one_frame(database)
+    for message in database.messages:
+        line = text.messages.get(message.name, 1)
+        why = _unreadable(message) or twice.get(message.name)
+        if why is not None:
+            contents.left_out.append((line, f"message {message.name}: {why}"))
+            continue
+        faults = layout_faults(message)
+        shared = shared_bits(message, faults)
         for signal in message.signals:
-            choices = {int(key): str(text) for key, text in (signal.choices or {}).items()}
-            found.append(
-                DbcSignal(
-                    message.name,
-                    message.frame_id,
-                    _match_of(message),
-                    signal.name,
-                    signal.unit or "",
-                    signal.minimum,
-                    signal.maximum,
-                    choices or None,
-                    message.cycle_time / 1000.0 if message.cycle_time else None,
-                    bool(signal.multiplexer_ids),
-                    signal.comment or "",
+            at = text.signals.get((message.name, signal.name), line)
+            fault = faults.get(signal.name)
+            if fault is None and (faults or shared) and (signal.is_multiplexer or signal.multiplexer_ids):
+                fault = "is multiplexed, and other signals of its message share bits or do not fit; correct those"
+            if fault is not None:
+                contents.left_out.append((at, f"{signal.name}: {fault}"))
+                continue
+            if signal.name in shared:
+                contents.notes.append(
+                    (at, f"{signal.name} shares bits with {', '.join(shared[signal.name])}; each is read by itself")
                 )
-            )
+            contents.signals.append(_described(message, signal, at))
+    contents.left_out.sort()
+    return contents
+
+
+def _described(message: Any, signal: Any, line: int) -> DbcSignal:
+    choices = {int(key): str(text) for key, text in (signal.choices or {}).items()}
+    return DbcSignal(
+        message.name,
+        message.frame_id,
+        _match_of(message),
+        signal.name,
+        signal.unit or "",
+        signal.minimum,
+        signal.maximum,
+        choices or None,
+        _cycle_s(message),
+        bool(signal.multiplexer_ids),
+        signal.comment or "",
+        line,
+    )
+
+
+def _cycle_s(message: Any) -> float | None:
+    """Return the period of a message in s; None where the DBC gives none, or no number of ms."""
+    given = message.cycle_time  # whatever the attribute GenMsgCycleTime holds
+    if isinstance(given, bool) or not isinstance(given, int | float) or not 0 < given < _LONGEST_CYCLE_MS:
+        return None
+    return given / 1000.0
+
+
+def _unreadable(message: Any) -> str | None:
+    """Return why no signal of a message can be read, or None."""
+    if message.length > _LONGEST:
+        return (
+            f"has {message.length} bytes and a frame carries {_LONGEST}: CAN FD and the several packets of J1939's "
+            "transport protocol are not read here; leave the point out"
+        )
+    return None
+
+
+def _of_one_frame(database: Any) -> dict[str, str]:
+    """Return the messages that one frame could be, and why none of them can be told from the others."""
+    found: dict[str, str] = {}
+    messages = [(message, _match_of(message)) for message in database.messages]
+    for number, (one, match) in enumerate(messages):
+        for other, theirs in messages[number + 1 :]:
+            if match.overlaps(theirs):
+                for name, second in ((one.name, other.name), (other.name, one.name)):
+                    found[name] = (
+                        f"a frame could be it and {second}; say which frames are which in a [[bus.NAME.message]], and "
+                        "add its points"
+                    )
     return found
+
+
+def _parts(path: Path, bound: Bound) -> list[Any]:
+    """Return messages that hold the wanted signals and share no bit each; none where one message does."""
+    message = bound.message
+    if is_whole(message.signals, message):
+        return []
+    groups: list[list[Any]] = []
+    for name in dict.fromkeys(wanted.name for _, wanted in bound.wanted):
+        signal = next(s for s in message.signals if s.name == name)
+        if signal.multiplexer_ids or signal.is_multiplexer or not is_whole([signal], message):
+            raise ConfigurationError(
+                f"{path}: signal {name} of {message.name} shares bits with another or does not fit in "
+                f"{message.length} bytes; correct the DBC, or leave the point out"
+            )
+        home = next((group for group in groups if is_whole([*group, signal], message)), None)
+        if home is None:
+            groups.append([signal])
+        else:
+            home.append(signal)
+    return [part_of(group, message) for group in groups]
 
 
 def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
@@ -128,7 +259,7 @@ def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
     A point without its message or signal in the DBC is a mistake, and so are two messages that a frame could both be.
     """
     path = bus.dbc
-    database = _load_dbc(path, bus.dbc_encoding)
+    database, text, _ = _load_dbc(path, bus.dbc_encoding)
     entries = {entry.name: entry for entry in bus.message}
     bound: dict[str, Bound] = {}
     for index, point in enumerate(points):
@@ -137,10 +268,16 @@ def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
         message = _message(path, database, called if entry is None else entry.dbc_message or called, point.name)
         signal = next((s for s in message.signals if s.name == point.signal), None)
         if signal is None:
+            bad = next(((line, why) for line, why in text.left_out if why.startswith(f"{point.signal}: ")), None)
+            if bad is not None:
+                raise ConfigurationError(f"{path}, line {bad[0]}: {bad[1]}; point {point.name} is read from it")
             names = ", ".join(s.name for s in message.signals)
             raise ConfigurationError(
                 f"{path}: message {message.name} has no signal {point.signal!r} for {point.name}; it has {names}"
             )
+        fault = layout_faults(message).get(signal.name)
+        if fault is not None:
+            raise ConfigurationError(f"{path}: signal {signal.name} of point {point.name} {fault}")
         if signal.unit and canonical_unit(signal.unit) != point.unit:
             raise ConfigurationError(
                 f"{path}: signal {signal.name} is in {signal.unit}, point {point.name} in {point.unit}; correct one"
@@ -152,9 +289,11 @@ def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
                     f"{path}: message {message.name} has PGN 0x{pgn_of(message.frame_id):04X} and the rig file gives "
                     f"{called} 0x{match.pgn:04X}; correct one"
                 )
-            cycle_s = message.cycle_time / 1000.0 if message.cycle_time else None
+            cycle_s = _cycle_s(message)
             bound[called] = Bound(called, match, message.length, cycle_s, message, [])
         bound[called].wanted.append((index, _wanted(signal, bound[called].match.pgn is not None)))
+    for one in bound.values():
+        one.parts.extend(_parts(path, one))
     _refuse_overlaps(name, bus.dbc, database, list(bound.values()))
     return list(bound.values())
 
@@ -165,11 +304,9 @@ def _message(path: Path, database: Any, name: str, point: str) -> Any:
     except KeyError:
         names = ", ".join(m.name for m in database.messages)
         raise ConfigurationError(f"{path}: no message {name!r} for point {point}; there is {names}") from None
-    if message.length > _LONGEST:
-        raise ConfigurationError(
-            f"{path}: message {name} of point {point} has {message.length} bytes and a frame carries {_LONGEST}: "
-            "CAN FD and the several packets of J1939's transport protocol are not read here; leave the point out"
-        )
+    why = _unreadable(message)
+    if why is not None:
+        raise ConfigurationError(f"{path}: message {name} of point {point} {why}")
     return message
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import ssl
 from collections.abc import Awaitable, Callable
 
@@ -24,6 +25,7 @@ from drivers.steady_time import steady_s
 from drivers.tls import client_context, why_refused
 
 RECONNECT_EVERY_S = 1.0
+EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
 AT_ONCE_S = 1e-3
 """A reply within this time comes at once: the next is waited for without the event loop, which costs more than that."""
 _PATIENCE_S = 10e-3
@@ -59,6 +61,8 @@ class ModbusLink:
         self.deaf_s = 0.0
         """How long this connection was silent before its first answer, where requests were lost meanwhile."""
         self.on_reopened: list[Callable[[], None]] = []
+        self.exhausted: str | None = None
+        """Why this machine, and not the device, keeps the wire from being opened: no descriptor or memory is left."""
         self.is_rtu = is_rtu(config)
         self.is_numbered = is_numbered(config)
         self._opener = opener
@@ -103,6 +107,9 @@ class ModbusLink:
             async with asyncio.timeout(timeout_s):
                 wire = await self._opener(self.config, self._tls, self._received, self._lost)
         except (OSError, ValueError) as error:  # pyserial gives ValueError for a speed that a port has not
+            if isinstance(error, OSError) and error.errno in EXHAUSTED:
+                self.exhausted = f"{where} cannot be reached from here: {error.strerror}"
+                raise LinkError(self.exhausted) from error
             await self.explain(where)
             why = f"no answer within {timeout_s:g} s" if isinstance(error, TimeoutError) else str(error)
             what = "serial_port" if isinstance(self.config, ModbusRtuBus) else "host and port"
@@ -111,6 +118,7 @@ class ModbusLink:
         if self.config.connect_delay_s > 0.0:
             await asyncio.sleep(self.config.connect_delay_s)
         self._wire = wire
+        self.exhausted = None
         self._opened_s = self._quiet_since = steady_s()
         self._unquiet = (
             not self.is_numbered

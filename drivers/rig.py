@@ -13,6 +13,7 @@ from drivers.modbus import ModbusBus
 from drivers.modbus_link import ModbusLink
 from drivers.points import DriverError, LinkError, Signal, Snapshot
 from drivers.rig_model import Point, Rig
+from drivers.wires import wires
 
 
 async def _read_in_turn(sharing: list[ModbusBus]) -> dict[str, Readings]:
@@ -29,7 +30,8 @@ class RigConnection:
         self.rig = rig
         self._buses: dict[str, Bus] = {}
         self._receivers: list[CanReceiver] = []
-        self._wires: dict[tuple[object, ...], list[ModbusBus]] = {}
+        self._wires: dict[str, list[ModbusBus]] = {}
+        wire = wires(rig)
         for name, config in rig.bus.items():
             points = tuple(point for point in rig.point if point.bus == name)
             if isinstance(config, CanBus):
@@ -37,7 +39,7 @@ class RigConnection:
                 self._receivers.append(receiver)
                 self._buses[name] = receiver
             else:
-                sharing = self._wires.setdefault(config.wire, [])
+                sharing = self._wires.setdefault(wire[name], [])
                 link = sharing[0].link if sharing else ModbusLink(config)
                 device = ModbusBus(name, config, points, clock, link)
                 sharing.append(device)
@@ -79,6 +81,12 @@ class RigConnection:
             if readings.fault is not None:
                 snapshot.faults.append(readings.fault)
         return snapshot
+
+    @property
+    def exhausted(self) -> str | None:
+        """Why this machine has no descriptor or memory left to reach a device, as a sentence; None while it has."""
+        links = {id(bus.link): bus.link for sharing in self._wires.values() for bus in sharing}
+        return next((link.exhausted for link in links.values() if link.exhausted is not None), None)
 
     async def write(self, values: Mapping[str, float]) -> None:
         """Write engineering values by point name, one request where registers touch; raises a DriverError."""

@@ -8,6 +8,7 @@ from drivers.bus_sections import CanBus, ModbusBusSection
 from drivers.codec import CodecError, encode
 from drivers.interlock_specs import HeaterPowerSpec
 from drivers.rig_model import Point, Rig
+from drivers.wires import devices, wires
 
 
 def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
@@ -103,14 +104,10 @@ def _watchdog_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
 
 
 def _wire_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
-    """Sections that share a wire and do not agree on it."""
+    """Return mistakes of sections that share a wire and disagree on it, or that are the same device."""
     found: list[tuple[tuple[Any, ...], str]] = []
-    first: dict[tuple[object, ...], tuple[str, ModbusBusSection]] = {}
-    devices: dict[tuple[object, ...], str] = {}
-    for name, bus in rig.bus.items():
-        if isinstance(bus, CanBus):
-            continue
-        other, shared = first.setdefault(bus.wire, (name, bus))
+    wire, device = wires(rig), devices(rig)
+    for name, other in wire.items():
         for key in (
             "transport",
             "transaction",
@@ -120,15 +117,26 @@ def _wire_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
             "parity",
             "stop_bits",
         ):
-            ours, theirs = getattr(bus, key, None), getattr(shared, key, None)
+            ours, theirs = getattr(rig.bus[name], key, None), getattr(rig.bus[other], key, None)
             if ours != theirs:
                 what = f"bus {name} has {key} {ours!r} and bus {other}, on the same wire, {theirs!r}; correct one"
                 found.append((("bus", name, key), what))
-        twin = devices.setdefault((*bus.wire, bus.device_id), name)
-        if twin != name:
-            what = f"bus {name} and bus {twin} are the same device on the same wire; make one section of both"
-            found.append((("bus", name, "device_id"), what))
+    for name, twin in device.items():
+        if twin == name:
+            continue
+        where = "on the same wire" if wire[name] == wire[twin] else "on one port of this machine"
+        what = f"bus {name} and bus {twin} are the same device {where}{_spelled(rig, name, twin)}"
+        found.append((("bus", name, "device_id"), f"{what}; make one section of both"))
     return found
+
+
+def _spelled(rig: Rig, one: str, other: str) -> str:
+    """Return both spellings of a wire that two sections write differently, in brackets."""
+    for key in ("host", "serial_port"):
+        ours, theirs = getattr(rig.bus[one], key, None), getattr(rig.bus[other], key, None)
+        if ours != theirs:
+            return f" ({key} {ours!r} and {theirs!r})"
+    return ""
 
 
 def _message_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
@@ -176,16 +184,21 @@ class Layout:
     def __init__(self) -> None:
         self._taken: dict[tuple[str, str, int], list[Point]] = {}
 
+    def clash(self, point: Point) -> tuple[str, int] | None:
+        """Return name and address of a point that has an address of this Modbus point already, or None."""
+        first = point.address or 0
+        for address in range(first, first + point.width):
+            for other in self._taken.get((point.bus, str(point.table), address), ()):
+                if other is not point and not _share(point, other):
+                    return other.name, address
+        return None
+
     def taken_by(self, point: Point) -> tuple[str, int] | None:
         """Take the addresses of a Modbus point; name and address of another point that has one of them already."""
+        clash = self.clash(point)
         first = point.address or 0
-        clash: tuple[str, int] | None = None
         for address in range(first, first + point.width):
-            others = self._taken.setdefault((point.bus, str(point.table), address), [])
-            for other in others:
-                if clash is None and other is not point and not _share(point, other):
-                    clash = other.name, address
-            others.append(point)
+            self._taken.setdefault((point.bus, str(point.table), address), []).append(point)
         return clash
 
 

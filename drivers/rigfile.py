@@ -38,9 +38,12 @@ def load_rig(path: Path) -> Rig:
         raise RigFileError(f"{path}: cannot be read ({error.strerror or error}); give the path of a rig file") from None
     except ValueError as error:
         raise RigFileError(f"{path}: {error}") from None
+    mistakes = [f"{path}, line {line_of(text, place)}: {what}" for place, what in _misshapen(document)]
+    if mistakes:
+        raise RigFileError("\n".join(mistakes))
     for section in document.get("bus", {}).values():
         for key in _FILES:
-            if isinstance(section, dict) and isinstance(section.get(key), str):
+            if isinstance(section.get(key), str):
                 section[key] = os.path.normpath(path.parent / section[key])
     document = {**document.pop("rig", {}), **document}
     if isinstance(document.get("twin"), str):
@@ -54,6 +57,29 @@ def load_rig(path: Path) -> Rig:
     if mistakes:
         raise RigFileError("\n".join(mistakes))
     return rig
+
+
+def _misshapen(document: dict[str, Any]) -> list[tuple[tuple[Any, ...], str]]:
+    """Return the sections of a document that are no table or list of tables, each with its place and the remedy."""
+    found: list[tuple[tuple[Any, ...], str]] = []
+    for key in ("rig", "bus", "heartbeat"):
+        if not isinstance(document.get(key, {}), dict):
+            heading = "[bus.NAME]" if key == "bus" else f"[{key}]"
+            where = f"; a key {key!r} of a point stands below its [[point]]" if key == "bus" else ""
+            found.append(((key,), f"{key} must be a section, {heading}{where}"))
+    for key in ("point", "interlock"):
+        items = document.get(key, [])
+        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
+            found.append(((key,), f"{key} must be sections with two brackets, [[{key}]]"))
+    if found:
+        return found
+    for name, section in document.get("bus", {}).items():
+        if not isinstance(section, dict):
+            found.append((("bus", name), f"bus.{name} must be a section, [bus.{name}], with transport and its keys"))
+    for key in document.get("rig", {}):
+        if key in document:
+            found.append(((key,), f"{key} is there twice, above [rig] and in it; take one out"))
+    return found
 
 
 def located(path: Path, mistakes: Sequence[tuple[Sequence[Any], str]]) -> RigFileError:

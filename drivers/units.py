@@ -42,6 +42,54 @@ SUFFIX_OF_UNIT: dict[str, str] = {
     "ms": "ms",
     "1": "",
 }
+PLAUSIBLE: dict[str, tuple[float, float]] = {
+    "W": (-1e7, 1e7),
+    "kW": (-1e4, 1e4),
+    "%": (-500.0, 500.0),
+    "degC": (-273.15, 2315.0),
+    "K": (-2588.15, 2588.15),
+    "L/min": (-1e6, 1e6),
+    "m3/h": (-6e4, 6e4),
+    "kg/s": (-2e4, 2e4),
+    "rpm": (-1e6, 1e6),
+    "V": (-1.2e6, 1.2e6),
+    "A": (-1e6, 1e6),
+    "Hz": (-1e7, 1e7),
+    "Pa": (-1e9, 1e9),
+    "kPa": (-1e6, 1e6),
+    "bar": (-1e4, 1e4),
+    "mbar": (-1e7, 1e7),
+    "MPa": (-1e3, 1e3),
+    "L/s": (-2e4, 2e4),
+    "L/h": (-6e7, 6e7),
+    "m/s": (-1500.0, 1500.0),
+    "mV": (-1.2e9, 1.2e9),
+    "kV": (-1.2e3, 1.2e3),
+    "mA": (-1e9, 1e9),
+    "VA": (-1e7, 1e7),
+    "var": (-1e7, 1e7),
+    "kJ": (-3.2e12, 3.2e12),
+    "Wh": (-8.8e11, 8.8e11),
+    "kWh": (-8.8e8, 8.8e8),
+    "ohm": (-1e13, 1e13),
+    "s": (-1e11, 1e11),
+    "ms": (-1e14, 1e14),
+    "1": (-(2.0**64), 2.0**64),
+}
+"""Range of each unit, in that unit, outside which no instrument of a laboratory or plant reads: such a number is an
+overload mark, an error code or a decoding mistake, and no reading. The ranges are wide on purpose, since a point may
+declare its own.
+
+- degC: absolute zero, and 2315 degC, the end of thermocouple type C, the highest of IEC 60584-1. K: differences.
+- W, VA, var and their multiples: 10 MW, both signs (cooling, generation). Energies: 10 MW for ten years.
+- %: five times full scale; IEC 60034-1 and servo drives stay below four times rated, heat pumps below 500 %.
+- V: 1.2 MV, the highest voltage of equipment in IEC 60038. A: 1 MA, above any furnace or electrolysis line.
+- Pressures: 1 GPa, ten times the strongest water-jet pumps. ohm: 10 Tohm, the end of common insulation testers.
+- Flows: 1000 m3/min, about 17 m3/s, a large pumping station. m/s: the speed of sound in water. rpm: 1e6, above the
+  fastest turbines. Hz: 10 MHz, above any pulse output.
+- s, ms: some 3000 years, so that stamps since 1970 pass. 1 (counters, codes, columns without a unit): 64 bits.
+"""
+
 _ALIASES = {
     "°C": "degC",
     "C": "degC",
@@ -76,6 +124,11 @@ def canonical_unit(unit: str) -> str:
     near = [_SPELT_OUT[longhand]] if longhand in _SPELT_OUT else difflib.get_close_matches(unit, SUFFIX_OF_UNIT, n=1)
     hint = f"did you mean {near[0]}?" if near else f"the known ones are {', '.join(SUFFIX_OF_UNIT)}"
     raise ValueError(f"unit {unit!r} is not known; {hint}")
+
+
+def plausible_range(unit: str) -> tuple[float, float]:
+    """Return the range in which a reading in `unit` is believed unless its point declares another, in that unit."""
+    return PLAUSIBLE.get(unit, PLAUSIBLE["1"])
 
 
 def column_name(name: str, unit: str) -> str:

@@ -7,11 +7,16 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from hil.file_names import LONGEST_NAME
+
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A path to write to instead of `path`, moved over it when the block ends well and removed when it does not."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    ending = f".{os.getpid()}.part"
+    # A name as long as the file system allows has no room for the ending.
+    kept = os.fsencode(path.name)[: LONGEST_NAME - len(ending) - 1]
+    unfinished = path.with_name(f".{os.fsdecode(kept)}{ending}")
     try:
         yield unfinished
         with unfinished.open("rb") as handle:

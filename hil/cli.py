@@ -23,6 +23,7 @@ VERBS = {
     "diagnose": "Trace what a twin gets wrong to the effect that it lacks",
     "init": "Write a rig file: of what is on the rig, a register table, Telegraf, DBC ...",
     "profile": "Build and picture load profiles",
+    "report": "Make what is missing of a run's record, review and report",
     "resume": "Go on with a run that a crash or a fault cut",
     "review": "Look at a run in Rerun: measured against twin",
     "rig": "Serve the virtual rig over Modbus and CAN",
@@ -72,6 +73,8 @@ def group() -> None:
 def main() -> None:
     """Entry point: errors that a user can mend become one sentence and exit code 2, faults that were found 1."""
     from hil.errors import explained
+    from hil.file_names import accept_any_name
 
+    accept_any_name()
     with explained():
         sys.exit(group.main(standalone_mode=True))

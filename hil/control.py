@@ -130,8 +130,9 @@ def ask(path: Path, verb: str, reason: str = "") -> dict[str, Any]:
                 line = lines.readline()
         except TimeoutError:
             raise ControlError(
-                f"{path.parent}: the run does not answer within {ANSWER_WITHIN_S:g} s; if its process hangs, its guardian "
-                f"has made the rig safe (guardian.log): `kill -9 {_listener(client)}`, then `hil resume` goes on with it"
+                f"{path.parent}: the run does not answer within {ANSWER_WITHIN_S:g} s; if its process hangs, its "
+                f"guardian has made the rig safe (see guardian.log): `kill -9 {_listener(client)}`, then `hil resume` "
+                "goes on with it"
             ) from None
         except OSError as error:
             raise ControlError(

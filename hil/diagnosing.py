@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from drivers.rigfile import file_sha256
 from hil import __version__
 from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
-from hil.record import Record, read_record
+from hil.file_names import printable
+from hil.record import Reading, Record, read_record
 from hil.record_time import span
 from hil.record_units import beyond_declared
 from hil.segments import Parts
@@ -116,14 +117,14 @@ def in_parts(record: Record) -> Record:
 
 
 def read_columns(
-    network: Network, path: Path, hour_at_0: float | None, *, at_rest: bool = False
+    network: Network, path: Path, hour_at_0: float | None, *, at_rest: bool = False, choice: Reading | None = None
 ) -> tuple[Columns, tuple[str, ...]]:
     """Columns of a record file, or of steady states, and what reading it met.
 
     Raises:
         RecordError, TwinFileError: it cannot be read, lacks a column or is too short; the message names the file.
     """
-    record = read_record(path, at_rest=at_rest)
+    record = read_record(path, at_rest=at_rest, choice=choice)
     if not at_rest:
         record = in_parts(record)
     hour = hour_at_0 if hour_at_0 is not None else start_hour(record)
@@ -137,9 +138,11 @@ def read_columns(
     return columns, (*record.messages, *beyond_declared(network, record.columns))
 
 
-def read_healthy(network: Network, twin: Path, path: Path, hour_at_0: float | None) -> Commissioned:
+def read_healthy(
+    network: Network, twin: Path, path: Path, hour_at_0: float | None, choice: Reading | None = None
+) -> Commissioned:
     """The healthy record of a twin, which may have taken up effects since it was made; see `read_columns`."""
-    columns, _ = read_columns(network, path, hour_at_0)
+    columns, _ = read_columns(network, path, hour_at_0, choice=choice)
     told = [with_clock(entry.network) if CLOCK in network.inputs else entry.network for entry in chain(twin)[1:]]
     alike = tuple(
         n for n in told if n.input_columns == network.input_columns and n.sensor_names == network.sensor_names
@@ -175,12 +178,14 @@ def answer(
     return dataclasses.replace(found, elsewhere=further, notes=(*found.notes, *said))
 
 
-def further_columns(network: Network, paths: Sequence[Path], hour_at_0: float | None) -> dict[str, Columns]:
+def further_columns(
+    network: Network, paths: Sequence[Path], hour_at_0: float | None, choice: Reading | None = None
+) -> dict[str, Columns]:
     """Further records by what tells them apart: name of the file, or as much of its path as it takes."""
     alike = Counter(path.name for path in paths)
     return {
         path.name if alike[path.name] == 1 and path.name != "record.parquet" else str(path): read_columns(
-            network, path, hour_at_0
+            network, path, hour_at_0, choice=choice
         )[0]
         for path in paths
     }
@@ -241,7 +246,7 @@ def _stamped(
     inputs = {c: s for c, s in bigger.inputs.items() if c in used or (c in network.inputs and c != CLOCK)}
     revision = Revision(
         number=network.revision.number + 1,
-        made_by=f"hil diagnose {record.name}",
+        made_by=f"hil diagnose {printable(record.name)}",
         window_s=(0.0, diagnosis.held_out_s[0]),
         error_before_K=before,
         error_after_K=after,

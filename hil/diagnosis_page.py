@@ -11,6 +11,7 @@ from hil.atomic import replacing
 from hil.diagnosis_pictures import pictures
 from hil.diagnosis_store import PAGE, Findings, read_findings
 from hil.diagnosis_words import after_label, at_rest, beside_answer, grown, plain, reasons
+from hil.file_names import printable
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
@@ -41,7 +42,7 @@ def write_page(folder: Path) -> Path:
     path = folder / PAGE
     text = page(read_findings(folder))
     with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(printable(text), encoding="utf-8")
     return path
 
 

@@ -86,17 +86,24 @@ def write_curves(curves: Curves, path: Path) -> None:
         "unknowns": [{"site": u.site, "unit": u.unit, "log_evidence": u.log_evidence} for u in curves.unknowns],
     }
     table = pa.table({name: pa.array(np.ascontiguousarray(values)) for name, values in columns.items()})
-    with replacing(path) as temporary:
-        pq.write_table(table.replace_schema_metadata({_KEY: json.dumps(about).encode()}), temporary)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        pq.write_table(table.replace_schema_metadata({_KEY: json.dumps(about).encode()}), file)
 
 
 def read_curves(path: Path) -> Curves:
     """Read what `write_curves` wrote; raises DiagnosisFolderError."""
     try:
-        table = pq.read_table(path)
+        table = pq.read_table(pa.BufferReader(path.read_bytes()))
         about = json.loads(table.schema.metadata[_KEY])
-    except (OSError, pa.ArrowException, KeyError, TypeError) as error:
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError) as error:
         raise DiagnosisFolderError(f"{path} holds no curves of a diagnosis ({error}); diagnose again") from error
+    try:
+        return _curves_of(table, about)
+    except (pa.ArrowException, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DiagnosisFolderError(f"{path} holds no curves of a diagnosis ({error}); diagnose again") from error
+
+
+def _curves_of(table: pa.Table, about: Any) -> Curves:
     columns = {name: table.column(name).to_numpy().astype(np.float64) for name in table.column_names}
     band = {name: float(value) for name, value in about["band_K"].items()}
     return Curves(
@@ -130,6 +137,8 @@ def read_findings(folder: Path) -> Findings:
     path = folder / DOCUMENT
     try:
         document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DiagnosisFolderError(f"{path} cannot be read ({error}); diagnose again") from error
+    if not isinstance(document, dict):
+        raise DiagnosisFolderError(f"{path} cannot be read (it is no table); diagnose again")
     return Findings(document, read_curves(folder / CURVES))

@@ -20,6 +20,7 @@ from drivers.rig import RigConnection
 from drivers.rig_model import Point
 from hil.clock import LONGEST_WAIT_S, Clock
 from hil.conditions import Residuals
+from hil.deviations import Deviations
 from hil.guardian.client import Guard, NoGuard
 from hil.heaters import Descent, good_readings, safe_limits, still_hot
 from hil.journal import JournalError, JournalWriter
@@ -29,6 +30,7 @@ from hil.profile import Profile
 from hil.recording import Position, Publisher, Recorder
 from hil.safing import Safed, make_safe, write_safe
 from hil.segments import Resumption
+from hil.setpoint_readback import SetpointReadback
 from hil.setpoints import bind
 from hil.soaking import Soak
 from hil.states import ENDED, HEATED, UNTOUCHED, WAITING, Event, State, TransitionError
@@ -79,11 +81,20 @@ class Outcome:
     trips: tuple[str, ...] = ()
     soaked_s: float = 0.0
     restarts: int = 0
+    guardian: str = ""
+    """What the guardian did, where it acted."""
+    deviations: list[str] = field(default_factory=list)
+    """Of a run that was done: what was asked and not measured."""
 
     @property
     def in_order(self) -> bool:
-        """Whether the profile was run to its end and the rig left safe."""
-        return self.status == "done" and self.safe and not self.away
+        """Whether the profile was run to its end as it asks, and the rig left safe."""
+        return self.status == "done" and self.safe and not self.away and not self.deviations
+
+    @property
+    def verdict(self) -> str:
+        """Its status as people read it."""
+        return "done with deviations" if self.status == "done" and self.deviations else self.status
 
 
 class Engine:
@@ -132,11 +143,14 @@ class Engine:
         self._interlocks = self._supervisor.interlocks
         self._targets: list[Point] = bind(self._rig, profile.columns)
         self._outputs = Outputs(connection)
+        self._readback = SetpointReadback(connection, self._told.event, lockstep=lockstep)
+        self._interlocks.add_alarm(self._readback)
         self._snapshot: Snapshot | None = None
         self._shown = 0.0
         self._guard: Guard = NoGuard() if guard is None else guard
         self._limits = safe_limits(self._rig)
         self._descent = Descent(self._rig, self._limits, clock.period_s)
+        self._deviations = Deviations(self._rig)
         self._made_safe: Safed | None = None
 
     # What others ask of it ---------------------------------------------------------------------
@@ -221,10 +235,15 @@ class Engine:
         outcome.ticks, outcome.overruns = self._at.tick, self._clock.overruns
         outcome.soaked_s, outcome.restarts = self._soaked_s, self._interlocks.restarts
         outcome.trips = self._interlocks.standing().trips
+        if outcome.status == "done":
+            outcome.deviations = self._deviations.found(self._clock.period_s)
         self._supervisor.close()
         outcome.problems += self._told.problems
         await self._connection.close()
         await self._guard.done(safe=outcome.safe)
+        acted = self._guard.acted
+        if acted is not None:
+            outcome.guardian = f"{acted.reason}; {'safe values read back' if acted.safe else acted.problem}"
         await self._told.flush()
         await self._clock.close()
         if fatal is not None:
@@ -354,14 +373,17 @@ class Engine:
         passed = self._at.tick - last
         now = clock.now()
         self._notice_pause(passed * clock.period_s)
-        why = self._guard.failure()
+        # A machine without descriptors cannot open the link again: waiting for it would only heat on.
+        why = self._guard.failure() or (self._connection.exhausted if snapshot.faults else None)
         if why is not None:
             return Event.FAIL, why
+        await self._readback.look(snapshot, self._outputs.values, now)
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
         if ended is None and self._soak is not None:
             ended = self._lead_back(self._soak, snapshot, now)
         if was_running and machine.state is State.RUNNING:
             self._at.profile_ticks += passed
+            self._deviations.tick(self._outputs.values, good_readings(self._connection.points, snapshot))
         over = machine.state is State.RUNNING and self._at.profile_s >= self._profile.duration_s
         if ended is None:
             await self._put_out(clock.period_s)
@@ -448,6 +470,7 @@ class Engine:
             else:
                 self._told.event("WARN", "nothing was written on this tick: the guardian may have acted meanwhile")
         except DriverError as error:
+            self._readback.not_confirmed()
             if state in HEATED and isinstance(error, DeviceExceptionError):
                 raise
             self._told.event("WARN", str(error))

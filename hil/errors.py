@@ -14,13 +14,14 @@ def exit_code(error: BaseException) -> int | None:
     """2 for a file or an option that is wrong, 1 for a fault found on the rig or in a run, None for a bug."""
     from drivers.points import ConfigurationError, DriverError
     from hil.journal import JournalError
+    from hil.lock_folder import RigLockError
     from hil.rig_lock import RigBusyError
-    from hil.run_folder import RunFolderError
+    from hil.run_folder import FolderLostError, RunFolderError
     from hil.tracking_process import TrackingError
 
     if isinstance(error, ConfigurationError):
         return USAGE
-    if isinstance(error, DriverError | JournalError | RigBusyError | TrackingError):
+    if isinstance(error, DriverError | JournalError | RigBusyError | RigLockError | TrackingError | FolderLostError):
         return FOUND
     if isinstance(error, RunFolderError):
         return USAGE

@@ -115,6 +115,10 @@ class Interlocks:
         for spec in rig.interlock:
             self._all += _made(spec, rig)
 
+    def add_alarm(self, condition: Condition) -> None:
+        """Judge one more condition as an alarm, without delay."""
+        self._all.append(Interlock("alarm", condition, 0.0))
+
     @property
     def restarts(self) -> int:
         """How often the rig's program was seen to begin anew."""

@@ -8,8 +8,8 @@ from typing import Any
 
 from drivers.bus_sections import CanBus
 from hil.engine import Outcome
-from hil.journal import JournalReader
-from hil.run_folder import RunFolder
+from hil.journal import JournalError, JournalReader
+from hil.run_folder import FolderLostError, RunFolder
 from hil.run_request import Prepared, RunRequest
 from hil.segments import Resumption, Standing
 from hil.tracking_process import Tracking
@@ -49,8 +49,6 @@ def how_it_stopped(manifest: dict[str, Any], was: Standing) -> str:
     """A sentence's beginning: how the segment before ended."""
     if manifest["exit_status"] == "running":
         return f"the run was cut while {was.state}"
-    if manifest["exit_status"] == "done":
-        return "the run was over, but its report was not written"
     return f"the run {manifest['exit_status']} ({manifest['reason']})"
 
 
@@ -60,10 +58,12 @@ def ended(
     """What is new in the manifest when a segment is over, after `wall_s` of wall time."""
     return {
         "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "exit_status": outcome.status,
+        "exit_status": outcome.verdict,
+        "deviations": outcome.deviations,
         "reason": outcome.reason,
         "safe": outcome.safe,
         "away": outcome.away,
+        "guardian": outcome.guardian,
         "trips": outcome.trips,
         "ticks": outcome.ticks,
         "rig_restarts": outcome.restarts + manifest.get("rig_restarts", 0),
@@ -80,7 +80,10 @@ def _segments(
     """Every resumption so far as plain data, with what became of this one."""
     if resumption is None:
         return []
-    reader = JournalReader(folder.journal)
+    try:
+        reader = JournalReader(folder.located().journal)
+    except (JournalError, FolderLostError):
+        return list(manifest.get("segments", []))
     try:
         rows = reader.segments()
     finally:

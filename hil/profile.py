@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from drivers.units import SUFFIX_OF_UNIT, column_name, split_column
 from hil.atomic import replacing
+from hil.file_names import component
 
 MAX_LINE = 2000
 """Longest line in characters; anything longer is no table of set-points."""
@@ -164,7 +165,7 @@ def read_profile(path: Path, unitless: Collection[str] = ()) -> Profile:
         )
     digest = hashlib.sha256(content).hexdigest()
     values_array = np.array(rows, dtype=np.float64)
-    return Profile(path.stem, np.array(times), columns[1:], values_array, path, digest, tuple(lines), notes)
+    return Profile(component(path.stem), np.array(times), columns[1:], values_array, path, digest, tuple(lines), notes)
 
 
 def write_profile(profile: Profile, path: Path, comments: Iterable[str] = ()) -> None:

@@ -15,6 +15,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,18 +25,20 @@ from drivers.units import column_name, split_column
 from hil.atomic import replacing
 from hil.profile import WRITTEN_UNITS
 from hil.record_export import Exported, export_record
-from hil.record_file import RawRecord, RecordError, parse, read_raw
-from hil.record_time import describe_steps, numbered, order, read_time, span
+from hil.record_file import read_raw
+from hil.record_numbers import LOST, DecimalSignError, Numbers, Sign, decimal_signs, may_be_lost, parse
+from hil.record_order import describe_steps, order
+from hil.record_plausible import SENTINELS, without_implausible
+from hil.record_raw import RawRecord, Reading, RecordError
+from hil.record_time import numbered, read_time, span
 from hil.record_units import of_a_room, remarks
 from twin.column_names import hint
 
-__all__ = ["Exported", "Record", "RecordError", "export_record", "read_record", "write_record"]
+__all__ = ["SENTINELS", "Exported", "Reading", "Record", "RecordError", "export_record", "read_record", "write_record"]
 
 QUALITY = "_quality"
 """Ending of a column that holds the quality of the column before it."""
 
-SENTINELS = (-9999.0, -999.0, 32767.0, -32768.0, 327.67, 3276.7)
-"""What loggers write into a temperature when there is none."""
 HOTTEST_ROOM_C = 45.0
 """Above this the median of a room is asked about."""
 COLDEST_C = -100.0
@@ -84,18 +87,30 @@ class Record:
             )
 
 
-def read_record(path: Path, *, at_rest: bool = False) -> Record:
-    """The record in the Parquet or CSV file at `path`, cleaned; raises RecordError where nothing can be done.
+def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = None) -> Record:
+    """Return the record in the Parquet or CSV file at `path`, cleaned.
 
     With `at_rest` each row is a steady state of its own: all are kept in the order of the file, and their times, where
-    there are any, are left aside for their numbers.
+    there are any, are left aside for their numbers. `choice` is what the user says of the file.
 
     Rows are sorted by time. Of rows with the same stamp one is kept, with each column's last value that is not
-    missing: a logger sends a correction after the original, or one row a device.
+    missing: a logger sends a correction after the original, or one row a device. Readings that cannot be are missing
+    (`hil.record_plausible`).
+
+    Raises:
+        RecordError: nothing can be read, something can be read in two ways, or reading would drop more than
+            `record_numbers.may_be_lost` of the rows or of a column.
     """
+    choice = choice or Reading()
     raw = read_raw(path)
     messages = list(raw.messages)
-    axis = numbered(raw) if at_rest else read_time(raw)
+    try:
+        signs = decimal_signs(
+            dict(zip(raw.names, raw.cells, strict=True)), raw.place, delimiter=raw.delimiter, given=choice.decimal
+        )
+    except DecimalSignError as error:
+        raise RecordError(f"{path}: {error}") from error
+    axis = numbered(raw) if at_rest else read_time(raw, signs, choice)
     messages += axis.messages
     rows, moved = order(raw, axis)
     messages += moved
@@ -110,31 +125,24 @@ def read_record(path: Path, *, at_rest: bool = False) -> Record:
     quality: dict[str, NDArray[np.uint8]] = {}
     unmarked: list[str] = []
     for name, cells in zip(raw.names, raw.cells, strict=True):
-        if name == axis.column:
+        if name in axis.columns:
             continue
-        numbers = parse(cells)
-        if numbers is None or numbers.bad > numbers.present / 2:
-            kind = "text" if numbers else str(cells.type)
-            messages.append(f"column '{name}' holds {kind}: dropped")
+        values = _numbers(name, cells, signs.get(name, "."), raw, messages)
+        if values is None:
             continue
-        if numbers.bad:
-            cells_are = "1 cell is no number" if numbers.bad == 1 else f"{numbers.bad} cells are no numbers"
-            messages.append(
-                f"{name}: {cells_are} (the first, {raw.place(numbers.row)}, is '{numbers.text[:20]}'): missing"
-            )
-        if numbers.commas:
-            messages.append(f"{name}: {numbers.commas} decimal commas read as points")
-        values = numbers.values[rows]
-        if np.isinf(values).any():
-            messages.append(f"{name}: {np.isinf(values).sum()} values are infinite: missing")
-            values[np.isinf(values)] = np.nan
+        written = name
+        is_quality = name.endswith(QUALITY) and name.removesuffix(QUALITY) in raw.names
+        if not is_quality:
+            name, values = _in_unit(name, values, raw, messages, unmarked)
+            values = without_implausible(name, values, raw.place, messages, raw.plausible.get(written))
+        values = values[rows]
         if repeats:
-            values = _last_known(values, last_of_stamp)
-        if name.endswith(QUALITY) and name.removesuffix(QUALITY) in raw.names:
-            quality[name.removesuffix(QUALITY)] = np.nan_to_num(values, nan=0.0).astype(np.uint8)
+            values = _last_known(written, values, last_of_stamp, path, messages)
+        if is_quality:
+            quality[name.removesuffix(QUALITY)] = np.clip(np.nan_to_num(values, nan=0.0), 0, 255).astype(np.uint8)
             continue
-        name, values = _unit(name, values, raw, messages, unmarked)
-        columns[name] = _without_sentinels(name, values, messages)
+        messages += _asked(name, written, values)
+        columns[name] = values
     if not columns:
         raise RecordError(f"{path} has no column of numbers besides {axis.column}; give a record with signals")
     if unmarked:
@@ -144,17 +152,63 @@ def read_record(path: Path, *, at_rest: bool = False) -> Record:
     return Record(time_s, columns, tuple(messages), path, raw.sha256, quality, axis.start, raw.metadata or {})
 
 
-def _last_known(values: NDArray[np.float64], last_of_stamp: NDArray[np.int64]) -> NDArray[np.float64]:
+def _numbers(name: str, cells: Any, sign: Sign, raw: RawRecord, messages: list[str]) -> NDArray[np.float64] | None:
+    """Return the numbers of a column, None for one of text; raises RecordError where too many cells are no numbers."""
+    numbers = parse(cells, sign)
+    if numbers is None or _is_text(name, numbers):
+        kind = "text" if numbers else str(cells.type)
+        messages.append(f"column '{name}' holds {kind}: dropped")
+        return None
+    if numbers.bad - numbers.marked > may_be_lost(numbers.present):
+        raise RecordError(
+            f"{raw.path}: column '{name}' has {numbers.bad} of {numbers.present} cells that are no numbers (the first, "
+            f"{raw.place(numbers.row)}, is '{numbers.text[:20]}'); leave cells without a value empty, or take the "
+            "column out"
+        )
+    if numbers.bad:
+        cells_are = "1 cell is no number" if numbers.bad == 1 else f"{numbers.bad} cells are no numbers"
+        messages.append(f"{name}: {cells_are} (the first, {raw.place(numbers.row)}, is '{numbers.text[:20]}'): missing")
+    if numbers.commas:
+        messages.append(f"{name}: {numbers.commas} decimal commas read as points")
+    if numbers.thousands:
+        messages.append(f"{name}: {numbers.thousands} numbers with marks between thousands read without them")
+    values = numbers.values
+    if np.isinf(values).any():
+        messages.append(f"{name}: {np.isinf(values).sum()} values are infinite: missing")
+        values = np.where(np.isinf(values), np.nan, values)
+    return values
+
+
+def _is_text(name: str, numbers: Numbers) -> bool:
+    """Return True for a column of words: next to no numbers, or fewer than half of them and no unit in its name."""
+    words = numbers.bad / max(numbers.present, 1)
+    return words >= 1.0 - LOST or (words > 0.5 and split_column(name) is None)
+
+
+def _last_known(
+    name: str, values: NDArray[np.float64], last_of_stamp: NDArray[np.int64], path: Path, messages: list[str]
+) -> NDArray[np.float64]:
+    """Return the last known value (k,) of each stamp; raises RecordError where too many others would be lost."""
     known = np.where(np.isnan(values), -1, np.arange(len(values)))
     latest = np.maximum.accumulate(known)[last_of_stamp]
     first_of_stamp = np.append(0, last_of_stamp[:-1] + 1)
-    return np.where(latest >= first_of_stamp, values[np.maximum(latest, 0)], np.nan)
+    kept = np.where(latest >= first_of_stamp, values[np.maximum(latest, 0)], np.nan)
+    stamp = np.repeat(np.arange(len(kept)), last_of_stamp - first_of_stamp + 1)
+    with np.errstate(invalid="ignore"):
+        lost = int((np.isfinite(values) & (values != kept[stamp])).sum())
+    present = int(np.isfinite(values).sum())
+    if lost > may_be_lost(present):
+        raise RecordError(
+            f"{path}: {lost} of {present} values of column '{name}' stand at a time that another row has too; write "
+            "times with fractions of a second or with their date, and if these are two records in one file, split it"
+        )
+    return kept
 
 
-def _unit(
+def _in_unit(
     name: str, values: NDArray[np.float64], raw: RawRecord, messages: list[str], unmarked: list[str]
 ) -> tuple[str, NDArray[np.float64]]:
-    """`name` and `values` in the contract's unit, where the name says another or writes it otherwise."""
+    """Return `name` and `values` in the contract's unit, where the name says another or writes it otherwise."""
     written = _rewritten(name)
     if written and written not in raw.names:
         if _standard_unit(written) is None:
@@ -177,14 +231,26 @@ def _unit(
         else:
             messages.append(f"{name} is in {unit}: converted to {target}")
             name, values = target, values * convert[0] + convert[1]
-    middle = np.nanmedian(values) if not np.isnan(values).all() else np.nan
-    if wanted == "degC" and middle > 200:
-        messages.append(f"{name} has a median of {middle:.4g}: is it in kelvin?")
-    elif wanted == "degC" and unit == "K" and middle < COLDEST_C:
-        messages.append(f"{name} has a median of {middle:.4g}: was it in degC before?")
-    elif wanted == "degC" and middle > HOTTEST_ROOM_C and of_a_room(name):
-        messages.append(f"{name} has a median of {middle:.4g}: is it in degrees Fahrenheit?")
     return name, values
+
+
+def _asked(name: str, written: str, values: NDArray[np.float64]) -> list[str]:
+    """Return questions about a column whose numbers do not fit the unit of its `name`; it was `written` in the file."""
+    if not np.isfinite(values).any() or split_column(name) is None:
+        return []
+    said = []
+    middle = float(np.nanmedian(values))
+    if _standard_unit(name) == "degC":
+        if middle > 200:
+            said.append(f"{name} has a median of {middle:.4g}: is it in kelvin?")
+        elif (split_column(written) or ("", ""))[1] == "K" and middle < COLDEST_C:
+            said.append(f"{name} has a median of {middle:.4g}: was it in degC before?")
+        elif middle > HOTTEST_ROOM_C and of_a_room(name):
+            said.append(f"{name} has a median of {middle:.4g}: is it in degrees Fahrenheit?")
+    if name.startswith("T_") and name.endswith("_C") and len(values) > 100 and np.ptp(values) == 0:
+        told = f"is constant at {values[0]:g} degC: assumed, or" if of_a_room(name) else f"is {values[0]:g} throughout:"
+        said.append(f"{name} {told} is the channel dead?")
+    return said
 
 
 def _standard_unit(column: str) -> str | None:
@@ -201,19 +267,6 @@ def _rewritten(name: str) -> str | None:
     if split_column(name) is None and stem and tail.lower() in WRITTEN_UNITS:
         return column_name(stem, WRITTEN_UNITS[tail.lower()])
     return None
-
-
-def _without_sentinels(name: str, values: NDArray[np.float64], messages: list[str]) -> NDArray[np.float64]:
-    if not (name.startswith("T_") and name.endswith("_C")):
-        return values
-    marks = np.isin(values, SENTINELS) | np.isin(values, np.array(SENTINELS, dtype=np.float32))
-    if marks.any():
-        messages.append(f"{name}: {marks.sum()} values are {values[marks][0]:g}, a mark for no measurement: missing")
-        values = np.where(marks, np.nan, values)
-    elif len(values) > 100 and np.ptp(values) == 0:
-        told = f"is constant at {values[0]:g} degC: assumed, or" if of_a_room(name) else f"is {values[0]:g} throughout:"
-        messages.append(f"{name} {told} is the channel dead?")
-    return values
 
 
 def _describe_missing(
@@ -272,9 +325,9 @@ def write_record(record: Record, path: Path) -> None:
         arrays[name + QUALITY] = pa.array(codes)
     table = pa.table(arrays)
     require_record_suffix(path)
-    with replacing(path) as unfinished:
+    with replacing(path) as unfinished, unfinished.open("wb") as file:
         if path.suffix == ".csv":
             options = pacsv.WriteOptions(quoting_style="none")
-            pacsv.write_csv(table, unfinished, options)
+            pacsv.write_csv(table, file, options)
         else:
-            pq.write_table(table.replace_schema_metadata(record.metadata), unfinished, compression="zstd")
+            pq.write_table(table.replace_schema_metadata(record.metadata), file, compression="zstd")

@@ -84,8 +84,9 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
         fields.append(pa.field("segment", pa.float64(), metadata={"unit": "1"}))
         arrays.append(pa.array(1.0 + np.searchsorted(begins, tick, side="right")))
     schema = pa.schema(fields, metadata={"hil": json.dumps(about, default=str)})
-    with replacing(parquet) as unfinished:
-        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), unfinished, compression="zstd")
+    # Arrow takes paths in UTF-8 alone, an open file takes any.
+    with replacing(parquet) as unfinished, unfinished.open("wb") as file:
+        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), file, compression="zstd")
     return Exported(
         parquet,
         len(time_s),

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 from typing import Any
 
 import numpy as np
@@ -13,19 +11,29 @@ from numpy.typing import NDArray
 from drivers.points import Quality
 from hil.adoption import accepted, closed_gates
 from hil.atomic import replacing
+from hil.file_names import printable
 from hil.journal import JournalReader
-from hil.journal_rows import Samples
+from hil.journal_rows import Samples, TwinOutput
+from hil.report_pictures import Curves, pictures
+from hil.report_signals import (
+    NONE,
+    SETTLED_AFTER_S,
+    TimeUnit,
+    number,
+    set_against_read,
+    signal_statistics,
+    time_unit,
+)
 from hil.run_folder import RunFolder
 from hil.tracking import Proposed, parameter_cell, window_kind
 
-COLOURS = {"measured": "#30343a", "static": "#e07b1f"}
-_TRACKED = ("#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b")
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem } img { width: 100% }
 table { border-collapse: collapse }
 td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: right }
-td:first-child, th:first-child { text-align: left } .ERROR { color: #b3261e } .WARN { color: #9a6700 }
+td:first-child, th:first-child { text-align: left; white-space: nowrap }
+.ERROR { color: #b3261e } .WARN { color: #9a6700 }
 p.note { color: #5b636b; font-size: .9rem }
 """
 
@@ -49,19 +57,19 @@ def write_report(folder: RunFolder) -> None:
     reader = JournalReader(folder.journal)
     try:
         samples = reader.samples()
-        twins = {name: reader.twin_outputs(name).values for name in reader.header.twin_names}
-        twins = {name: values for name, values in twins.items() if len(values) == len(samples.tick)}
+        unit = time_unit(float(np.ptp(samples.time_s)) if len(samples.tick) else 0.0)
         body = [
             _summary(manifest),
-            _segments(manifest),
+            _segments(manifest, unit),
             _error_table(manifest),
             _band_table(manifest),
             _parameter_table(manifest),
-            _pictures(reader, samples, twins),
+            _pictures(reader, samples, unit),
+            _signals(reader, samples),
             _calibrations(reader),
-            _gates(reader),
+            _gates(reader, unit),
             _timing(manifest, reader),
-            _events(reader),
+            _events(reader, unit),
             _provenance(manifest),
         ]
     finally:
@@ -69,7 +77,7 @@ def write_report(folder: RunFolder) -> None:
     title = html.escape(folder.path.name)
     page = f"<!doctype html><meta charset=utf-8><title>{title}</title><style>{_STYLE}</style><h1>{title}</h1>"
     with replacing(folder.report) as temporary:
-        temporary.write_text(page + "\n".join(body), encoding="utf-8")
+        temporary.write_text(printable(page + "\n".join(body)), encoding="utf-8")
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
@@ -86,23 +94,21 @@ def _summary(manifest: dict[str, Any]) -> str:
     return f"<p><b>{manifest['exit_status']}</b>{reason}. {safe}</p>{problems}"
 
 
-def _segments(manifest: dict[str, Any]) -> str:
+def _segments(manifest: dict[str, Any], unit: TimeUnit) -> str:
     segments = manifest.get("segments")
     if not segments:
         return ""
     rows = [
         [
             str(item["number"]),
-            f"{item['from_s'] / 3600:.3f}",
-            f"{item['gap_s'] / 60:.1f}",
-            f"{item.get('soaked_s', float('nan')) / 60:.1f}",
-            f"{item['profile_s'] / 3600:.3f}",
+            *(unit.of(item.get(key)) for key in ("from_s", "gap_s", "soaked_s", "profile_s")),
             item["why"],
             " ".join(filter(None, (item["exit_status"], item.get("reason", "")))),
         ]
         for item in segments
     ]
-    head = ["segment", "from / h", "gap before / min", "soaked / min", "profile / h", "why", "ended"]
+    times = [f"{what} / {unit.symbol}" for what in ("from", "gap before", "soaked", "profile")]
+    head = ["segment", *times, "why", "ended"]
     note = (
         "The run was cut and resumed. Nothing is known of the gaps: curves and errors leave them out. The profile's "
         "clock stood while the rig was led back to where it was; the samples of that time are in the record."
@@ -115,7 +121,7 @@ def _error_table(manifest: dict[str, Any]) -> str:
     if not errors:
         return ""
     rows = [
-        [sensor, *(f"{cell:.3f}" for cell in cells), f"{errors['noise_K'].get(sensor, float('nan')):.3f}"]
+        [sensor, *(number(cell, ".3f") for cell in (*cells, errors["noise_K"].get(sensor)))]
         for sensor, cells in errors["rows"].items()
     ]
     note = (
@@ -131,9 +137,13 @@ def _band_table(manifest: dict[str, Any]) -> str:
     if not bands:
         return ""
     sensors = next(iter(bands.values()))
-    rows = [[sensor, *("{:.3f} ({:.0%})".format(*bands[twin][sensor]) for twin in bands)] for sensor in sensors]
+    rows = [[sensor, *(_band(*bands[twin][sensor]) for twin in bands)] for sensor in sensors]
     note = "Foretold for ten minutes from the twin's own misses in the two hours before; in brackets the share held."
     return f"<h2>90 % bands, ± K</h2>{_table(['sensor', *bands], rows)}<p class=note>{note}</p>"
+
+
+def _band(half: float | None, inside: float | None) -> str:
+    return NONE if number(half) == NONE else f"{number(half, '.3f')} ({number(inside, '.0%')})"
 
 
 def _parameter_table(manifest: dict[str, Any]) -> str:
@@ -149,90 +159,52 @@ def _parameter_table(manifest: dict[str, Any]) -> str:
     return f"<h2>{title}</h2>{_table(['parameter', *parameters], rows)}<p class=note>{note}</p>{became}"
 
 
-def _gates(reader: JournalReader) -> str:
+def _gates(reader: JournalReader, unit: TimeUnit) -> str:
     proposals = [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
     if not proposals:
         return ""
     rows = [
-        [name, f"{a.value:.4g} ± {a.half_width:.2g}", f"{a.count}", f"{a.first_s / 3600:.2f}", f"{a.last_s / 3600:.2f}"]
+        [name, f"{a.value:.4g} ± {a.half_width:.2g}", f"{a.count}", unit.of(a.first_s), unit.of(a.last_s)]
         for name, a in accepted(proposals).items()
     ]
-    head = ["parameter", "accepted last", "in a row", "since / h", "last / h"]
+    head = ["parameter", "accepted last", "in a row", f"since / {unit.symbol}", f"last / {unit.symbol}"]
     said = html.escape(closed_gates(proposals))
     return f"<h2>What the network's gates let through</h2>{_table(head, rows)}<p class=note>{said}</p>"
 
 
-def _pictures(reader: JournalReader, samples: Samples, twins: dict[str, NDArray[np.float64]]) -> str:
-    if not reader.header.twin_sensors or len(samples.tick) < 2:
-        return ""
-    from matplotlib.figure import Figure
-
+def _pictures(reader: JournalReader, samples: Samples, unit: TimeUnit) -> str:
     cuts = np.searchsorted(samples.tick, [row.tick for row in reader.segments()])
-    measured = {sensor: _broken(values, cuts) for sensor, values in measured_sensors(reader, samples).items()}
-    twins = {name: _broken(values, cuts) for name, values in twins.items()}
-    hours = samples.time_s / 3600
-    step = max(1, len(hours) // 4000)
-    figure = Figure(figsize=(11, 2.6 * len(measured) + 2.2), layout="constrained")
-    rows = figure.subplots(len(measured) + 1, 1, sharex=True)
-    for position, (sensor, values) in enumerate(measured.items()):
-        axes = rows[position]
-        axes.plot(hours[::step], values[::step], color=COLOURS["measured"], linewidth=0.8, label="measured")
-        for number, (name, outputs) in enumerate(twins.items()):
-            colour = COLOURS.get(name, _TRACKED[(number - 1) % len(_TRACKED)])
-            axes.plot(hours[::step], outputs[::step, position], color=colour, linewidth=1.0, label=name)
-        axes.set_ylabel(f"{sensor.removesuffix('_C')} / °C")
-        axes.grid(alpha=0.25)
-    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper right", ncols=6, frameon=False)
-    power = next((i for i, s in enumerate(reader.header.signals) if s.role == "heater_power"), None)
-    if power is not None:
-        heat = _broken(samples.values[:, power], cuts)
-        rows[-1].plot(hours[::step], heat[::step], color="#a8322a", linewidth=0.8)
-        rows[-1].set_ylabel("heater / W")
-    rows[-1].set_xlabel("time / h")
-    rows[-1].grid(alpha=0.25)
-    residual = _residuals(hours, measured, twins)
-    return f"<h2>Measured against twin</h2>{_embedded(figure)}<h2>Residual, means of five minutes</h2>{residual}"
+    measured = measured_sensors(reader, samples)
+    twins = {name: _at_ticks(reader.twin_outputs(name), samples) for name in reader.header.twin_names}
+    twins = {name: values for name, values in twins.items() if np.isfinite(values).any()}
+    return pictures(Curves(reader.header, samples, measured if twins else {}, twins, cuts, unit))
 
 
-def _broken(values: NDArray[np.float64], cuts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """`values` with the curve broken before each of `cuts`, for longer than what a picture skips."""
-    broken = values.copy()
-    step = max(1, len(values) // 4000)
-    for cut in cuts.tolist():
-        broken[cut : cut + step] = np.nan
-    return broken
+def _at_ticks(output: TwinOutput, samples: Samples) -> NDArray[np.float64]:
+    """Return a twin's predictions (n, m) at the ticks of `samples`, NaN where it had not answered yet."""
+    found = np.full((len(samples.tick), output.values.shape[1]), np.nan)
+    known = np.isin(output.tick, samples.tick)
+    found[np.searchsorted(samples.tick, output.tick[known])] = output.values[known]
+    return found
 
 
-def _residuals(
-    hours: NDArray[np.float64], measured: dict[str, NDArray[np.float64]], twins: dict[str, NDArray[np.float64]]
-) -> str:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 1.7 * len(measured) + 0.5), layout="constrained")
-    rows = np.atleast_1d(figure.subplots(len(measured), 1, sharex=True))
-    width = max(1, round(300 / (3600 * (hours[1] - hours[0]))))
-    count = len(hours) // width * width
-    middle = hours[:count].reshape(-1, width).mean(axis=1)
-    for position, (sensor, values) in enumerate(measured.items()):
-        axes = rows[position]
-        for number, (name, outputs) in enumerate(twins.items()):
-            difference = (values - outputs[:, position])[:count].reshape(-1, width)
-            finite = np.isfinite(difference)
-            mean = np.where(finite, difference, 0.0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
-            colour = COLOURS.get(name, _TRACKED[(number - 1) % len(_TRACKED)])
-            axes.plot(middle, np.where(finite.any(axis=1), mean, np.nan), color=colour, linewidth=0.9, label=name)
-        axes.axhline(0, color="#30343a", linewidth=0.6)
-        axes.set_ylabel(f"{sensor.removesuffix('_C')} / K")
-        axes.grid(alpha=0.25)
-    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper right", ncols=6, frameon=False)
-    rows[-1].set_xlabel("time / h")
-    return _embedded(figure)
-
-
-def _embedded(figure: Any) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'
+def _signals(reader: JournalReader, samples: Samples) -> str:
+    rows = [
+        [s.name, s.unit, number(s.least), number(s.mean), number(s.greatest), f"{s.good:.1%}"]
+        for s in signal_statistics(reader.header, samples)
+    ]
+    head = ["signal", "unit", "min", "mean", "max", "good"]
+    note = "Over all good values; - for a signal without any."
+    body = f"<h2>Signals in numbers</h2>{_table(head, rows)}<p class=note>{note}</p>"
+    pairs = [
+        [p.name, p.unit, *map(number, (p.set_mean, p.read_mean, p.settled_difference, p.settled_greatest))]
+        for p in set_against_read(reader.header, samples)
+    ]
+    if pairs:
+        head = ["set-point", "unit", "set, mean", "read, mean", "read - set, mean", "read - set, greatest"]
+        note = f"Differences on ticks on which the set-point had stood for {SETTLED_AFTER_S:g} s."
+        body += f"<h2>Set against read</h2>{_table(head, pairs)}<p class=note>{note}</p>"
+    return body
 
 
 def _calibrations(reader: JournalReader) -> str:
@@ -260,14 +232,14 @@ def _timing(manifest: dict[str, Any], reader: JournalReader) -> str:
         ["work in a tick, median / 99 % / longest", f"{p50:.2f} / {p99:.2f} / {latency.max():.2f} ms"],
         ["ticks that began late", f"{manifest.get('overruns', 0)}"],
         ["restarts of the rig's program", f"{manifest.get('rig_restarts', 0)}"],
-        ["times real time", f"{factor:.1f}"],
+        ["times real time", number(factor, ".1f")],
     ]
     return f"<h2>Timing</h2>{_table(['', ''], rows)}"
 
 
-def _events(reader: JournalReader) -> str:
+def _events(reader: JournalReader, unit: TimeUnit) -> str:
     lines = [
-        f"<tr class={row.level}><td>{row.time_s / 3600:.3f} h</td><td>{row.level}</td>"
+        f"<tr class={row.level}><td>{unit.of(row.time_s)} {unit.symbol}</td><td>{row.level}</td>"
         f"<td style='text-align:left'>{html.escape(row.text)}</td></tr>"
         for row in reader.events()
     ]

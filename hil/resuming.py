@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import shlex
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ import numpy as np
 
 from drivers.points import Quality
 from drivers.rigfile import file_sha256
+from hil.gap_evidence import KEY, with_gap
 from hil.journal import JournalReader
 from hil.journal_rows import SegmentRow, StateRow
+from hil.remaking import has_ended
 from hil.run_folder import RunFolder, RunFolderError
 from hil.run_request import RunRequest
 from hil.segments import Standing, profile_times
@@ -28,6 +31,20 @@ FILES = {
     "network": "--network",
 }  # fmt: skip
 """Files that a run depends on, by their name in `run.json`, and the option that says where one has been moved to."""
+
+
+def questioned(folder: RunFolder, gap_s: float | None, announce: Callable[[str], None]) -> Standing:
+    """Return where the run in `folder` stood, its gap held against every clock that knows of it (`with_gap`).
+
+    Raises what `standing` raises, and RunFolderError where the gap is not plausible and `gap_s` does not state it.
+    """
+    was = standing(folder)
+    reader = _reader(folder)
+    try:
+        noted = reader.meta(KEY)
+    finally:
+        reader.close()
+    return with_gap(was, noted, gap_s, announce)
 
 
 def standing(folder: RunFolder) -> Standing:
@@ -89,6 +106,7 @@ def request_of(
     *,
     control: tuple[str, int] | None = None,
     rearm: bool = False,
+    no_lock: bool = False,
     viewer: bool | None = None,
     guardian: bool = True,
 ) -> RunRequest:
@@ -97,8 +115,11 @@ def request_of(
     Raises:
         RunFolderError: the run is over, or one of its files is not what it was.
     """
-    if manifest.get("exit_status") == "done" and folder.report.is_file():
-        raise RunFolderError(f"{folder.path} has run to its end; start it again with `hil run`")
+    if has_ended(folder):
+        rest = "start it again with `hil run`"
+        if not folder.report.is_file() or not folder.record.is_file():
+            rest = f"`hil report {shlex.quote(str(folder.path))}` makes its record and report"
+        raise RunFolderError(f"{folder.path} has run to its end; {rest}")
     files = _checked_files(folder, manifest, moved)
     settings = manifest["settings"]
     known = settings.get("control")
@@ -119,6 +140,7 @@ def request_of(
         viewer=viewer,
         control=control or (None if known is None else (known[0], known[1])),
         rearm=rearm,
+        no_lock=no_lock,
         diagnose_s=settings.get("diagnose_s"),
         healthy=files.get("healthy"),
         adopt=settings.get("adopt", False),

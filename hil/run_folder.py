@@ -12,7 +12,7 @@ import shutil
 import sys
 import uuid
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from typing import Any
 from drivers.rigfile import file_sha256
 from hil import __version__
 from hil.atomic import replacing
+from hil.file_names import ENDINGS, LONGEST_DATABASE_PATH, component, longest_name
 
 LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "pyarrow", "rerun-sdk")
 BYTES_PER_TICK = 2500
@@ -30,11 +31,17 @@ class RunFolderError(Exception):
     """The run folder cannot be made or read; the message says what to do."""
 
 
+class FolderLostError(RunFolderError):
+    """The folder of a run was deleted, or cannot be written any more; the message says what is left of the run."""
+
+
 @dataclass(frozen=True, slots=True)
 class RunFolder:
     """Paths of one run."""
 
     path: Path
+    _held: list[int] = field(default_factory=list, compare=False, repr=False)
+    """Open directory, while this process holds the folder: it leads there also after somebody moved it."""
 
     @property
     def journal(self) -> Path:
@@ -79,14 +86,28 @@ class RunFolder:
     def read_manifest(self) -> dict[str, Any]:
         """`run.json`; raises RunFolderError where this is no run folder."""
         try:
-            document: dict[str, Any] = json.loads(self.manifest.read_text(encoding="utf-8"))
+            document: Any = json.loads(self.manifest.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise RunFolderError(f"{self.path} is not a run folder (no run.json); give one of runs/*") from None
-        except json.JSONDecodeError as error:
+        except OSError as error:
+            raise RunFolderError(f"{self.manifest} cannot be read ({error.strerror}); give one of runs/*") from None
+        except (ValueError, RecursionError) as error:
             raise RunFolderError(
                 f"{self.manifest} is damaged ({error}); the journal beside it still holds the run"
             ) from error
+        if not isinstance(document, dict):
+            raise RunFolderError(f"{self.manifest} is damaged (no table); the journal beside it still holds the run")
         return document
+
+    def is_current(self, made: Path, within_s: float = 0.0) -> bool:
+        """Return whether a file that was made from the journal is there and no older than the journal's last row, but
+        for `within_s`."""
+        log = self.journal.with_name(f"{self.journal.name}-wal")
+        try:
+            newest = max(path.stat().st_mtime for path in (self.journal, log) if path.is_file())
+            return made.stat().st_mtime >= newest - within_s
+        except (OSError, ValueError):
+            return made.is_file()
 
     @property
     def was_cut(self) -> bool:
@@ -115,9 +136,29 @@ class RunFolder:
                 ) from None
             except OSError:
                 pass
+            self._held.append(handle)
             yield
         finally:
+            if handle in self._held:
+                self._held.remove(handle)
             os.close(handle)
+
+    def located(self) -> RunFolder:
+        """Return the folder where it lies now, which is elsewhere if somebody moved it while it was held.
+
+        Raises:
+            FolderLostError: it was deleted.
+        """
+        if not self._held:
+            if self.path.is_dir():
+                return self
+            raise FolderLostError(f"{self.path} is gone; it was deleted or moved")
+        held = os.fstat(self._held[-1])
+        for path in (self.path, Path(os.readlink(f"/proc/self/fd/{self._held[-1]}"))):
+            with contextlib.suppress(OSError):
+                if os.path.samestat(path.stat(), held):
+                    return self if path == self.path else RunFolder(path, self._held)
+        raise FolderLostError(f"{self.path} was deleted")
 
     def keep_twin(self, files: Sequence[Path]) -> None:
         """Copy the twin file that a run begins with, and after it what that was made of, newest first.
@@ -134,23 +175,50 @@ class RunFolder:
 
 
 def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
-    """A new, empty run folder under `parent`; raises RunFolderError where the disk has no room for `ticks`."""
+    """Make a new, empty run folder under `parent`, named by time and profile.
+
+    Runs that begin in the same second get folders of their own. Characters of `profile_name` that a terminal or a
+    library could not take are replaced in the folder's name, and a long one is cut.
+
+    Raises:
+        RunFolderError: `parent` is no folder or takes no new one, its path is too long for a journal, or its disk has
+            no room for `ticks`.
+    """
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = "it is there, but is no folder" if isinstance(error, FileExistsError) else error.strerror
+        raise RunFolderError(f"{parent} cannot be made ({why}); choose another folder with --runs") from error
     stamp = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
-    for suffix in ("", *(f"-{n}" for n in range(2, 100))):
-        path = parent / f"{stamp}-{profile_name}{suffix}"
-        try:
-            path.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        except OSError as error:
-            raise RunFolderError(f"{path} cannot be made ({error}); choose another folder with --runs") from error
-        break
+    room = LONGEST_DATABASE_PATH - len(os.fsencode(parent.resolve() / f"{stamp}--99/journal.sqlite"))
+    if room < 1:
+        raise RunFolderError(
+            f"{parent} is too long: SQLite takes {LONGEST_DATABASE_PATH} bytes for the path of a journal; "
+            "choose a shorter folder with --runs"
+        )
+    path = _made(parent, f"{stamp}-{component(profile_name, min(longest_name(parent) - len(stamp) - ENDINGS, room))}")
     try:
         _require(path, ticks * BYTES_PER_TICK, "use --runs")
     except RunFolderError:
         path.rmdir()
         raise
     return RunFolder(path)
+
+
+def _made(parent: Path, name: str) -> Path:
+    """Make a folder of this name, or with a number after it where others have the name already."""
+    for suffix in ("", *(f"-{n}" for n in range(2, 100))):
+        path = parent / f"{name}{suffix}"
+        try:
+            path.mkdir()
+            return path
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise RunFolderError(
+                f"{path} cannot be made ({error.strerror}); choose another folder with --runs"
+            ) from error
+    raise RunFolderError(f"{parent / name} and 98 more are there already; choose another folder with --runs")
 
 
 def require_room(folder: RunFolder, ticks: int) -> None:

@@ -34,7 +34,7 @@ class RunRequest:
     port of a virtual rig in lockstep that runs already, at the rig file's addresses. `rearm`: whether a trip that the
     rig brings along is acknowledged. `diagnose_s`: seconds of profile time between diagnoses of the record so far,
     against the record `healthy`; `adopt` saves what they find. `guardian` False does without the process that makes the
-    rig safe when this one is killed or hangs.
+    rig safe when this one is killed or hangs. `no_lock`: run although a second run is not kept off the rig.
     """
 
     profile: Path
@@ -57,6 +57,7 @@ class RunRequest:
     healthy: Path | None = None
     adopt: bool = False
     guardian: bool = True
+    no_lock: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from drivers.rig_places import mistake
+from drivers.toml_lines import line_of
 from drivers.units import split_column
 from hil.profile import Profile
 
@@ -26,11 +28,15 @@ class ScenarioError(ValueError):
     """A scenario cannot be read or built; a sentence a line, each naming the file and the remedy."""
 
 
+_LONGEST_H = 1e6
+"""Hours; a century is shorter."""
+
+
 def _seconds(time: object) -> int:
     if isinstance(time, str) and (match := re.fullmatch(r"(\d+):([0-5]\d)(?::([0-5]\d))?", time)):
         hours, minutes, seconds = (int(part or 0) for part in match.groups())
         return 3600 * hours + 60 * minutes + seconds
-    if isinstance(time, int | float) and not isinstance(time, bool) and time >= 0:
+    if isinstance(time, int | float) and not isinstance(time, bool) and 0 <= time <= _LONGEST_H:
         return round(3600 * time)
     raise ValueError(f"{time!r} is no time; write hours and minutes as '1:45', or hours as 1.75")
 
@@ -156,36 +162,29 @@ def read_scenario(path: Path) -> Scenario:
         raise ScenarioError(f"{path} cannot be read ({error.strerror}); give the path of a scenario") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path} is not valid TOML: {error}") from error
+    except (ValueError, RecursionError):
+        raise ScenarioError(f"{path} is not valid TOML: a number is too long or lists are too deep") from None
     try:
         return Scenario(**{**document, "path": path})
     except ValidationError as error:
         systems = document.get("system", [])
         raise ScenarioError(
-            "\n".join(
-                _sentence(path, text, systems, part["loc"], _PLAIN.get(part["type"], part["msg"]))
-                for part in error.errors()
-            )
+            "\n".join(_sentence(path, text, systems, part["loc"], mistake(part)) for part in error.errors())
         ) from error
     except TypeError as error:
         raise ScenarioError(f"{path} has a key that no scenario has ({error})") from error
 
 
-_PLAIN = {"missing": "is missing; add it", "extra_forbidden": "is no key here; correct its spelling or remove it"}
-
-
 def _sentence(path: Path, text: str, systems: object, location: tuple[int | str, ...], message: str) -> str:
-    place = str(path)
+    place = f"{path} line {line_of(text, location)}" if location else str(path)
     rest = list(location)
     if len(rest) > 1 and rest[0] == "system" and isinstance(rest[1], int) and isinstance(systems, list):
         entry = systems[rest[1]]
         name = entry.get("name", f"number {rest[1] + 1}") if isinstance(entry, dict) else f"number {rest[1] + 1}"
-        starts = [match.start() for match in re.finditer(r"^\s*\[\[\s*system\s*\]\]", text, re.MULTILINE)]
-        if rest[1] < len(starts):
-            place += f" line {text.count(chr(10), 0, starts[rest[1]]) + 1}"
         place += f", system '{name}'"
         rest = rest[2:]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in rest).lstrip(".")
-    return f"{place}{', ' + key if key else ''}: {message.removeprefix('Value error, ')}"
+    return f"{place}{', ' + key if key else ''}: {message}"
 
 
 def _held(steps: list[tuple[int, float]], edges: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -22,6 +22,7 @@ class Standing:
 
     `tick`, `time_s` and `wall_s` are of that row, `profile_s` is the profile's clock then. `aim` are the temperatures,
     degC by signal, that a soak leads back to, those of `aim_tick`. `number` is that of the segment that would follow.
+    `cut_boot_s` is when the row was on this machine's boot clock, s, None where that is not known.
     """
 
     tick: int
@@ -32,9 +33,12 @@ class Standing:
     number: int
     aim_tick: int
     aim: dict[str, float]
+    cut_boot_s: float | None = None
 
     def gap_s(self, speed: float) -> float:
-        """Rig time since then, s, by the wall clock; 0 where that was set back."""
+        """Return the rig time since then, s: by the boot clock, else by the wall clock; 0 where that was set back."""
+        if self.cut_boot_s is not None:
+            return max(0.0, (time.clock_gettime(time.CLOCK_BOOTTIME) - self.cut_boot_s) * speed)
         return max(0.0, (time.time() - self.wall_s) * speed)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -16,16 +15,17 @@ from hil import adoption
 from hil.adoption import Adoption
 from hil.commissioned import commissioned_on, copy_record
 from hil.control import serving
+from hil.derived_files import REVIEW, Derived, derive_files
 from hil.engine import Engine, Outcome, Status
+from hil.gap_evidence import clocks_noted
 from hil.guardian.client import Guard, Guardian, NoGuard
-from hil.journal import Header, JournalReader, JournalWriter
+from hil.journal import Header, JournalError, JournalWriter
 from hil.live_diagnosis import LiveConfig, LiveDiagnosis, Reply
 from hil.manifest import ended, files_of, how_it_stopped, settings_of
 from hil.output_queue import queued_output
-from hil.record import export_record, read_record
 from hil.recording import Publisher
 from hil.restoring import restore
-from hil.resuming import standing
+from hil.resuming import questioned
 from hil.rig_lock import RigClaim, claimed
 from hil.rig_time import rig_and_clock
 from hil.run_folder import RunFolder, create_run_folder, new_manifest, require_room
@@ -36,7 +36,7 @@ from hil.signals import interrupted, stopping
 from hil.soaking import SoakRule, unled
 from hil.states import ENDED, State
 from hil.terminal import hours
-from hil.tracking import STATIC, Comparison, Proposed, Twins
+from hil.tracking import STATIC, Comparison, Twins
 from hil.tracking_process import Tracking
 from twin.revisions import chain
 
@@ -55,6 +55,13 @@ class RunResult:
     diagnosis: Reply | None = None
     adoption: Adoption | None = None
     gates: str | None = None
+    derived: Derived | None = None
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command: 0 where the run was in order and every file of it is there (see `Derived`)."""
+        in_order = self.outcome.in_order
+        return int(not in_order) if self.derived is None else self.derived.exit_code(in_order)
 
 
 async def run_session(
@@ -64,7 +71,8 @@ async def run_session(
 ) -> RunResult:
     """Run `request` to its end and derive everything in its folder.
 
-    Raises what `prepare` and `Twins` raise, and RigBusyError where another run drives the rig.
+    Raises what `prepare` and `Twins` raise, RigBusyError where another run drives the rig, and RigLockError where that
+    cannot be known.
     """
     ready = prepare(request)
     async with contextlib.AsyncExitStack() as stack:
@@ -72,7 +80,7 @@ async def run_session(
         for note in ready.notes:
             announce(note)
         # Before anything is made or moved: a rig or a calibrator that cannot be had is refused here.
-        claim = stack.enter_context(claimed(_shared_rig(request, ready), announce))
+        claim = stack.enter_context(claimed(_shared_rig(request, ready), announce, no_lock=request.no_lock))
         tracking = await _start_tracking(request, ready)
         if tracking is not None:
             stack.push_async_callback(tracking.close)
@@ -95,8 +103,11 @@ async def resume_session(
     rule: SoakRule,
     observer: Callable[[Status], None] | None = None,
     announce: Callable[[str], None] = lambda text: None,
+    gap_s: float | None = None,
 ) -> RunResult:
     """Go on with the run in `folder` that was cut, as `request_of` its manifest, and derive everything anew.
+
+    `gap_s` states how long the run has been down where clocks do not agree on it, s.
 
     Raises what `run_session` raises, and RunFolderError where the run still goes on or cannot go on.
     """
@@ -106,9 +117,9 @@ async def resume_session(
         manifest = folder.read_manifest()
         request = request_of(manifest)
         ready = prepare(request)
-        claim = stack.enter_context(claimed(_shared_rig(request, ready), announce))
+        claim = stack.enter_context(claimed(_shared_rig(request, ready), announce, no_lock=request.no_lock))
         claim.tell(folder.path)
-        was = standing(folder)
+        was = questioned(folder, gap_s, announce)
         require_room(folder, _ticks(ready))
         folder.control.unlink(missing_ok=True)
         tracking = await _start_tracking(request, ready)
@@ -116,8 +127,6 @@ async def resume_session(
             stack.push_async_callback(tracking.close)
         reason = how_it_stopped(manifest, was)
         announce(f"{reason} at {hours(was.profile_s)} of {hours(ready.profile.duration_s)} of the profile")
-        if was.wall_s > time.time():
-            announce("this machine's clock has been set back since the cut: how long the gap was is not known")
         if was.aim and (why := unled(ready.rig, bind(ready.rig, ready.profile.columns))) is not None:
             announce(why)
         resumption = Resumption(was, rule, reason, request.speed if request.mode == "scaled" else 1.0)
@@ -180,7 +189,8 @@ async def _run_in(run: _Run) -> RunResult:
     async with contextlib.AsyncExitStack() as stack:
         header = _header(ready, () if tracking is None else tracking.calibrators)
         journal = JournalWriter(folder.journal, header, again=resumption is not None)
-        stack.callback(journal.close)
+        stack.callback(_closed, journal)
+        await stack.enter_async_context(clocks_noted(journal))
         if resumption is not None and State(resumption.standing.state) not in ENDED:
             was = resumption.standing
             journal.state(was.tick, was.time_s, was.profile_s, was.state, "cut", State.IDLE.value, resumption.reason)
@@ -236,26 +246,22 @@ async def _run_in(run: _Run) -> RunResult:
         }
         journal.put_meta("exit_status", outcome.status)
         journal.put_meta("errors", manifest["errors_K"])
-        journal.commit()
-    folder.write_manifest(manifest)
-    announce("writing record and report")
-    export_record(folder.journal, folder.record, {"uid": manifest["uid"], "started": manifest["started"]})
-    proposals = _proposals(folder)
-    adopted = _adopted(request, folder, proposals)
-    if adopted is not None:
-        manifest["adoption"] = adoption.manifest(adopted)
-        folder.write_manifest(manifest)
-    if not follower:
-        from hil.review import write_review
-
-        announce("writing review.rrd")
-        write_review(folder.journal, folder.review)
-    from hil.report import write_report
-
-    write_report(folder)
+        try:
+            journal.commit()
+        except JournalError as error:  # a journal that is lost must not keep the rest from being made
+            manifest["problems"] = [*manifest["problems"], str(error)]
+    manifest.pop("adoption", None)  # of a segment before this one
+    derived = derive_files(folder, manifest, announce, there=(REVIEW,) if follower and folder.review.is_file() else ())
     duration_s = outcome.ticks * clock.period_s
-    gates = adoption.closed_gates(proposals) if proposals else None
-    return RunResult(folder, outcome, comparison, duration_s, wall_s, follower, told, adopted, gates)
+    return RunResult(
+        derived.folder, outcome, comparison, duration_s, wall_s, follower, told, derived.adopted, derived.gates, derived
+    )
+
+
+def _closed(journal: JournalWriter) -> None:
+    """Close the journal; what keeps it from being written has been reported by then."""
+    with contextlib.suppress(JournalError):
+        journal.close()
 
 
 def _guard(request: RunRequest, run: _Run, rig: Rig) -> Guard:
@@ -282,23 +288,6 @@ async def _restored(
     assert anew is not None
     stack.push_async_callback(anew.close)
     return anew
-
-
-def _proposals(folder: RunFolder) -> list[Proposed]:
-    """What the network proposed over the whole run."""
-    reader = JournalReader(folder.journal)
-    try:
-        return [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
-    finally:
-        reader.close()
-
-
-def _adopted(request: RunRequest, folder: RunFolder, proposals: list[Proposed]) -> Adoption | None:
-    """In controlled mode, what was accepted as the next revision of the run's twin."""
-    if request.network_mode != "controlled" or not folder.twin.is_file():
-        return None
-    made_by = f"hil run {request.profile.name} --network-mode controlled"
-    return adoption.adopt(folder.twin, read_record(folder.record), proposals, made_by)
 
 
 def _header(ready: Prepared, calibrators: tuple[str, ...]) -> Header:

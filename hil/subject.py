@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.run_folder import RunFolder
+from hil.journal import JournalError
+from hil.record_export import export_record
+from hil.run_folder import RunFolder, RunFolderError
 
 
 class SubjectError(ValueError):
@@ -28,6 +30,22 @@ class Subject:
         return Path(f"diagnosis-{self.record.parent.name or self.record.stem}-{self.record.stem}")
 
 
+def record_of(target: Path) -> Path:
+    """Resolve a record file, or a run folder to its record, which is made where an ended run has none.
+
+    Raises:
+        SubjectError: the folder has no record and none can be made.
+    """
+    if not target.is_dir():
+        return target
+    folder = RunFolder(target)
+    if not folder.record.is_file():
+        if folder.was_cut:
+            raise SubjectError(f"{target} was cut and has no record yet; `hil resume {target}` goes on with it")
+        _make_record(folder)
+    return folder.record
+
+
 def subject_of(target: Path, twin: Path | None) -> Subject:
     """Resolve a record file or a run folder; `twin` is another than the run's own.
 
@@ -38,12 +56,23 @@ def subject_of(target: Path, twin: Path | None) -> Subject:
         if twin is None:
             raise SubjectError(f"{target} is a record and does not say which twin it belongs to; name it with --twin")
         return Subject(target, twin, None)
-    folder = RunFolder(target)
-    if not folder.record.is_file():
-        if folder.was_cut:
-            raise SubjectError(f"{target} was cut and has no record yet; `hil resume {target}` goes on with it")
-        raise SubjectError(f"{target} holds no record.parquet; give a run folder of a finished run, or a record")
+    folder, record = RunFolder(target), record_of(target)
     chosen = twin or folder.twin
     if not chosen.is_file():
         raise SubjectError(f"{target} holds no twin.toml; name the twin with --twin")
-    return Subject(folder.record, chosen, target)
+    return Subject(record, chosen, target)
+
+
+def _make_record(folder: RunFolder) -> None:
+    """Make the record of a run that ended without one; raises SubjectError where that is not possible."""
+    if not folder.manifest.is_file() or not folder.journal.is_file():
+        raise SubjectError(f"{folder.path} holds no record.parquet; give a run folder of a finished run, or a record")
+    try:
+        with folder.owned():
+            export_record(folder.journal, folder.record)
+    except RunFolderError as error:
+        raise SubjectError(str(error)) from None
+    except (JournalError, OSError) as error:
+        raise SubjectError(
+            f"{folder.path} holds no record.parquet, and none can be made from its journal: {error}"
+        ) from error

@@ -214,15 +214,17 @@ class LiveRun:
             show_comparison(out, result.comparison, f"RMSE in K over {hours(result.duration_s)}")
         gaps = cut_time(result.folder.read_manifest())
         out.print(
-            f"{outcome.status}: {hours(result.duration_s)} of rig time in {result.wall_s:.1f} s{gaps}"
+            f"{outcome.verdict}: {hours(result.duration_s)} of rig time in {result.wall_s:.1f} s{gaps}"
             + (f", {outcome.overruns} late ticks" if outcome.overruns else "")
             + (f": {outcome.reason}" if outcome.reason else ""),
             highlight=False,
         )
         if outcome.ticks and (outcome.away or not outcome.safe):
             out.print("The rig was NOT confirmed safe: look at it now.", style="bold red")
-        for problem in outcome.problems:
+        for problem in [*outcome.problems, *outcome.deviations]:
             out.print(f"  {problem}", markup=False)
+        if outcome.guardian:
+            out.print(f"the guardian acted: {outcome.guardian}", markup=False)
         if result.diagnosis is not None:
             told = result.diagnosis
             said = f"no diagnosis: {told.problem}" if told.found is None else f"diagnosis: {told.found.sentence}"

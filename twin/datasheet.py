@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -53,8 +54,8 @@ def from_datasheet(path: str | Path, template: str | Path | None = None) -> Netw
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise TwinFileError(f"{path}: cannot be read ({error.strerror}); give the path of a data sheet") from None
-    except ValueError as error:
-        raise TwinFileError(f"{path}: is not valid JSON: {error}") from None
+    except (ValueError, RecursionError) as error:
+        raise TwinFileError(f"{path}: is not valid JSON: {error}; give the rig's data sheet") from None
     if not isinstance(data, dict):
         raise TwinFileError(f"{path}: must be a JSON object of the rig's data")
     sheet = read_sheet(data, str(path))
@@ -74,7 +75,7 @@ def read_sheet(data: Mapping[str, Any], file: str = "data sheet") -> Sheet:
         if key not in table:
             raise TwinFileError(f"{file}: {key} is missing{did_you_mean(key, table)}")
         value = table[key]
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value <= 0:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= sys.float_info.max:
             raise TwinFileError(f"{file}: {key} must be a positive number, not {value!r}")
         return float(value)
 

@@ -54,9 +54,14 @@ class Reader:
         return value
 
     def number(self, value: Any, keys: tuple[str, ...]) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        try:
+            found = float(value) if is_number else math.nan
+        except OverflowError:
+            self.fail(keys, "must be a finite number, and has too many digits")
+        if not math.isfinite(found):
             self.fail(keys, f"must be a finite number, not {value!r}")
-        return float(value)
+        return found
 
     def string(self, value: Any, keys: tuple[str, ...]) -> str:
         if not isinstance(value, str):

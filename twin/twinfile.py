@@ -51,6 +51,10 @@ def parse(text: str, file: str = "twin file") -> Network:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise TwinFileError(f"{file}: is not valid TOML: {error}") from None
+    except (ValueError, RecursionError):
+        raise TwinFileError(
+            f"{file}: is not valid TOML: it holds a number that is too long or lists that are too deep; correct it"
+        ) from None
     return Reader(text, file).network(data)
 
 

@@ -131,7 +131,7 @@ def heartbeat_of(text: str) -> dict[str, Place]:
     return {key: place_of(value) for key, value in words.items()}
 
 
-def temperatures_of(dbc: Path, encoding: str = "utf-8") -> dict[str, Place]:
+def temperatures_of(dbc: Path, encoding: str | None = None) -> dict[str, Place]:
     """Every temperature that a DBC describes, by signal; raises ConfigurationError where there is none."""
     found = {
         signal.name: Place(CAN, {"message": signal.message, "signal": signal.name})

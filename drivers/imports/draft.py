@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
+from drivers.encodings import decoded
 from drivers.points import ConfigurationError
 from drivers.rig_checks import Layout
 from drivers.rig_model import Point
+from drivers.rig_places import mistake, shown
 from drivers.units import canonical_unit
 
 
@@ -23,6 +26,8 @@ class ImportFileError(ConfigurationError):
 
     def __init__(self, path: Path, line: int | None, what: str) -> None:
         super().__init__(f"{path}{'' if line is None else f', line {line}'}: {_plain(what)}")
+        self.line = line
+        self.what = _plain(what)
 
 
 @dataclass(slots=True)
@@ -62,16 +67,39 @@ class Draft:
 
 
 def read_text(path: Path) -> str:
-    """A text file in UTF-8 (with or without byte order mark); raises ImportFileError."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise ImportFileError(path, None, f"cannot be read ({error.strerror}); correct the path") from None
+    """Return a text file in UTF-8 (with or without byte order mark); raise ImportFileError."""
+    raw = read_bytes(path)
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
         raise ImportFileError(path, line, "is not UTF-8 text; save it as CSV UTF-8 or plain UTF-8 text") from None
+    return without_zeros(path, text)
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return a file's content; raise ImportFileError."""
+    try:
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ImportFileError(path, None, f"cannot be read ({why}); correct the path") from None
+
+
+def read_any_text(path: Path, encoding: str | None, notes: list[str]) -> str:
+    """Return a text file of any usual encoding, which `notes` name where it is not UTF-8; raise ImportFileError."""
+    raw = read_bytes(path)
+    try:
+        text, found = decoded(raw, encoding)
+    except ValueError as error:
+        raise ImportFileError(path, None, str(error)) from None
+    if found != "utf-8" and encoding in (None, "utf-8"):
+        notes.append(f"it is no UTF-8 text and was read as {found}; look at its names and units")
+    return without_zeros(path, text)
+
+
+def without_zeros(path: Path, text: str) -> str:
+    """Return a text that holds no zero character; raise ImportFileError with the line of one."""
     if "\0" in text:
         raise ImportFileError(path, text[: text.index("\0")].count("\n") + 1, "holds a zero byte; save it as text")
     return text
@@ -79,12 +107,14 @@ def read_text(path: Path) -> str:
 
 def number(path: Path, line: int, what: str, value: Any) -> float:
     """A finite number; raises ImportFileError."""
+    if isinstance(value, str) and (placeholder := placeholder_in(value)) is not None:
+        raise ImportFileError(path, line, f"{what} is {placeholder}; write the number that it stands for")
     try:
         found = float(value)
     except (TypeError, ValueError, OverflowError):
         found = math.nan
     if isinstance(value, bool) or not math.isfinite(found):
-        raise ImportFileError(path, line, f"{what} {value!r} is no number; correct it")
+        raise ImportFileError(path, line, f"{what} {shown(value)} is no number; correct it")
     return found
 
 
@@ -92,12 +122,23 @@ def whole(path: Path, line: int, what: str, value: Any, low: int, high: int) -> 
     """A whole number from `low` to `high`; raises ImportFileError."""
     found = number(path, line, what, value)
     if found != int(found) or not low <= found <= high:
-        raise ImportFileError(path, line, f"{what} {value!r} is no whole number from {low} to {high}; correct it")
+        raise ImportFileError(path, line, f"{what} {shown(value)} is no whole number from {low} to {high}; correct it")
     return int(found)
 
 
+_PLACEHOLDER = re.compile(r"\$\{[^}]*\}|\$[A-Za-z_]\w*|@\{[^}]*\}|\{\{.*?\}\}")
+"""Text that another program fills in: `$VAR` and `${VAR}` of an environment, `@{store:key}` of a secret store, a
+`{{ template }}`."""
+
+
+def placeholder_in(text: str) -> str | None:
+    """Return the first placeholder in a text, or None."""
+    found = _PLACEHOLDER.search(text)
+    return None if found is None else found[0]
+
+
 class Collector:
-    """Takes points in, one by one, and refuses what no rig file can hold, with the line of the source.
+    """Points of an import, taken in one by one; a point that no rig file can hold is left out with a note.
 
     Names are made fit for a record's column and unique; units that are not known are noted, and written as a comment.
     """
@@ -105,9 +146,33 @@ class Collector:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.notes: list[str] = []
+        self.left_out: list[ImportFileError] = []
         self._names: dict[str, int] = {}
         self._layout = Layout()
         self._lines: dict[tuple[str, str], int] = {}
+
+    def note(self, line: int, what: str) -> None:
+        """Note a fact that the user must see, with its line in the source."""
+        self.notes.append(f"line {line}: {_plain(what)}")
+
+    @contextmanager
+    def item(self, line: int, name: object) -> Iterator[None]:
+        """Leave an item out, with a note, where an ImportFileError is raised while it is taken in."""
+        try:
+            yield
+        except ImportFileError as error:
+            said = error.what if re.match(rf"{re.escape(str(name))}[: ]", error.what) else f"{name}: {error.what}"
+            left = ImportFileError(self.path, error.line or line, f"{said} (left out)")
+            self.left_out.append(left)
+            self.notes.append(f"line {left.line}: {left.what}")
+
+    def nothing(self, line: int | None, what: str) -> ImportFileError:
+        """Return the error of an import without any point: the first item that was left out, or else `what`."""
+        if not self.left_out:
+            return ImportFileError(self.path, line, what)
+        first = self.left_out[0]
+        rest = f"; {len(self.left_out) - 1} more are left out" if len(self.left_out) > 1 else ""
+        return ImportFileError(self.path, first.line, f"{first.what}{rest}; there is nothing to import")
 
     def name(self, wanted: str) -> str:
         """A name that a rig file takes, made of what the source calls a point, and not taken yet."""
@@ -130,23 +195,32 @@ class Collector:
 
     def point(self, bus: str, wanted: str, line: int, keys: dict[str, Any]) -> DraftPoint:
         """A point that `hil check` accepts; raises ImportFileError with the line that is wrong."""
-        unit, comment = self.unit(line, str(keys.pop("unit", "") or "1"))
-        name = self.name(wanted)
-        if name != wanted:
-            comment = f"{comment}; " * bool(comment) + f"called {_plain(wanted)!r} in {self.path.name}"
-        keys = {"bus": bus, **{key: value for key, value in keys.items() if value is not None}, "unit": unit}
+        placeholder = placeholder_in(wanted)
+        if placeholder is not None:
+            raise ImportFileError(self.path, line, f"its name holds {placeholder}; write what that stands for")
+        names = dict(self._names)
         try:
-            point = Point.model_validate({"name": name, **keys})
+            return self._point(bus, wanted, line, keys)
+        except ImportFileError:
+            self._names = names
+            raise
+
+    def _point(self, bus: str, wanted: str, line: int, keys: dict[str, Any]) -> DraftPoint:
+        given = str(keys.pop("unit", "") or "1")
+        name = self.name(wanted)
+        comment = f"called {_plain(wanted)!r} in {self.path.name}" if name != wanted else ""
+        keys = {"bus": bus, **{key: value for key, value in keys.items() if value is not None}}
+        try:
+            point = Point.model_validate({"name": name, **keys, "unit": "1"})
         except ValidationError as error:
             item = error.errors()[0]
             place = ".".join(str(part) for part in item["loc"])
-            what = item["msg"].removeprefix("Value error, ")
-            raise ImportFileError(self.path, line, f"{place or name}: {what}; correct the line") from None
+            raise ImportFileError(self.path, line, f"{place or name}: {mistake(item)}; correct the line") from None
         if point.table is not None:
             last = (point.address or 0) + point.width - 1
             if last > 65535:
                 raise ImportFileError(self.path, line, f"{name} ends at {last}, beyond 65535; correct address or type")
-            clash = self._layout.taken_by(point)
+            clash = self._layout.clash(point)
             if clash is not None:
                 other = self._lines.get((bus, clash[0]), 0)
                 raise ImportFileError(
@@ -155,8 +229,10 @@ class Collector:
                     f"{name}: {point.table} {clash[1]} is {clash[0]}'s already (line {other}); correct an address or a "
                     "type, or leave one of the lines out",
                 )
+            self._layout.taken_by(point)
             self._lines[(bus, name)] = line
-        return DraftPoint(name, line, keys, comment)
+        unit, about = self.unit(line, given)
+        return DraftPoint(name, line, keys | {"unit": unit}, "; ".join(filter(None, (about, comment))))
 
 
 def _plain(text: str) -> str:

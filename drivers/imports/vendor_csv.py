@@ -5,218 +5,253 @@ from __future__ import annotations
 import csv
 import io
 import re
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from drivers.imports.draft import Collector, Draft, DraftBus, ImportFileError, number, read_text
+from drivers.imports.draft import Collector, Draft, DraftBus, ImportFileError, number, placeholder_in, read_any_text
+from drivers.imports.vendor_scale import (
+    ScaleError,
+    divisor_of,
+    factor_in_words,
+    factor_of,
+    is_exponent_like,
+    unit_and_factor,
+)
+from drivers.imports.vendor_words import ACCESS, OF_FUNCTION, TABLES, TYPES, WRITES, heading_key, squeezed
 
 Addressing = Literal["zero", "one", "modicon"]
 
-_HEADINGS = {
-    "name": ("name", "register name", "parameter", "signal", "point", "variable", "tag"),
-    "address": ("address", "addr", "register", "register address", "reg", "register number"),
-    "table": ("table", "register type", "object type", "input type", "area"),
-    "function": ("function", "function code", "fc", "function codes", "modbus function"),
-    "type": ("type", "data type", "datatype", "format"),
-    "order": ("order", "byte order", "word order", "endianness"),
-    "scale": ("scale", "factor", "multiplier", "scaling"),
-    "divisor": ("divisor", "divider"),
-    "offset": ("offset",),
-    "unit": ("unit", "units", "unit of measurement"),
-    "access": ("access", "rw", "r/w", "read/write", "permission"),
-    "bits": ("bit", "bits"),
-    "length": ("length", "registers", "count", "size", "quantity"),
-    "min": ("min", "minimum"),
-    "max": ("max", "maximum"),
-    "doc": ("description", "doc", "comment", "remark", "remarks", "notes", "note"),
-}
-_AMBIGUOUS = {"gain": "rename it scale (value = raw x scale) or divisor (value = raw / divisor)"}
-_TYPES = {
-    "bool": "bool",
-    "boolean": "bool",
-    "bit": "bool",
-    "string": "string",
-    "str": "string",
-    "ascii": "string",
-    "char": "string",
-    "float": "float32",
-    "real": "float32",
-    "single": "float32",
-    "ieee754": "float32",
-    "double": "float64",
-    "lreal": "float64",
-    "word": "uint16",
-    "dword": "uint32",
-    "qword": "uint64",
-    "short": "int16",
-    "ushort": "uint16",
-    "enum": "uint16",
-    "enum16": "uint16",
-    "bitfield": "uint16",
-    "bitfield16": "uint16",
-    "bitfield32": "uint32",
-}
-for _size in (16, 32, 64):
-    _TYPES |= dict.fromkeys((f"int{_size}", f"s{_size}", f"i{_size}", f"sint{_size}"), f"int{_size}")
-    _TYPES |= dict.fromkeys((f"uint{_size}", f"u{_size}", f"unsigned{_size}"), f"uint{_size}")
-_TYPES |= {"float32": "float32", "f32": "float32", "real32": "float32", "float64": "float64", "f64": "float64"}
-_TABLES = {
-    "coil": "coil",
-    "coils": "coil",
-    "discrete": "discrete",
-    "discreteinput": "discrete",
-    "discreteinputs": "discrete",
-    "holding": "holding",
-    "holdingregister": "holding",
-    "holdingregisters": "holding",
-    "input": "input",
-    "inputregister": "input",
-    "inputregisters": "input",
-}
-_OF_FUNCTION = {
-    1: "coil",
-    5: "coil",
-    15: "coil",
-    2: "discrete",
-    3: "holding",
-    6: "holding",
-    16: "holding",
-    22: "holding",
-    23: "holding",
-    4: "input",
-}
-_WRITES = {5, 6, 15, 16, 22, 23}
-_ACCESS = {
-    "r": "r",
-    "ro": "r",
-    "read": "r",
-    "readonly": "r",
-    "w": "w",
-    "wo": "w",
-    "write": "w",
-    "writeonly": "w",
-    "rw": "rw",
-    "wr": "rw",
-    "readwrite": "rw",
-}
 _OF_LEADING_DIGIT = {"0": "coil", "1": "discrete", "3": "input", "4": "holding"}
+_DELIMITERS = (";", "\t", ",", "|")
+_REMEDY = "rename it scale (value = raw x scale) or divisor (value = raw / divisor), or take it out"
 
 
-def import_csv(path: Path, addressing: Addressing | None, bus: dict[str, Any], *, order: str = "ABCD") -> Draft:
-    """The draft of a vendor's table; raises ImportFileError with the line and what to do.
+@dataclass(slots=True)
+class _Columns:
+    """Where the columns of a table are, by key; `inside` are words in brackets behind their headings."""
 
-    `addressing` says what the table's addresses are: `zero` counts from 0 as the wire does, `one` from 1, `modicon`
-    has the table as leading digit (40001 is the first holding register). `bus` are the keys of the bus in the rig
-    file, `order` is that of values of more than one register where the table has no column for it.
+    at: dict[str, int] = field(default_factory=dict)
+    inside: dict[str, str] = field(default_factory=dict)
+    unused: list[str] = field(default_factory=list)
+    is_exponent: bool = False
+
+
+def import_csv(
+    path: Path, addressing: Addressing | None, bus: dict[str, Any], *, order: str = "ABCD", encoding: str | None = None
+) -> Draft:
+    """Return the draft of a vendor's table; raise ImportFileError with the line and the remedy.
+
+    `addressing` is the table's first address: `zero` counts from 0 as the wire does, `one` from 1, `modicon` has the
+    table as leading digit (40001 is the first holding register). `bus` are the keys of the bus in the rig file, `order`
+    is that of values of more than one register where the table has no column for it. Without `encoding` UTF-8 and
+    cp1252 are tried. A line that cannot be used is left out with a note.
     """
     if addressing is None:
         raise ImportFileError(
             path, None, "does not say what its addresses count from; give --addressing zero, one or modicon"
         )
-    text = read_text(path)
-    rows = list(_rows(path, text))
+    collector = Collector(path)
+    rows = _rows(path, read_any_text(path, encoding, collector.notes))
     if not rows:
         raise ImportFileError(path, None, "has no line with a heading and values; is this the register table?")
     head_line, head = rows[0]
-    columns, ignored = _columns(path, head_line, head)
-    collector = Collector(path)
+    columns = _columns(path, head_line, head, rows[1:])
     draft = Draft(path, [DraftBus("plc", bus)], collector.notes)
-    if ignored:
-        collector.notes.append(f"columns that were not used: {', '.join(ignored)}")
+    if columns.unused:
+        collector.note(head_line, f"columns that were not used: {', '.join(columns.unused)}")
+    table = _Table(path, columns, addressing, order, collector)
     for line, row in rows[1:]:
-        if len(row) > len(head) and any(cell.strip() for cell in row[len(head) :]):
-            raise ImportFileError(
-                path, line, f"has {len(row)} cells and the heading {len(head)}; quote cells that hold a delimiter"
-            )
-        cells = {key: row[index].strip() if index < len(row) else "" for key, index in columns.items()}
-        if not any(cells.values()):
-            continue
-        draft.buses[0].points.append(
-            collector.point("plc", cells["name"], line, _keys(path, line, cells, addressing, order))
-        )
+        cells = {key: row[index].strip() if index < len(row) else "" for key, index in columns.at.items()}
+        with collector.item(line, cells["name"] or "a line"):
+            if len(row) > len(head) and any(cell.strip() for cell in row[len(head) :]):
+                said = f"has {len(row)} cells and the heading {len(head)}; quote cells that hold a delimiter"
+                raise ImportFileError(path, line, said)
+            if any(cells.values()):
+                draft.buses[0].points.append(collector.point("plc", cells["name"], line, table.keys(line, cells)))
     if not draft.buses[0].points:
-        raise ImportFileError(path, head_line, "has a heading and no line below it; there is nothing to import")
+        raise collector.nothing(head_line, "has a heading and no line below it; there is nothing to import")
     return draft
 
 
 def _rows(path: Path, text: str) -> list[tuple[int, list[str]]]:
-    """Line number and cells of every line that is neither empty nor a comment."""
-    first = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
-    delimiter = max((";", "\t", ",", "|"), key=first.count)
+    """Return first line and cells of every record that is neither empty nor a comment.
+
+    The delimiter is the one that finds most of the headings: cells of a heading may hold line breaks.
+    """
+    best: list[tuple[int, list[str]]] = []
+    most, mistake = -1, None
+    for delimiter in _DELIMITERS:
+        try:
+            found = _parsed(path, text, delimiter)
+        except ImportFileError as error:
+            mistake = mistake or (delimiter, error)
+            continue
+        known = {heading_key(cell)[0] for cell in found[0][1]} - {None} if found else set()
+        if len(known) > most:
+            best, most = found, len(known)
+    if most < 2 and mistake is not None:  # no heading was found, and quotes that do not close may be the reason
+        likely = max(_DELIMITERS, key=text.count)
+        raise _parse_error(path, text, likely) or mistake[1]
+    return best
+
+
+def _parsed(path: Path, text: str, delimiter: str) -> list[tuple[int, list[str]]]:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
     found: list[tuple[int, list[str]]] = []
+    first = 1
     try:
         for row in reader:
             if any(cell.strip() for cell in row) and not row[0].lstrip().startswith("#"):
-                found.append((reader.line_num, row))
+                found.append((first, row))
+            first = reader.line_num + 1
     except csv.Error as error:
         raise ImportFileError(path, reader.line_num, f"is no CSV ({error}); close every quote") from None
     return found
 
 
-def _columns(path: Path, line: int, head: list[str]) -> tuple[dict[str, int], list[str]]:
-    found: dict[str, int] = {}
-    ignored: list[str] = []
+def _parse_error(path: Path, text: str, delimiter: str) -> ImportFileError | None:
+    try:
+        _parsed(path, text, delimiter)
+    except ImportFileError as error:
+        return error
+    return None
+
+
+def _columns(path: Path, line: int, head: list[str], rows: list[tuple[int, list[str]]]) -> _Columns:
+    found = _Columns()
     for index, cell in enumerate(head):
-        heading = re.sub(r"[\s_]+", " ", cell).strip().lower()
-        if heading in _AMBIGUOUS:
-            raise ImportFileError(path, line, f"column {heading!r} has no agreed meaning; {_AMBIGUOUS[heading]}")
-        key = next((key for key, names in _HEADINGS.items() if heading in names), None)
-        if key is None:
-            if heading:
-                ignored.append(cell.strip())
-        elif key in found:
-            raise ImportFileError(path, line, f"has two columns for {key}; rename the one that is not meant")
-        else:
-            found[key] = index
+        key, inside = heading_key(cell)
+        called = " ".join(cell.split())
+        values = [row[index].strip() for _, row in rows if index < len(row)]
+        if key == "?":
+            if any(value not in ("", "-") for value in values):
+                raise ImportFileError(path, line, f"column {called.lower()!r} has no agreed meaning; {_REMEDY}")
+        elif key is None:
+            if called:
+                found.unused.append(called)
+        elif key in found.at:
+            if key == "address" and {inside, found.inside[key]} == {"hex", "dec"}:  # one address, written twice
+                found.unused.append(head[found.at[key]] if inside == "dec" else called)
+                if inside != "dec":
+                    continue
+            else:
+                raise ImportFileError(path, line, f"has two columns for {key}; rename the one that is not meant")
+        if key not in (None, "?"):
+            found.at[str(key)], found.inside[str(key)] = index, inside
+            if key == "scale":
+                is_factor = any(re.fullmatch(r"0[.,]\d+|1/\d+", value) for value in values)
+                found.is_exponent = not is_factor and any(is_exponent_like(value) for value in values)
     for key in ("name", "address", "type"):
-        if key not in found:
+        if key not in found.at:
             raise ImportFileError(
                 path, line, f"has no column for {key}; call one {key} (the first line must be the heading)"
             )
-    return found, ignored
+    return found
 
 
-def _keys(path: Path, line: int, cells: dict[str, str], addressing: Addressing, order: str) -> dict[str, Any]:
-    if not cells["name"]:
-        raise ImportFileError(path, line, "has no name; give one or take the line out")
-    table, access = _table(path, line, cells)
-    given, address = _address(path, line, cells["address"], addressing)
-    if table is not None and given is not None and table != given:
-        raise ImportFileError(
-            path, line, f"address {cells['address']} is of table {given} and the line says {table}; correct one"
-        )
-    table = table or given
-    if table is None:
-        raise ImportFileError(
-            path, line, f"{cells['name']}: no table; add a column table or function, or use --addressing modicon"
-        )
-    kind, length = _type(path, line, cells, table)
-    keys: dict[str, Any] = {"table": table, "address": address}
-    if table in ("holding", "input"):
-        keys["type"] = kind
-        keys["order"] = _order(path, line, cells, kind, order)
-        keys["length"] = length
-    keys |= _scaling(path, line, cells, kind)
-    keys["bits"] = _bits(path, line, cells)
-    low, high = cells.get("min", ""), cells.get("max", "")
-    if low and high:
-        keys["plausible"] = [_number(path, line, "min", low), _number(path, line, "max", high)]
-    keys["access"] = _access(path, line, cells) or access
-    if keys["access"] == "r" or keys["bits"] is not None or kind == "string":
-        keys["access"] = None
-    keys["kind"] = "status" if kind in ("bool", "string") or keys["bits"] is not None else None
-    keys["unit"] = cells.get("unit", "")
-    keys["doc"] = cells.get("doc") or None
-    return keys
+@dataclass(slots=True)
+class _Table:
+    path: Path
+    columns: _Columns
+    addressing: Addressing
+    order: str
+    collector: Collector
+
+    def keys(self, line: int, cells: dict[str, str]) -> dict[str, Any]:
+        """Return the keys of a line's point; raise ImportFileError."""
+        path = self.path
+        if not cells["name"]:
+            raise ImportFileError(path, line, "has no name; give one or take the line out")
+        for key, cell in cells.items():
+            if key != "doc" and (placeholder := placeholder_in(cell)) is not None:
+                raise ImportFileError(path, line, f"{key} is {placeholder}; write what that stands for")
+        table, access = _table(path, line, cells)
+        is_hex = "hex" in self.columns.inside.get("address", "")
+        given, address = _address(path, line, cells["address"], self.addressing, is_hex=is_hex)
+        if table is not None and given is not None and table != given:
+            raise ImportFileError(
+                path, line, f"address {cells['address']} is of table {given} and the line says {table}; correct one"
+            )
+        table = table or given
+        if table is None:
+            raise ImportFileError(path, line, "no table; add a column table or function, or use --addressing modicon")
+        kind, length = _type(path, line, cells, table)
+        keys: dict[str, Any] = {"table": table, "address": address}
+        if table in ("holding", "input"):
+            keys["type"] = kind
+            keys["order"] = _order(path, line, cells, kind, self.order)
+            keys["length"] = length
+        keys["bits"] = _bits(path, line, cells)
+        keys["access"] = _access(path, line, cells) or access
+        if keys["access"] == "r" or keys["bits"] is not None or kind == "string":
+            keys["access"] = None
+        keys["kind"] = "status" if kind in ("bool", "string") or keys["bits"] is not None else None
+        keys["unit"] = cells.get("unit", "")
+        if kind not in ("bool", "string"):
+            keys |= self._scaling(line, cells, address, is_whole="int" in kind and keys["bits"] is None)
+        keys["plausible"] = self._plausible(line, cells)
+        keys["doc"] = cells.get("doc") or None
+        return keys
+
+    def _scaling(self, line: int, cells: dict[str, str], address: int, *, is_whole: bool) -> dict[str, Any]:
+        """Return scale, offset and the unit without its factor; raise ImportFileError where a factor is not certain."""
+        factors: dict[str, float] = {}
+        try:
+            scale = factor_of(cells.get("scale", ""), is_exponent_column=self.columns.is_exponent)
+            divided = divisor_of(cells.get("divisor", ""))
+            unit, in_unit = unit_and_factor(cells.get("unit", ""))
+        except ScaleError as error:
+            raise ImportFileError(self.path, line, str(error)) from None
+        for what, factor in (("a scale", scale), ("a divisor", divided), ("a factor in its unit", in_unit)):
+            if factor is not None:
+                factors[what] = factor
+        if len(factors) > 1 and ((scale is not None and divided is not None) or set(factors.values()) != {1.0}):
+            raise ImportFileError(self.path, line, f"has {' and '.join(factors)}; leave one of them empty")
+        if is_whole and not factors:
+            words = factor_in_words(cells["name"], cells.get("doc", ""))
+            if words is not None:
+                said = f"its name or remark says {words!r}; put the factor in a column scale, 1 where there is none"
+                raise ImportFileError(self.path, line, said)
+        keys: dict[str, Any] = {"unit": unit}
+        value = next(iter(factors.values()), 1.0)
+        if value != 1.0:
+            keys["scale"] = value
+        offset = self._offset(line, cells, address)
+        if offset:
+            keys["offset"] = offset
+            self.collector.note(line, f"{cells['name']}: taken as raw x {value:g} + {offset:g}; see if that is meant")
+        return keys
+
+    def _offset(self, line: int, cells: dict[str, str], address: int) -> float:
+        """Return the offset of a value; raise ImportFileError where it counts with the addresses."""
+        text = cells.get("offset", "")
+        if text in ("", "-"):
+            return 0.0
+        offset = _number(self.path, line, "offset", text)
+        if offset and offset in (address, address + 1):
+            said = f"offset {text} is its address; rename the column, or take it out"
+            raise ImportFileError(self.path, line, said)
+        return offset
+
+    def _plausible(self, line: int, cells: dict[str, str]) -> list[float] | None:
+        low, high = cells.get("min", ""), cells.get("max", "")
+        if low in ("", "-") or high in ("", "-"):
+            return None
+        try:
+            found = [_number(self.path, line, "min", low), _number(self.path, line, "max", high)]
+        except ImportFileError as error:
+            self.collector.note(line, f"{cells['name']}: {error.what}; no plausible range was taken")
+            return None
+        return found
 
 
 def _table(path: Path, line: int, cells: dict[str, str]) -> tuple[str | None, str | None]:
-    """Table and access by the columns table and function; None where they say nothing."""
-    named = _squeezed(cells.get("table", ""))
+    """Return table and access by the columns table and function; None where they say nothing."""
+    named = squeezed(cells.get("table", ""))
     table: str | None = None
     if named:
-        table = _TABLES.get(named)
+        table = TABLES.get(named)
         if table is None:
             raise ImportFileError(
                 path, line, f"table {cells['table']!r} is not known; use coil, discrete, holding or input"
@@ -225,20 +260,20 @@ def _table(path: Path, line: int, cells: dict[str, str]) -> tuple[str | None, st
     if cells.get("function") and not codes:
         raise ImportFileError(path, line, f"function {cells['function']!r} is no function code; use 1 to 6, 15 or 16")
     for code in codes:
-        of_code = _OF_FUNCTION.get(code)
+        of_code = OF_FUNCTION.get(code)
         if of_code is None:
             raise ImportFileError(path, line, f"function {code} reads or writes no table; use 1 to 6, 15 or 16")
         if table is not None and of_code != table:
             raise ImportFileError(path, line, f"function {code} is not for table {table}; correct one of them")
         table = of_code
-    writes, reads = bool(_WRITES & set(codes)), bool(set(codes) - _WRITES)
+    writes, reads = bool(WRITES & set(codes)), bool(set(codes) - WRITES)
     return table, ("rw" if reads else "w") if writes else None
 
 
-def _address(path: Path, line: int, text: str, addressing: Addressing) -> tuple[str | None, int]:
-    """Table (of a Modicon address) and zero-based address."""
+def _address(path: Path, line: int, text: str, addressing: Addressing, *, is_hex: bool) -> tuple[str | None, int]:
+    """Return the table of a Modicon address, or None, and the zero-based address."""
     bare = text.strip().lower()
-    if re.fullmatch(r"0x[0-9a-f]{1,5}|[0-9a-f]{1,5}h", bare):
+    if re.fullmatch(r"0x[0-9a-f]{1,5}|[0-9a-f]{1,5}h", bare) or (is_hex and re.fullmatch(r"[0-9a-f]{1,5}", bare)):
         value, digits = int(bare.removeprefix("0x").removesuffix("h"), 16), ""
     elif re.fullmatch(r"\d{1,7}", bare):
         value, digits = int(bare), bare
@@ -268,13 +303,13 @@ def _address(path: Path, line: int, text: str, addressing: Addressing) -> tuple[
 
 def _type(path: Path, line: int, cells: dict[str, str], table: str) -> tuple[str, int | None]:
     text = cells["type"]
-    bare = _squeezed(text)
+    bare = squeezed(text)
     signed = re.fullmatch(r"(un)?signed(?:int(?:eger)?)?(16|32|64)(?:bits?)?", bare)
     sized = re.fullmatch(r"(u?)int(?:eger)?(16|32|64)(?:bits?)?", bare)
     string = re.fullmatch(r"(?:string|str|ascii|char)(\d{1,3})", bare)
     length = _length(path, line, cells)
     if table in ("coil", "discrete"):
-        if bare and _TYPES.get(bare) != "bool":
+        if bare and TYPES.get(bare) != "bool":
             raise ImportFileError(path, line, f"type {text!r} of a {table}, which is one bit; write bool")
         return "bool", None
     if signed is not None:
@@ -283,8 +318,8 @@ def _type(path: Path, line: int, cells: dict[str, str], table: str) -> tuple[str
         kind = f"{sized[1]}int{sized[2]}"
     elif string is not None:
         kind, length = "string", length or int(string[1])
-    elif bare in _TYPES:
-        kind = _TYPES[bare]
+    elif bare in TYPES:
+        kind = TYPES[bare]
     else:
         raise ImportFileError(
             path,
@@ -318,23 +353,6 @@ def _order(path: Path, line: int, cells: dict[str, str], kind: str, default: str
     return text
 
 
-def _scaling(path: Path, line: int, cells: dict[str, str], kind: str) -> dict[str, float]:
-    scale, divisor, offset = cells.get("scale", ""), cells.get("divisor", ""), cells.get("offset", "")
-    if scale and divisor:
-        raise ImportFileError(path, line, "has a scale and a divisor; leave one of them empty")
-    found: dict[str, float] = {}
-    if scale:
-        found["scale"] = _number(path, line, "scale", scale)
-    elif divisor:
-        by = _number(path, line, "divisor", divisor)
-        if by == 0:
-            raise ImportFileError(path, line, "divisor 0 is none; correct it")
-        found["scale"] = 1.0 / by
-    if offset:
-        found["offset"] = _number(path, line, "offset", offset)
-    return {key: value for key, value in found.items() if value != (1.0 if key == "scale" else 0.0)}
-
-
 def _number(path: Path, line: int, what: str, text: str) -> float:
     """A number, also with a decimal comma or as a fraction such as 1/10."""
     bare = text.replace(" ", "")
@@ -363,11 +381,7 @@ def _access(path: Path, line: int, cells: dict[str, str]) -> str | None:
     text = cells.get("access", "")
     if not text:
         return None
-    found = _ACCESS.get(_squeezed(text))
+    found = ACCESS.get(squeezed(text))
     if found is None:
         raise ImportFileError(path, line, f"access {text!r} is not known; use r, w or rw")
     return found
-
-
-def _squeezed(text: str) -> str:
-    return re.sub(r"[^a-z0-9]", "", text.lower())

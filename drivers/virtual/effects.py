@@ -144,8 +144,7 @@ def load_effects(path: Path) -> tuple[Effect, ...]:
         raise EffectFileError(f"{path}, line {line}: [effect] is one table; write [[effect]], with two brackets.")
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
         raise EffectFileError(f"{path}: key 'effect' holds no list of tables; write at least one [[effect]].")
-    headers = sum(line.split("#")[0].strip() == "[[effect]]" for line in text.splitlines())
-    places = [_Place(path, n, text if headers == len(tables) else "") for n in range(1, len(tables) + 1)]
+    places = [_Place(path, n, text) for n in range(1, len(tables) + 1)]
     effects = tuple(_parse(table, place) for table, place in zip(tables, places, strict=True))
     for number, effect in enumerate(effects):
         for before in range(number):

@@ -18,6 +18,7 @@ BENCHMARKS = {
     "structure": "Commissioned twins of four and of ten volumes on healthy rigs of another maker",
     "bus": "Round trips of the Modbus driver beside other people's clients; bus time of forty hours in lockstep",
     "wire": "Mutated Modbus replies and CAN frames: no wrong value is ever taken for a good one",
+    "files": "Mutated files of every kind: each is read, or refused in a sentence that names it",
     "records": "Public records of other rigs, beside the published figures",
 }
 """Name -> one line; each is a subcommand of `hil bench`."""

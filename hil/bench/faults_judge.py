@@ -17,6 +17,7 @@ from drivers.virtual.geometry import CHANNELS
 from drivers.virtual.registers import WATCHDOG_TRIPPED
 from drivers.virtual.truth import Moment
 from hil.bench.faults_rig import PERIOD_S, STALE_AFTER_S
+from hil.file_names import connect_read_only
 from hil.journal import JournalReader
 
 MOVES_W = 1.0
@@ -43,7 +44,7 @@ class Seen:
     def look(self, journal: Path) -> None:
         """See what is new."""
         try:
-            database = sqlite3.connect(f"file:{journal}?mode=ro", uri=True, timeout=1.0)
+            database = connect_read_only(journal, timeout_s=1.0)
         except sqlite3.Error:
             return
         try:
@@ -74,7 +75,7 @@ def read_journal(path: Path) -> Journal:
     """A journal, whole or as a kill has left it; an empty one where none was begun."""
     if not path.is_file():
         return Journal()
-    database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+    database = connect_read_only(path)
     try:
         sound = database.execute("PRAGMA integrity_check").fetchone()[0] == "ok"
         if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'samples'").fetchone() is None:
@@ -107,7 +108,7 @@ def read_journal(path: Path) -> Journal:
 def read_states(path: Path) -> list[tuple[float, str]]:
     """Wall time and target of every transition so far, of a live journal too."""
     try:
-        database = sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=1.0)
+        database = connect_read_only(path, timeout_s=1.0)
     except sqlite3.Error:
         return []
     try:

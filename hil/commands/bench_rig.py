@@ -153,3 +153,26 @@ def wire_command(count: int | None, quick: bool, seed: int, out: Path | None, as
     finish("wire", seed, tables, skipped, out, as_json)
     if not kept:
         sys.exit(1)
+
+
+@click.command("files")
+@click.option("--count", type=click.IntRange(min=1), help="Mutations of each kind of file.  [default: 20000]")
+@QUICK
+@SEED
+@OUT
+@JSON
+def files_command(count: int | None, quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
+    """Mutated rig files, twins, tables, configurations, DBCs, cards and journals: is each read, or refused clearly?
+
+    \b
+    Example:
+      hil bench files --quick
+    """
+    from hil.bench import files
+    from hil.terminal import Steps
+
+    with Steps("mutations", 1.0, quiet=as_json) as steps:
+        tables, skipped, kept = files.measure(count or (files.QUICK if quick else files.FULL), seed, steps.update)
+    finish("files", seed, tables, skipped, out, as_json)
+    if not kept:
+        sys.exit(1)

@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.commands.paths import INPUT_FILE, VIRTUAL_RIG
+from hil.commands.paths import INPUT_FILE, INPUT_PATH, VIRTUAL_RIG
+from hil.commands.reading_options import reading
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hil.record_raw import Reading
+
 
 @click.command()
-@click.argument("file", type=INPUT_FILE, required=False)
+@click.argument("file", type=INPUT_PATH, required=False)
 @click.option("--rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig that a profile is meant for.")
 @click.option("--catalogue", is_flag=True, help="Of a twin: which effects no record of its rig could tell apart.")
 @click.option("--kinds", is_flag=True, help="Without FILE: every kind of element a twin file may have, with its keys.")
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
     help="Of --online: for so long; default: until Ctrl-C, and of an output that is no terminal one look.",
 )
 @click.option("--picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw a twin's network: .svg or .png.")
+@reading
 def command(
     file: Path | None,
     rig: Path,
@@ -40,8 +44,11 @@ def command(
     online: bool,
     seconds: float | None,
     picture: Path | None,
+    choice: Reading,
 ) -> None:
     """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
+
+    Of RUN, a folder of runs/, its record is checked; where the run ended without one, that is made from its journal.
 
     --online exits with 1 where a bus is down or a point is not good at the end of the look.
 
@@ -54,8 +61,10 @@ def command(
       hil check my_load.csv --rig my_rig.toml
       hil check profiles/twins/loop_six.toml --picture network.svg
       hil check my_twin.toml --catalogue
+      hil check runs/<a run>
       hil check --kinds
     """
+    from hil.record_raw import Reading
     from hil.terminal import console
 
     if kinds:
@@ -69,6 +78,10 @@ def command(
         raise click.UsageError(
             "Missing argument 'FILE'; give a file to check, or --kinds for what a twin file may have"
         )
+    if file.is_dir():
+        from hil.subject import record_of
+
+        file = record_of(file)
     checker = _checker(file, rig)
     if picture is not None and checker is not _twin:
         raise click.UsageError(f"--picture draws twins, and {file} is none")
@@ -89,7 +102,14 @@ def command(
 
             click.echo(plan(file))
             return
-        checker(file, rig, console())
+        if checker is _record:
+            _record(file, choice, console())
+        elif choice != Reading():
+            raise click.UsageError(
+                f"--decimal, --dates, --time-column and --time-scale are of a record; {file} is none"
+            )
+        else:
+            checker(file, rig, console())
     if catalogue:
         _catalogue(file, console())
     if picture is not None:
@@ -145,17 +165,31 @@ def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
 
 
 def _readings(file: Path, rig: Path) -> list[str]:
-    """Columns of a table that are temperatures and no set-points of the rig: what a load profile never has."""
+    """Return the columns of a table that no load profile has: temperatures that are no set-points of the rig, values
+    of one reading a row, and columns besides a separate one of dates.
+    """
+    from hil.csv_dialect import DialectError, find_dialect
+    from hil.record_annotated import is_annotated
+    from hil.record_long import VALUES
+    from hil.time_names import names_dates
+
     with file.open(encoding="utf-8-sig", errors="replace") as lines:
-        header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
-    names = [name.strip().strip('"') for name in re.split(r"[,;\t]", header)]
+        beginning = lines.read(200_000)
+    if is_annotated(beginning):
+        return ["_value"]
+    try:
+        names = list(find_dialect(beginning).names)
+    except DialectError:
+        return []  # the reader of profiles names the line
     found = [name for name in names if _TEMPERATURE.search(name)]
     if found and names[0] == "time_s":
         from drivers.rigfile import load_rig
         from hil.run_request import setpoint_limits
 
         limits = setpoint_limits(load_rig(rig))
-        found = [name for name in found if name not in limits]
+        return [name for name in found if name not in limits]
+    if names[0] != "time_s":
+        found += [name for name in names if name.lower() in VALUES or names_dates(name)]
     return found
 
 
@@ -269,12 +303,12 @@ def _profile(file: Path, rig: Path, out: Console) -> None:
     out.print(f"{file}: {profile.duration_s / 3600:.2f} h, runs on {target.name}", style="green")
 
 
-def _record(file: Path, _: Path, out: Console) -> None:
+def _record(file: Path, choice: Reading | Path, out: Console) -> None:
     import numpy as np
 
-    from hil.record import read_record
+    from hil.record import Reading, read_record
 
-    record = read_record(file)
+    record = read_record(file, choice=choice if isinstance(choice, Reading) else None)
     for message in record.messages:
         out.print(f"  {message}", markup=False, soft_wrap=True)
     for name, values in record.columns.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from math import isfinite
 from pathlib import Path
@@ -9,14 +10,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.commands.paths import INPUT_FILE
+from hil.commands.paths import INPUT_FILE, INPUT_PATH
+from hil.commands.reading_options import reading
 
 if TYPE_CHECKING:
+    from hil.record import Reading
     from twin.commission import Commission
 
 
 @click.command()
-@click.argument("record", type=INPUT_FILE)
+@click.argument("target", type=INPUT_PATH, metavar="RUN|RECORD")
 @click.option("--twin", type=INPUT_FILE, help="Twin file to start from; it is not changed.")
 @click.option("--datasheet", type=INPUT_FILE, help="A rig's datasheet.json: fills in --twin, or loop.toml.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="New twin file to write.")
@@ -25,27 +28,40 @@ if TYPE_CHECKING:
     "--initial-sd", type=click.FloatRange(min=0.0, min_open=True), default=5.0, show_default=True, metavar="K",
     help="How firmly the state at the beginning is held to the first readings; 0.1 for a record that begins at rest.",
 )  # fmt: skip
+@reading
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
-    record: Path, twin: Path | None, datasheet: Path | None, out: Path, seed: int, initial_sd: float, as_json: bool
+    target: Path,
+    twin: Path | None,
+    datasheet: Path | None,
+    out: Path,
+    seed: int,
+    initial_sd: float,
+    as_json: bool,
+    choice: Reading,
 ) -> None:
-    """Fit the tunables of a twin to RECORD, a healthy one, and write them as a new revision.
+    """Fit the tunables of a twin to RUN or RECORD, a healthy one, and write them as a new revision.
 
-    What the twin reads of RECORD is kept beside it, as <OUT>.healthy.parquet: `hil diagnose` asks it what is usual.
+    What the twin reads of it is kept beside it, as <OUT>.healthy.parquet: `hil diagnose` asks it what is usual.
 
     A fifth of the record, its end unless that alone shows some pump or fan speed, is kept out of the fit; errors before
-    and after are of a free run over it.
+    and after are of a free run over it. No twin is written where RECORD identifies none of the tunables, or where the
+    fitted twin errs there by more than its sensors move at all.
 
     \b
     Example:
-      hil commission runs/<a healthy run>/record.parquet --twin profiles/twins/loop.toml --out my_twin.toml
+      hil commission runs/<a healthy run> --twin profiles/twins/loop.toml --out my_twin.toml
       hil commission commissioning.parquet --datasheet datasheet.json --out my_twin.toml
       hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
     from hil.commissioned import beside, save_with_record
+    from hil.file_names import printable
     from hil.record import read_record
     from hil.record_units import beyond_declared
+    from hil.subject import record_of
+    from hil.terminal import console
     from twin.commission import commission
+    from twin.commission_check import clock_in_question, reason_to_refuse
     from twin.datasheet import from_datasheet
     from twin.network import TwinFileError
     from twin.twinfile import load
@@ -56,7 +72,8 @@ def command(
         if path.exists():
             raise click.UsageError(f"{path} exists already; a twin is never overwritten, give --out another name")
     network = from_datasheet(datasheet, twin) if datasheet is not None else load(twin or "")
-    data = read_record(record)
+    record = record_of(target)
+    data = read_record(record, choice=choice)
     data.require(*network.input_columns)
     try:
         inputs, measured = network.select(data.columns)
@@ -64,13 +81,20 @@ def command(
         raise TwinFileError(f"{record}: {error}") from None
     result = commission(
         network, data.time_s, inputs, measured,
-        seed=seed, initial_sd=initial_sd, made_by=f"hil commission {record.name}",
+        seed=seed, initial_sd=initial_sd, made_by=f"hil commission {printable(record.name)}",
     )  # fmt: skip
+    messages = (*data.messages, *beyond_declared(network, data.columns))
+    if why := reason_to_refuse(result, measured):
+        for message in messages:
+            console(quiet=as_json).print(message, markup=False, soft_wrap=True)
+        raise TwinFileError(f"{record}: no twin is written: {why}")
+    if said := clock_in_question(result):
+        result = dataclasses.replace(result, notes=(*result.notes, said))
     kept = save_with_record(result.network, data, out)
     if as_json:
         click.echo(json.dumps(_document(result, out, kept), indent=1))
         return
-    _show(result, (*data.messages, *beyond_declared(network, data.columns)), out, kept)
+    _show(result, messages, out, kept)
 
 
 def _document(result: Commission, out: Path, kept: Path) -> dict[str, object]:
@@ -127,5 +151,5 @@ def _show(result: Commission, messages: tuple[str, ...], out: Path, kept: Path) 
     if unread:
         to.print(f"without a reading there, so not in the table: {', '.join(unread)}", soft_wrap=True)
     for note in result.notes:
-        to.print(note)
+        to.print(note, markup=False, soft_wrap=True)
     to.print(f"written: {out}, and beside it the record for later: {kept.name}", soft_wrap=True)

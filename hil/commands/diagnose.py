@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.commands.paths import INPUT_FILE, INPUT_PATH
+from hil.commands.reading_options import reading
 from hil.errors import FOUND
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from hil.record import Reading
     from twin.discovery.diagnosis import Diagnosis, SensorError
     from twin.discovery.healthy.basis import Columns
     from twin.network import Network
@@ -53,6 +55,7 @@ STEPS = 6.0
     metavar="DRAWS",
     help="First commission and diagnose so many healthy records drawn from the twin: thresholds by the whole pipeline.",
 )
+@reading
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
 def command(
     target: Path,
@@ -70,6 +73,7 @@ def command(
     forecast: bool,
     bootstrap: int | None,
     as_json: bool,
+    choice: Reading,
 ) -> None:
     """Find the residual of RUN or RECORD, trace it to an effect that the twin lacks, and add that effect.
 
@@ -131,19 +135,19 @@ def command(
         raise click.UsageError("--bootstrap draws records like the healthy one: give it with --healthy")
     hour = clock_of(clock) if clock else clock_beside(subject.record)
     told = with_clock(network) if hour is not None and not at_rest else network
-    good = read_healthy(told, subject.twin, healthy, hour) if healthy else None
+    good = read_healthy(told, subject.twin, healthy, hour, choice if named else None) if healthy else None
     if forecast:
         foretell(console(), told, subject.record, good, hour, as_json=as_json)
         return
     if bootstrap and good is not None:
         _bootstrap(told, good, healthy, bootstrap, quiet=as_json)
     try:
-        record, messages = read_columns(told, subject.record, hour, at_rest=at_rest)
+        record, messages = read_columns(told, subject.record, hour, at_rest=at_rest, choice=choice)
     except TooShortError as error:
         raise TwinFileError(f"{error}; where each row is a steady state of its own, give --at-rest") from None
     allowed = rig or (rig_of(target) if target.is_dir() else None)
     limits = limits_of(allowed) if allowed is not None else None
-    later = further_columns(told, more, hour)
+    later = further_columns(told, more, hour, choice)
     stages = 0
     with Steps("diagnosing", STEPS, quiet=as_json) as steps:
         for message in messages:

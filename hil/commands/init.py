@@ -14,6 +14,7 @@ from hil.commands.paths import INPUT_FILE
 if TYPE_CHECKING:
     from drivers.imports.described import Place
     from drivers.imports.draft import Draft
+    from drivers.rig_model import Rig
 
 
 @click.command()
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 @click.option("--device-id", type=click.IntRange(0, 255), default=1, show_default=True, help="Its unit.")
 @click.option("--channel", default="can0", show_default=True, help="The CAN interface.")
 @click.option("--socketcand", metavar="HOST:PORT", help="Daemon that the CAN interface is reached through.")
-@click.option("--encoding", default="utf-8", show_default=True, help="Of a DBC: cp1252 for most older files.")
+@click.option("--encoding", help="Of a DBC or a CSV. By itself UTF-8 and then cp1252 are tried.")
 @click.option("--heater", "heaters", multiple=True, metavar="set=PLACE,read=PLACE,max=W", help="May be repeated.")
 @click.option("--pump", "pumps", multiple=True, metavar="set=PLACE,read=PLACE,max=%", help="May be repeated.")
 @click.option("--fan", "fans", multiple=True, metavar="set=PLACE,read=PLACE,max=%", help="May be repeated.")
@@ -58,7 +59,7 @@ def command(
     device_id: int,
     channel: str,
     socketcand: str | None,
-    encoding: str,
+    encoding: str | None,
     heaters: tuple[str, ...],
     pumps: tuple[str, ...],
     fans: tuple[str, ...],
@@ -111,7 +112,7 @@ def command(
             rig.flow = place_of(flow) if flow else None
             rig.heartbeat = heartbeat_of(heartbeat) if heartbeat else {}
             if dbc is not None:
-                rig.can = can | {"dbc": str(dbc)} | ({"dbc_encoding": encoding} if encoding != "utf-8" else {})
+                rig.can = can | {"dbc": str(dbc)} | ({"dbc_encoding": encoding} if encoding is not None else {})
             rig.thermocouples = _thermocouples(thermocouples, dbc, encoding)
         elif _somebody_is_there():
             from hil.commands.init_questions import ask
@@ -131,13 +132,19 @@ def _somebody_is_there() -> bool:
 
 
 def _imported(
-    source: Path, out: Path, addressing: str | None, order: str, encoding: str, bus: dict[str, Any], can: dict[str, Any]
+    source: Path,
+    out: Path,
+    addressing: str | None,
+    order: str,
+    encoding: str | None,
+    bus: dict[str, Any],
+    can: dict[str, Any],
 ) -> Draft:
     suffix = source.suffix.lower()
     if suffix in (".csv", ".tsv", ".txt"):
         from drivers.imports.vendor_csv import import_csv
 
-        return import_csv(source, addressing, bus, order=order)  # type: ignore[arg-type]
+        return import_csv(source, addressing, bus, order=order, encoding=encoding)  # type: ignore[arg-type]
     if suffix in (".toml", ".conf"):
         from drivers.imports.telegraf import import_telegraf
 
@@ -153,7 +160,7 @@ def _imported(
     raise click.UsageError(f"{source}: is no .csv, .toml, .yaml or .dbc file; nothing here knows how to import it")
 
 
-def _thermocouples(said: tuple[str, ...], dbc: Path | None, encoding: str) -> dict[str, Place]:
+def _thermocouples(said: tuple[str, ...], dbc: Path | None, encoding: str | None) -> dict[str, Place]:
     """Those that were named; where none of them is on CAN, also every temperature of the DBC."""
     from drivers.imports.described import CAN, place_of, temperatures_of
 
@@ -175,22 +182,35 @@ def _address(text: str) -> dict[str, Any]:
     return {"host": host, "port": int(port)}
 
 
+def _bind_messages(rig: Rig) -> None:
+    """Find the messages of every point on CAN in its DBC, as `hil check` does; raise ConfigurationError."""
+    from drivers.bus_sections import CanBus
+
+    for name, bus in rig.bus.items():
+        if isinstance(bus, CanBus):
+            from drivers.dbc import bind
+
+            bind(name, bus, [point for point in rig.point if point.bus == name])
+
+
 def _write(draft: Draft, out: Path, name: str, period_s: float, source: Path | None) -> None:
     """Write the rig file, unless it would be one that `hil check` refuses."""
     from drivers.imports.draft import ImportFileError, write
-    from drivers.rigfile import RigFileError, load_rig
+    from drivers.points import ConfigurationError
+    from drivers.rigfile import load_rig
     from hil.atomic import replacing
 
     with replacing(out) as unfinished:
         unfinished.write_text(write(draft, name, period_s=period_s), encoding="utf-8")
         try:
             rig = load_rig(unfinished)
-        except RigFileError as error:
-            what = str(error).splitlines()[0].removeprefix(f"{unfinished}, ")
+            _bind_messages(rig)
+        except ConfigurationError as error:
+            what = str(error).splitlines()[0].removeprefix(f"{unfinished}, ").removeprefix(f"{source}: ")
             if source is not None:
                 raise ImportFileError(source, None, f"makes a rig file that cannot be used ({what}); mend it") from None
             what = re.sub(r"^line \d+: ", "", what)
             raise click.UsageError(f"that makes no rig file that can be used: {what}; nothing was written") from None
     for note in draft.notes:
-        click.echo(f"note: {note}")
+        click.echo(f"note: {note}" if source is None else f"note: {source.name}, {note}")
     click.echo(f"{out}: {len(rig.point)} points on {', '.join(rig.bus)}; next: hil check {out}")

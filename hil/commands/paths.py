@@ -11,7 +11,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 
 
 class InputPath(click.ParamType[Path]):
-    """A file or a folder that exists."""
+    """A file or a folder that exists; a file of the project's `profiles/` is found from any working directory."""
 
     name = "path"
 
@@ -19,6 +19,9 @@ class InputPath(click.ParamType[Path]):
         path = Path(value)
         if path.exists():
             return path
+        shipped = PROJECT / path
+        if shipped.is_file() and path.parts[:1] == ("profiles",):
+            return shipped
         return self.fail(f"{path}: there is no such file or folder; check the path", param, ctx)
 
 

@@ -30,8 +30,10 @@ if TYPE_CHECKING:
 @click.option("--healthy", type=INPUT_FILE, help="Where the healthy record lies now.")
 @click.option("--network", "card", type=INPUT_FILE, help="Where the card of the run's trained network lies now.")
 @click.option("--control", help="host:port of a `hil rig --mode lockstep` that runs already, if it is another now.")
+@click.option("--gap", help="How long the run has been down, such as 12min, where this machine's clock is wrong.")
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip of the rig's own; find its cause before.")
 @click.option("--no-guardian", is_flag=True, help="Nobody makes the rig safe if this process is killed or hangs.")
+@click.option("--no-lock", is_flag=True, help="Run even if locks do not keep a second run off this rig.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
@@ -45,8 +47,10 @@ def command(
     healthy: Path | None,
     card: Path | None,
     control: str | None,
+    gap: str | None,
     rearm: bool,
     no_guardian: bool,
+    no_lock: bool,
     viewer: bool | None,
     as_json: bool,
 ) -> None:
@@ -60,8 +64,10 @@ def command(
     \b
     Example:
       hil resume runs/20260520T120000Z-battle_40h
+      hil resume runs/20260520T120000Z-battle_40h --gap 2.5h
       hil resume runs/20260520T120000Z-battle_40h --band 2 --timeout 14400
     """
+    from hil.gap_evidence import duration_s
     from hil.resuming import request_of
     from hil.run_folder import RunFolder
     from hil.session import resume_session
@@ -72,17 +78,21 @@ def command(
     moved = {
         "rig": rig, "profile": profile, "twin": twin, "effects": effects, "healthy": healthy, "network": card,
     }  # fmt: skip
+    gap_s = None if gap is None else duration_s(gap)
     where = None if control is None else address(control)
 
     def request(manifest: dict[str, Any]) -> RunRequest:
-        return request_of(folder, manifest, moved, control=where, rearm=rearm, viewer=viewer, guardian=not no_guardian)
+        return request_of(
+            folder, manifest, moved, control=where, rearm=rearm, no_lock=no_lock, viewer=viewer,
+            guardian=not no_guardian,
+        )  # fmt: skip
 
     with LiveRun(quiet=as_json) as live:
         rule = SoakRule(band_K, timeout_s)
-        result = asyncio.run(resume_session(folder, request, rule, live.update, live.announce))
+        result = asyncio.run(resume_session(folder, request, rule, live.update, live.announce, gap_s))
     if as_json:
         click.echo(json.dumps(as_json_document(result), indent=1))
     else:
         live.show_result(result)
-    if not result.outcome.in_order:
-        sys.exit(1)
+    if result.exit_code:
+        sys.exit(result.exit_code)

@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from hil.run_folder import RunFolder
 
 
+LIVE_REVIEW_S = 180.0
+"""The review of a live viewer may be older than its journal by this: what a run does after its last tick."""
+
+
 @click.command()
 @click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--follow", is_flag=True, help="Show a run that is still going on, live.")
@@ -49,7 +53,8 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
 
         follow_review(folder.journal)
         return
-    if rebuild or not folder.review.is_file() or _older(folder):
+    # A live viewer closes the file before the journal gets its last rows about how the run ended.
+    if rebuild or not folder.is_current(folder.review, LIVE_REVIEW_S if finished else 0.0) or _older(folder):
         cut = f" (the run was cut: what there is of it; `hil resume {run}` goes on with it)"
         so_far = "" if finished else cut if folder.was_cut else " (the run goes on: what there is so far)"
         click.echo(f"writing {folder.review}{so_far}", err=True)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 @click.option("--control", help="host:port that grants steps, of a `hil rig --mode lockstep` that runs already.")
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip that the rig brings along; find its cause before.")
 @click.option("--no-guardian", is_flag=True, help="Nobody makes the rig safe if this process is killed or hangs.")
+@click.option("--no-lock", is_flag=True, help="Run even if locks do not keep a second run off this rig.")
 @click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not know of (virtual rig).")
 @CALIBRATORS
 @NETWORK
@@ -52,6 +53,7 @@ def command(
     control: str | None,
     rearm: bool,
     no_guardian: bool,
+    no_lock: bool,
     effects: Path | None,
     calibrators: tuple[str, ...],
     card: Path | None,
@@ -104,6 +106,7 @@ def command(
         viewer=viewer,
         control=None if control is None else address(control),
         rearm=rearm,
+        no_lock=no_lock,
         diagnose_s=None if diagnose is None else interval_of(diagnose),
         healthy=healthy,
         adopt=adopt,
@@ -123,8 +126,8 @@ def command(
         click.echo(json.dumps(as_json_document(result), indent=1))
     else:
         live.show_result(result)
-    if not result.outcome.in_order:
-        sys.exit(1)
+    if result.exit_code:
+        sys.exit(result.exit_code)
 
 
 def address(text: str) -> tuple[str, int]:

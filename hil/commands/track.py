@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.commands.paths import INPUT_FILE, INPUT_PATH
+from hil.commands.reading_options import reading
 from hil.commands.tracking_options import CALIBRATORS, NETWORK, NETWORK_MODE
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hil.adoption import Adoption, NetworkMode
-    from hil.record import Record
+    from hil.record import Reading, Record
     from hil.tracking import Proposed
 
 BLOCK_ROWS = 1200
@@ -33,6 +34,7 @@ BLOCK_ROWS = 1200
 @click.option(
     "--out", type=click.Path(dir_okay=False, path_type=Path), help="Write predictions there, .parquet or .csv."
 )
+@reading
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
 def command(
     target: Path,
@@ -43,6 +45,7 @@ def command(
     seed: int,
     out: Path | None,
     as_json: bool,
+    choice: Reading,
 ) -> None:
     """Replay RUN or RECORD (Parquet or CSV) past a static twin and tracked ones, and print their errors per sensor.
 
@@ -67,7 +70,7 @@ def command(
     check_calibrators(calibrators)
     names, optional = chosen(calibrators or None, card)
     subject = subject_of(target, twin)
-    data = read_record(subject.record)
+    data = read_record(subject.record, choice=choice)
     twins = Twins(TrackingConfig(subject.twin, tuple(data.columns), names, seed, optional, card=card))
     data.require(*twins.network.input_columns)
     began = time.monotonic()

@@ -14,6 +14,7 @@ from drivers.modbus_pdu import Read, write_request
 from drivers.modbus_writes import Writes
 from drivers.plan import plan_reads
 from drivers.rig_model import Point, Rig
+from drivers.wires import wires
 from hil.heaters import safe_limit
 from hil.setpoints import Setpoints
 
@@ -28,12 +29,13 @@ def plan_of(rig: Rig) -> dict[str, Any] | None:
     safe = Setpoints(rig).safe_values()
     if not safe:
         return None
-    wires: dict[tuple[object, ...], dict[str, Any]] = {}
+    first = wires(rig)
+    found: dict[str, dict[str, Any]] = {}
     for name, value in safe.items():
         point = rig.get(name)
         bus = rig.bus[point.bus]
         assert not isinstance(bus, CanBus)  # CAN points are read only
-        wire = wires.setdefault(bus.wire, wire_of(bus))
+        wire = found.setdefault(first[point.bus], wire_of(bus))
         for block, raw in Writes({name: point}, bus).of({name: value}):
             said = f"{name} {value:g} {point.unit}"
             wire["writes"].append({"device": bus.device_id, "pdu": write_request(block, raw).hex(), "name": said})
@@ -49,16 +51,16 @@ def plan_of(rig: Rig) -> dict[str, Any] | None:
         meter = rig.get(limit.meter)
         bus = rig.bus[meter.bus]
         # A meter on CAN, or on a device that is never written to, is the engine's to read.
-        if isinstance(bus, CanBus) or bus.wire not in wires:
+        if isinstance(bus, CanBus) or first[meter.bus] not in found:
             continue
         (block,) = plan_reads([meter], max_gap=0)
-        wires[bus.wire]["meters"].append(
+        found[first[meter.bus]]["meters"].append(
             {
                 "device": bus.device_id, "pdu": Read(block).request.hex(), "name": meter.name, "unit": meter.unit,
                 "limit": limit.at_most, "invalid": sorted(meter.sentinels), **_number(meter),
             }
         )  # fmt: skip
-    return {"silence_s": SILENCE_S, "wires": list(wires.values())}
+    return {"silence_s": SILENCE_S, "wires": list(found.values())}
 
 
 def wire_of(bus: ModbusBusSection) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 
 from hil.atomic import replacing
 from hil.diagnosis_store import Findings, read_findings
+from hil.file_names import utf8_path
 from hil.journal import JournalError, JournalReader
 from hil.review.batches import Batch, merged
 from hil.review.collect import Collector
@@ -115,7 +116,7 @@ def write_findings_review(folder: Path, rrd: Path) -> None:
     found = read_findings(folder)
     name = folder.resolve().name
     plan = plan_alone(found, name)
-    with replacing(rrd) as path:
+    with replacing(rrd) as unfinished, utf8_path(unfinished) as path:
         recording = Recording(plan, name, path=path)
         _send_findings(recording, found, plan)
         recording.layout(plan, plan.header.duration_s)
@@ -147,7 +148,7 @@ def follow(
         reader = stack.enter_context(_reader(journal, stop))
         collector = Collector(reader)
         name = journal.resolve().parent.name
-        path = None if rrd is None else stack.enter_context(replacing(rrd))
+        path = None if rrd is None else stack.enter_context(utf8_path(stack.enter_context(replacing(rrd))))
         recording = None if path is None else Recording(collector.plan, name, path=path)
         file = None if recording is None else _File(recording)
         screen = None if viewer is None else _Screen(collector, name, viewer)

@@ -22,6 +22,8 @@ TRACKED: dict[str, Colour] = {
     "cyan": (20, 200, 210),
 }
 ACTUATORS: tuple[Colour, ...] = ((240, 110, 90), (90, 170, 250), (110, 210, 140), (220, 180, 90), (190, 140, 240))
+ACTUATOR_WORDS = ("red", "blue", "green", "yellow", "violet")
+"""Names of `ACTUATORS`, for titles of panels without a legend."""
 RED: Colour = (235, 70, 70)
 GREEN: Colour = (60, 140, 90)
 YELLOW: Colour = (230, 200, 60)
@@ -95,6 +97,8 @@ class Panel:
     legend: bool = True
     reach: float | None = None
     """Of the value axis, to either side of 0; None as far as the values go."""
+    margin: float = 0.0
+    """Part of the time axis that is left free before the run, beside that of the stacks around it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +150,9 @@ def twin_colours(twins: tuple[str, ...]) -> dict[str, Colour]:
 
 
 def colour_key(twins: tuple[str, ...]) -> str:
-    """What the colours of the curves mean, in one line."""
+    """Return in one line which colour stands for what."""
     tracked = [twin for twin in twins if twin != "static"]
     parts = ["grey: measured", *(["orange: static twin"] if "static" in twins else [])]
     parts += [f"{name}: tracked by {twin}" for twin, name in zip(tracked, itertools.cycle(TRACKED), strict=False)]
-    return " · ".join([*parts, "thin lines: 90 % band, or ±2σ of the sensor's noise", "gap: no good value"])
+    parts += ["thin lines: 90 % band, or ±2σ of the sensor's noise", "gap: no good value"]
+    return " · ".join([*parts, "set-points: dim, read back: bright"])

@@ -27,10 +27,10 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
 
 from __future__ import annotations
 
-import re
-
-from drivers.points import Quality, Signal
+from drivers.points import Quality
+from hil.actuators import pair_actuators
 from hil.journal_rows import Header
+from hil.review.legends import with_room_for_legends
 from hil.review.looks import (
     ACTUATORS,
     FAINT,
@@ -52,11 +52,10 @@ from hil.review.looks import (
 )
 from hil.review.tabs import MARGIN, calibration_tab, overview, quality_tab, sensor_tab, unit_panels
 
-_SETPOINT_SUFFIX = re.compile(r"_(set|setpoint|sp|cmd|command|target|demand)$")
 
-
-def _dimmed(colour: Colour) -> Colour:
-    return (colour[0] // 2, colour[1] // 2, colour[2] // 2)
+def _dimmed(colour: Colour, to: float = 0.5) -> Colour:
+    red, green, blue = (int(part * to) for part in colour)
+    return red, green, blue
 
 
 def _sensor_lines(header: Header) -> list[Lines]:
@@ -79,8 +78,11 @@ def _sensor_lines(header: Header) -> list[Lines]:
             lines.append(
                 Lines(path("sensors", sensor, "miss", twin), (twin,), (colours[twin],), (0.6 * width,), steps=True)
             )
-            dim, names = _dimmed(colours[twin]), (f"{twin}, 90 % band", f"-{twin}, 90 % band")
-            lines.append(Lines(path("sensors", sensor, "band", twin), names, (dim, dim), (1.0,), steps=True))
+            tracked = [name for name in drawn if name != "static"]
+            # Bands of twins that know equally much lie on one another: those drawn first are wider, so all are seen.
+            wide = 1.0 + 3.0 * (len(tracked) - 1 - tracked.index(twin)) if twin in tracked else 1.0
+            dim, names = _dimmed(colours[twin], 0.65), (f"{twin}, 90 % band", f"-{twin}, 90 % band")
+            lines.append(Lines(path("sensors", sensor, "band", twin), names, (dim, dim), (wide,), steps=True))
         sigma = header.noise_K.get(sensor)
         if sigma is None:
             lines.append(Lines(path("sensors", sensor, "noise"), ("zero",), (NEUTRAL,), (1.0,)))
@@ -88,22 +90,6 @@ def _sensor_lines(header: Header) -> list[Lines]:
             names = ("zero", f"+2σ noise ({2 * sigma:.3g} K)", "-2σ noise")
             lines.append(Lines(path("sensors", sensor, "noise"), names, (NEUTRAL, FAINT, FAINT), (1.0,)))
     return lines
-
-
-def pair_actuators(signals: tuple[Signal, ...]) -> dict[str, tuple[Signal, ...]]:
-    """Set-points by name without suffix, each with its read-back where one has that name or the same role."""
-    measured = [signal for signal in signals if signal.kind == "measured"]
-    pairs: dict[str, tuple[Signal, ...]] = {}
-    for setpoint in (signal for signal in signals if signal.kind == "setpoint"):
-        stem = _SETPOINT_SUFFIX.sub("", setpoint.name)
-        found = [
-            signal
-            for signal in measured
-            if signal.unit == setpoint.unit
-            and (signal.name.startswith(stem) or (signal.role is not None and signal.role == setpoint.role))
-        ]
-        pairs[stem] = (setpoint, *found[:1])
-    return pairs
 
 
 def make_plan(
@@ -161,7 +147,12 @@ def make_plan(
         *calibration_tab(calibrators, units or {}, commissioned, proposers),
         quality_tab(bool(status)),
     ]
-    return Plan(header, tuple(lines), tuple(lanes), tuple(tabs), columns_of)
+    labels = {line.entity: line.names for line in lines}
+    labels |= {path("relative", name): tuple(units or {}) for name in calibrators}
+    labels |= {path("parameters", name): calibrators for name in units or {}}
+    return Plan(
+        header, tuple(lines), tuple(lanes), tuple(with_room_for_legends(tab, labels) for tab in tabs), columns_of
+    )
 
 
 def _quality_colours() -> dict[str, Colour]:

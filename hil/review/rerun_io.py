@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
+from hil.file_names import printable, utf8_path
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.looks import NEUTRAL, Colour, Panel, Plan, Stack, colour_key, symbol, twin_colours
 
 TIMELINE = "test_time"
 _SETTLED = 3
+_AFTER_TIME = "  "
 
 
 class Recording:
@@ -27,12 +29,12 @@ class Recording:
 
     def __init__(self, plan: Plan, name: str, *, path: Path | None = None, url: str | None = None) -> None:
         # An id of its own: a viewer that shows the live stream must not merge the file into it when asked to open it.
-        self._stream = rr.RecordingStream(f"hil {plan.header.profile}", recording_id=str(uuid.uuid4()))
+        self._stream = rr.RecordingStream(printable(f"hil {plan.header.profile}"), recording_id=str(uuid.uuid4()))
         if path is not None:
             self._stream.save(path)
         if url is not None:
             self._stream.connect_grpc(url)
-        self._stream.send_recording_name(name)
+        self._stream.send_recording_name(printable(name))
         self._header = plan.header
         self._live = url is not None
         self._colours: dict[str, Colour] = {}
@@ -57,7 +59,7 @@ class Recording:
 
     def note(self, entity: str, markdown: str) -> None:
         """A text that holds at all times."""
-        self._stream.log(entity, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN), static=True)
+        self._stream.log(entity, rr.TextDocument(printable(markdown), media_type=rr.MediaType.MARKDOWN), static=True)
 
     def _looks(self, plan: Plan) -> None:
         self._colours |= plan.colours
@@ -91,8 +93,9 @@ class Recording:
                 self._stream.send_columns(entity, times, rr.Measurements.columns(values=values, variances=variances))
             case States(entity, _, states):
                 self._stream.send_columns(entity, times, rr.StateChange.columns(state=pa.array(states)))
-            case Texts(entity, _, texts, levels):
-                self._stream.send_columns(entity, times, rr.TextLog.columns(text=texts, level=levels))
+            case Texts(entity, time_s, texts, levels):
+                words = [axis_time(at) + _AFTER_TIME + printable(text) for at, text in zip(time_s, texts, strict=True)]
+                self._stream.send_columns(entity, times, rr.TextLog.columns(text=words, level=levels))
 
     def flush(self, timeout_s: float) -> bool:
         """Whether all that was sent has arrived within `timeout_s`."""
@@ -107,6 +110,16 @@ class Recording:
         self._stream.disconnect()
 
 
+def axis_time(time_s: float) -> str:
+    """Return a time as Rerun's time axes write it: `+1h 10m 05s`."""
+    sign, whole = "-" if time_s < 0.0 else "+", round(abs(time_s))
+    minutes, seconds = divmod(whole, 60)
+    hours, minutes = divmod(minutes, 60)
+    days, hours = divmod(hours, 24)
+    parts = [f"{days}d"] * bool(days) + [f"{hours}h"] * bool(days or hours) + [f"{minutes:02d}m {seconds:02d}s"]
+    return sign + " ".join(parts)
+
+
 def _nanoseconds(time_s: NDArray[np.float64]) -> NDArray[Any]:
     return np.round(time_s * 1e9).astype("timedelta64[ns]")
 
@@ -114,11 +127,14 @@ def _nanoseconds(time_s: NDArray[np.float64]) -> NDArray[Any]:
 def _text_columns() -> rrb.TextLogColumns:
     kinds = rrb.encodings.TextLogColumnKind
     shown = [rrb.encodings.TextLogColumn(kind, visible=kind != kinds.EntityPath) for kind in kinds]
-    return rrb.TextLogColumns(timeline_columns=[rrb.encodings.TimelineColumn(TIMELINE)], text_log_columns=shown)
+    # Rerun's own column counts in seconds however long the run is: each text begins with the time as the axes have it.
+    hidden = [rrb.encodings.TimelineColumn(TIMELINE, visible=False)]
+    return rrb.TextLogColumns(timeline_columns=hidden, text_log_columns=shown)
 
 
 def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
-    def view(panel: Panel, margin: float) -> Any:
+    def view(panel: Panel, around: float) -> Any:
+        margin = max(around, panel.margin)
         start = rrb.TimeRangeBoundary.absolute(seconds=-margin * end_s)
         whole = rrb.TimeRange(start=start, end=rrb.TimeRangeBoundary.absolute(seconds=end_s))
         axis = rrb.TimeAxis(view_range=whole)
@@ -186,14 +202,17 @@ def read_words(rrd: Path, entity: str) -> list[tuple[float, str | None]]:
             if name in batch.schema.names and TIMELINE in batch.schema.names:
                 nanoseconds = batch.column(TIMELINE).cast(pa.int64()).to_pylist()
                 words = [None if not cell else cell[0] for cell in batch.column(name).to_pylist()]
+                if name == "TextLog:text":  # without the time that each begins with
+                    words = [None if word is None else word.partition(_AFTER_TIME)[2] for word in words]
                 rows += [(stamp / 1e9, word) for stamp, word in zip(nanoseconds, words, strict=True)]
     return rows
 
 
 def _record_batches(rrd: Path, entity: str) -> list[Any]:
     # Not through the store: a file whose writer was killed has no index, yet all rows up to its last flush.
-    chunks = RrdReader(rrd).stream().filter(content=entity, has_timeline=TIMELINE).to_chunks()
-    return [chunk.to_record_batch() for chunk in chunks]
+    with utf8_path(rrd) as path:
+        chunks = RrdReader(path).stream().filter(content=entity, has_timeline=TIMELINE).to_chunks()
+        return [chunk.to_record_batch() for chunk in chunks]
 
 
 class Camera:
@@ -204,7 +223,7 @@ class Camera:
 
     def open(self, rrd: Path, tab: str | None = None) -> None:
         """Load a recording and show `tab` (by its title, else the first); raises KeyError where there is none."""
-        self._client.open(str(rrd.resolve()))
+        self._client.open(str(rrd.absolute()))
         if tab is not None:
             layout = self._client.get_blueprint(of="recording").blueprint
             containers = {name: part["ContainerBlueprint"] for name, part in layout.items() if "/container/" in name}

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.atomic import replacing
+from hil.file_names import utf8_path
 from hil.review.follower import follow, write_review
 from hil.review.rerun_io import Camera
 from hil.review.viewer import Viewer, ViewerError, open_viewer
@@ -66,10 +67,11 @@ def follow_review(journal: Path) -> None:
 
 def show_review(rrd: Path) -> None:
     """Show a finished review in a window; returns when it is closed. Raises ViewerError."""
-    viewer = open_viewer(files=(rrd,))
-    with contextlib.suppress(KeyboardInterrupt):
-        viewer.wait()
-    viewer.close()
+    with utf8_path(rrd) as path:
+        viewer = open_viewer(files=(path,))
+        with contextlib.suppress(KeyboardInterrupt):
+            viewer.wait()
+        viewer.close()
 
 
 def screenshot(
@@ -83,9 +85,10 @@ def screenshot(
     viewer = open_viewer(headless=True, size=size)
     try:
         camera = Camera(viewer.url)
-        camera.open(rrd, tab)
-        picture, settled = camera.picture(timeout_s)
-        complaints = camera.complaints()
+        with utf8_path(rrd) as path:
+            camera.open(path, tab)
+            picture, settled = camera.picture(timeout_s)
+            complaints = camera.complaints()
     except (ConnectionError, RuntimeError) as error:
         why = viewer.last_words() if not viewer.alive else str(error)
         raise ViewerError(

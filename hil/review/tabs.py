@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
+
 from hil.journal_rows import Header
-from hil.review.looks import Panel, Stack, path, titled
+from hil.review.looks import ACTUATOR_WORDS, Panel, Stack, path, titled
 
 MARGIN = 0.13
 _MOST_BESIDE = 4
@@ -26,6 +29,14 @@ def unit_panels(entities: dict[str, tuple[str, str]]) -> tuple[Panel, ...]:
         Panel("lines", titled(_shortened([name for name, _ in group]), unit), tuple(entity for _, entity in group))
         for unit, group in _by_unit(entities).items()
     )
+
+
+def _told_by_title(panel: Panel, colours: dict[str, str]) -> Panel:
+    """Return a panel of actuators without a legend, which would cover half of it; its title has their colours."""
+    names = {entity: entity.rpartition("/")[2].replace("\\", "") for entity in panel.contents}
+    told = ", ".join(f"{name} ({colours[entity]})" for entity, name in names.items())
+    _, bracket, unit = panel.title.rpartition(" [")
+    return replace(panel, title=f"{told}{bracket}{unit}" if bracket else told, legend=False)
 
 
 def _temperature(sensor: str, *, share: float, columns: bool, legend: bool) -> Panel:
@@ -85,7 +96,9 @@ def overview(
         ("/state", "/quality", *gates, "/windows/**"),
     )
     events = Panel("texts", "Events", ("/events",))
-    rows.append(Stack("columns", (*unit_panels(actuators), lanes, events), share=3.0))
+    colours = dict(zip(actuators, itertools.cycle(ACTUATOR_WORDS), strict=False))
+    driven = tuple(_told_by_title(panel, colours) for panel in unit_panels(actuators))
+    rows.append(Stack("columns", (*driven, lanes, events), share=3.0))
     return Stack("rows", tuple(rows), title="Overview")
 
 

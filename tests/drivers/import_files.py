@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from hypothesis import strategies as st
 
-from drivers.imports.draft import Draft, write
+from drivers.imports.draft import Draft, ImportFileError, write
 from drivers.rig_model import Rig
 from drivers.rigfile import load_rig
 
@@ -19,6 +20,17 @@ CELLS = st.one_of(
     st.integers(-10, 10**9).map(str),
     st.floats().map(str),
 )
+
+
+def complaint(importing: Callable[[], Draft]) -> str:
+    """Return the note or the refusal that names a mistake, `line N: ...` of a note as the refusal writes it."""
+    try:
+        draft = importing()
+    except ImportFileError as error:
+        return str(error)
+    left_out = [note for note in draft.notes if note.endswith("(left out)")]
+    assert left_out, draft.notes
+    return f"{draft.source.name}, {left_out[0]}"
 
 
 def written(tmp_path: Path, draft: Draft) -> Rig:

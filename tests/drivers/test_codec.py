@@ -270,7 +270,7 @@ def test_what_a_device_says_instead_of_a_value_is_a_fault_and_never_a_value(kind
 
 
 def test_the_neighbours_of_a_sentinel_are_values():
-    point = sensor("int16", (0x8000, 32767), scale=0.1)
+    point = sensor("int16", (0x8000, 32767), scale=0.1, plausible=(-4000.0, 4000.0))
     assert judge(point, decode([0x8001], "int16")) == (pytest.approx(-3276.7), Quality.GOOD)
     assert judge(point, decode([0x7FFE], "int16")) == (pytest.approx(3276.6), Quality.GOOD)
     assert judge(point, decode([0], "int16")) == (0.0, Quality.GOOD)

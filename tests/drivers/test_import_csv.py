@@ -12,7 +12,7 @@ from drivers.imports.vendor_csv import import_csv
 from drivers.rigfile import load_rig
 from hil.commands.check import command as check
 from hil.commands.init import command as init
-from tests.drivers.import_files import BUS, CELLS, table, written
+from tests.drivers.import_files import BUS, CELLS, complaint, table, written
 
 TABLE = """\
 # Chiller X200, firmware 2.1
@@ -96,7 +96,7 @@ def test_addresses_are_taken_as_they_are_stated(tmp_path, addressing, given, add
         ("30003", "30001", 4, "input 0 is Supply_temperature's already (line 3)"),
         ("0,1", "0,125x", 3, "scale '0,125x' is no number"),
         ("0,1", "1,000", 3, "may be a thousand or a fraction"),
-        ("0,1", "0", 3, "a scale of 0 loses the value"),
+        ("0,1", "0", 3, "loses the value"),
         ("0,1", "nan", 3, "is no number"),
         ("kWh;R", "kWh;X", 5, "access 'X' is not known; use r, w or rw"),
         ("STRING;;;;;R;6", "STRING;;;;;R;", 6, "needs its number of registers"),
@@ -115,9 +115,7 @@ def test_addresses_are_taken_as_they_are_stated(tmp_path, addressing, given, add
 def test_each_mistake_in_a_table_is_one_sentence_with_its_line(tmp_path, old, new, line, said):
     assert old in TABLE
     source = table(tmp_path, TABLE.replace(old, new, 1))
-    with pytest.raises(ImportFileError) as caught:
-        import_csv(source, "modicon", BUS)
-    text = str(caught.value)
+    text = complaint(lambda: import_csv(source, "modicon", BUS))
     assert said in text
     assert f"registers.csv, line {line}: " in text
     assert len(text.splitlines()) == 1
@@ -128,7 +126,7 @@ def test_each_mistake_in_a_table_is_one_sentence_with_its_line(tmp_path, old, ne
     [
         (b"", "has no line with a heading"),
         (b"name,address,type\n", "has a heading and no line below it"),
-        (b"name,address,type\n\xff\xfe,1,uint16\n", "line 2: is not UTF-8 text"),
+        (b"name,address,type\n\x81\xff,1,uint16\n", r"is neither utf-8 nor cp1252 text \(line 2\)"),
         (b"name,address,type\nx\0,1,uint16\n", "line 2: holds a zero byte"),
         (b"name,address,type\nx,0,uint16\n", "line 2: x: no table; add a column table or function"),
     ],
@@ -143,6 +141,126 @@ def test_files_that_are_no_tables(tmp_path, content, said):
 def test_a_table_must_say_what_its_addresses_count_from(tmp_path):
     with pytest.raises(ImportFileError, match="give --addressing zero, one or modicon"):
         import_csv(table(tmp_path, TABLE), None, BUS)
+
+
+LINES = """\
+Point;Register;Table;Format;{heading};Unit;R/W
+Bath;10;holding;int16;{cell};{unit};{access}
+Lab;12;input;int16;0,5;kPa;R
+"""
+
+
+def taken(tmp_path, heading, cell, unit="°C", access="R/W", lines=LINES):
+    """Return scale, unit and access of the first line's point, or its note where it is left out."""
+    text = lines.format(heading=heading, cell=cell, unit=unit, access=access)
+    draft = import_csv(table(tmp_path, text), "zero", BUS)
+    by_name = {point.name: point for point in written(tmp_path, draft).point}
+    assert "Lab" in by_name
+    if "Bath" in by_name:
+        return by_name["Bath"].scale, by_name["Bath"].unit, by_name["Bath"].access
+    return draft.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("heading", "cell", "scale"),
+    [
+        ("Scale Factor", "0.1", 0.1),
+        ("Faktor", "0,01", 0.01),
+        ("Skalierungsfaktor", "1/10", 0.1),
+        ("Facteur d'échelle", "0,2", 0.2),
+        ("Multiplikator", "x0,1", 0.1),
+        ("Scaling factor", "10/1", 10.0),
+        ("scale", "/10", 0.1),
+        ("scale", "10^-2", 0.01),
+        ("Teiler", "20", 0.05),
+        ("Scale", "-", 1.0),
+    ],
+)
+def test_a_factor_is_taken_whatever_its_column_is_called(tmp_path, heading, cell, scale):
+    lines = LINES.replace("0,5", "") if heading == "Teiler" else LINES
+    found = taken(tmp_path, heading, cell, lines=lines)
+    assert found[0] == pytest.approx(scale)
+    assert found[1:] == ("degC", "rw")
+
+
+@pytest.mark.parametrize(
+    ("cell", "unit", "said"),
+    [
+        ("10", "°C", "may mean raw x 10 or raw / 10; write 10/1 or 1/10"),
+        ("x100", "°C", "may mean raw x 100"),
+        ("-1", "°C", "is a power of ten"),
+        ("10E-1", "°C", "may be a power of ten"),
+        ("T_SF", "°C", "is no number"),
+        ("", "x10 °C", "unit 'x10 °C' holds a factor"),
+        ("", "°C*10", "holds a factor"),
+        ("", "10 kPa", "holds a factor"),
+        ("", "zehntel Grad", "holds a factor"),
+        ("0,1", "0.1 °C", "has a scale and a factor in its unit"),
+    ],
+)
+def test_a_factor_of_two_meanings_leaves_its_set_point_out(tmp_path, cell, unit, said):
+    note = taken(tmp_path, "Scale", cell, unit)
+    assert note.startswith("line 2: Bath: ")
+    assert said in note
+    assert note.endswith("(left out)")
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale", "symbol"), [("0.1 °C", 0.1, "degC"), ("1/10 %", 0.1, "%"), ("0,01kWh", 0.01, "kWh")]
+)
+def test_a_unit_may_hold_the_value_of_one_count(tmp_path, unit, scale, symbol):
+    assert taken(tmp_path, "Scale", "", unit, "RW") == (scale, symbol, "rw")
+
+
+def test_a_column_of_powers_of_ten_is_not_taken_for_factors(tmp_path):
+    lines = "name;address;table;type;Scale Factor\nA;1;holding;int16;-1\nB;2;holding;int16;1\nC;3;holding;int16;\n"
+    draft = import_csv(table(tmp_path, lines), "zero", BUS)
+    assert [point.name for point in draft.buses[0].points] == ["C"]
+    assert "in a column of whole numbers that may be powers of ten" in draft.notes[1]
+
+
+@pytest.mark.parametrize("heading", ["Gain", "Resolution", "Auflösung", "Nachkommastellen", "SF", "Scale (raw/100)"])
+def test_a_column_that_may_change_a_value_is_refused_unless_it_is_empty(tmp_path, heading):
+    text = f"name;address;table;type;{heading}\nA;1;holding;int16;10\n"
+    with pytest.raises(
+        ImportFileError, match=r"registers.csv, line 1: column .* has no agreed meaning; rename it scale"
+    ):
+        import_csv(table(tmp_path, text), "zero", BUS)
+    assert len(import_csv(table(tmp_path, text.replace(";10", ";")), "zero", BUS).buses[0].points) == 1
+
+
+@pytest.mark.parametrize("words", ["Set temperature (x10)", "value * 10", "0.1 °C per count", "Sollwert in Zehntel"])
+def test_a_factor_in_a_name_or_a_remark_is_not_overlooked(tmp_path, words):
+    text = f"name;address;table;type;scale;remark\nA;1;holding;int16;;{words}\nB;2;holding;int16;1;{words}\n"
+    draft = import_csv(table(tmp_path, text), "zero", BUS)
+    assert [point.name for point in draft.buses[0].points] == ["B"]
+    assert "put the factor in a column scale, 1 where there is none" in draft.notes[0]
+
+
+def test_an_offset_that_is_the_address_again_is_not_added_to_the_value(tmp_path):
+    text = "name;address;type;offset\nA;30011;int16;10\nB;30013;int16;-400\n"
+    draft = import_csv(table(tmp_path, text), "modicon", BUS)
+    (point,) = written(tmp_path, draft).point
+    assert (point.name, point.offset) == ("B", -400.0)
+    assert "offset 10 is its address" in draft.notes[0]
+    assert "taken as raw x 1 + -400" in draft.notes[1]
+
+
+def test_a_heading_may_hold_line_breaks_and_name_the_base_of_its_addresses(tmp_path):
+    text = '"Parameter\nname","Address\n(hex)","Register\ntype","Data\nformat"\nA,1F,input,int16\n'
+    source = table(tmp_path, text + "B,FFFFF,input,int16\n")
+    draft = import_csv(source, "zero", BUS)
+    assert [(point.name, point.keys["address"]) for point in draft.buses[0].points] == [("A", 31)]
+    assert draft.notes[0].startswith("line 7: B: address FFFFF is beyond the last one")
+
+
+def test_a_table_of_older_spreadsheets_is_read_and_its_encoding_named(tmp_path):
+    source = tmp_path / "registers.csv"
+    source.write_bytes("Bezeichnung;Adresse;Tabelle;Typ;Einheit\nRücklauf;4;input;int16;°C\n".encode("cp1252"))
+    draft = import_csv(source, "zero", BUS)
+    (point,) = written(tmp_path, draft).point
+    assert (point.name, point.unit) == ("R_cklauf", "degC")
+    assert draft.notes == ["it is no UTF-8 text and was read as cp1252; look at its names and units"]
 
 
 HEADINGS = ["name", "address", "table", "function", "type", "order", "scale", "divisor", "offset", "unit", "access"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,12 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.imports.draft import ImportFileError
-from drivers.imports.homeassistant import Placed, draft_of, import_homeassistant
-from tests.drivers.import_files import table, written
+from drivers.imports.homeassistant import draft_of, import_homeassistant
+from drivers.imports.yaml_places import Placed
+from tests.drivers.import_files import complaint, table, written
 
 
 def placed(value: object, line: int = 1) -> Placed:
     """What the YAML reader makes of a value; every entry is a line further down."""
+    if isinstance(value, Placed):
+        return value
     if isinstance(value, dict):
         return Placed({key: placed(item, line + n) for n, (key, item) in enumerate(value.items())}, line)
     if isinstance(value, list):
@@ -45,7 +49,8 @@ def test_a_home_assistant_hub_becomes_points(tmp_path):
     assert (by_name["Supply"].type, by_name["Supply"].offset, by_name["Supply"].invalid) == ("int16", -40.0, (32768.0,))
     assert -32768.0 in by_name["Supply"].sentinels
     assert (by_name["Pump"].table, by_name["Remote"].access) == ("discrete", "rw")
-    assert draft.notes == ["climates were left out: a rig has points only"]
+    (note,) = draft.notes
+    assert re.match(r"line \d+: climate c was left out: a rig has points only", note)
 
 
 def test_hubs_on_serial_lines_and_converters_become_their_buses(tmp_path):
@@ -70,27 +75,26 @@ def test_hubs_on_serial_lines_and_converters_become_their_buses(tmp_path):
         (hub({"name": "x", "address": 1}, type="serial", port="/dev/ttyS0", baudrate=9600, parity="X"), "parity 'X'"),
         (hub(), "without sensors or switches"),
         (hub({"address": 1}), "has no name"),
-        (hub({"name": "x"}), "address of x None is no number"),
+        (hub({"name": "x"}), "x: address None is no number"),
         (hub({"name": "x", "address": 70000}), "is no whole number from 0 to 65535"),
-        (hub({"name": "x", "address": 1, "data_type": "custom"}), "data_type 'custom' of x is not known"),
-        (hub({"name": "x", "address": 1, "swap": "all"}), "swap 'all' of x is not known"),
-        (hub({"name": "x", "address": 1, "scale": "ten"}), "scale of x 'ten' is no number"),
+        (hub({"name": "x", "address": 1, "data_type": "custom"}), "structure None is not one number"),
+        (hub({"name": "x", "address": 1, "swap": "all"}), "x: swap 'all' is not known"),
+        (hub({"name": "x", "address": 1, "scale": "ten"}), "x: scale 'ten' is no number"),
         (hub({"name": "x", "address": 1}, host=None), "a hub has no host"),
         (hub({"name": "x", "address": 1}, {"name": "y", "address": 1}), "is x's already"),
     ],
 )
 def test_each_mistake_in_a_home_assistant_file_is_named(document, said):
-    with pytest.raises(ImportFileError) as caught:
-        draft_of(Path("ha.yaml"), placed(document))
-    assert said in str(caught.value)
-    assert "ha.yaml, line " in str(caught.value)
+    text = complaint(lambda: draft_of(Path("ha.yaml"), placed(document)))
+    assert said in text
+    assert "ha.yaml, line " in text
 
 
 HOME = """\
 modbus:
   - name: hub
     type: tcp
-    host: !secret chiller
+    host: chiller.local
     port: 502
     sensors:
       - name: Flow
@@ -110,7 +114,7 @@ def test_yaml_is_read_with_its_lines_where_a_reader_is_installed(tmp_path):
         return
     (point,) = written(tmp_path, import_homeassistant(source)).point
     assert (point.name, point.address, point.type) == ("Flow", 16, "float32")
-    with pytest.raises(ImportFileError, match=r"ha.yaml, line 7: address of Flow"):
+    with pytest.raises(ImportFileError, match=r"ha.yaml, line 8: Flow: address 'ten'"):
         import_homeassistant(table(tmp_path, HOME.replace("0x10", "ten"), "ha.yaml"))
     with pytest.raises(ImportFileError, match=r"ha.yaml, line \d+: is not valid YAML"):
         import_homeassistant(table(tmp_path, HOME.replace("host: ", "host: [", 1), "ha.yaml"))
@@ -119,6 +123,81 @@ def test_yaml_is_read_with_its_lines_where_a_reader_is_installed(tmp_path):
 VALUES = st.one_of(
     st.none(), st.booleans(), st.integers(-5, 70000), st.floats(), st.text(max_size=5), st.just([1]), st.just({})
 )
+
+
+def test_entries_that_stand_for_several_become_all_of_them(tmp_path):
+    document = hub(
+        {"name": "T", "address": 10, "data_type": "int32", "scale": 0.01, "virtual_count": 2},
+        binary_sensors=[{"name": "Door", "address": 3, "slave_count": 1}],
+    )
+    by_name = {point.name: point for point in written(tmp_path, draft_of(Path("ha.yaml"), placed(document))).point}
+    assert {name: (p.table, p.address) for name, p in by_name.items()} == {
+        "T": ("holding", 10), "T_1": ("holding", 12), "T_2": ("holding", 14),
+        "Door": ("coil", 3), "Door_1": ("coil", 4),
+    }  # fmt: skip
+    assert {by_name[name].scale for name in ("T", "T_1", "T_2")} == {0.01}
+
+
+def test_a_switch_is_read_where_it_is_verified(tmp_path):
+    verify = {"address": 8, "input_type": "input", "state_on": [3], "state_off": 0, "delay": 1}
+    switch = {"name": "Fan", "address": 2, "command_on": 5, "command_off": 4, "verify": verify}
+    draft = draft_of(Path("ha.yaml"), placed(hub(switches=[switch])))
+    fan, state = written(tmp_path, draft).point
+    assert (fan.address, fan.access, fan.doc) == (2, "rw", "5 switches on, 4 switches off")
+    assert (state.name, state.table, state.address, state.labels) == ("Fan_state", "input", 8, {"3": "on", "0": "off"})
+    assert draft.notes == []
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"unique_id": "a1", "scan_interval": 5, "precision": 1}, None),
+        ({"zero_suppress": 0.2}, "key zero_suppress of x was not used; small values are kept"),
+        ({"skale": 0.1}, "key skale of x was not used; see if it changes a value"),
+        ({"min_value": 0}, "min_value or max_value alone is not taken over"),
+        ({"slave": 1, "device_address": 2}, "slave and device_address differ"),
+        ({"count": 2}, "int16 takes 1 registers and count is 2"),
+        ({"data_type": "custom", "structure": ">hh", "count": 2}, "is not one number of registers"),
+        ({"name": "${room}"}, "name is ${room}; write what that stands for"),
+        ({"address": Placed("base", 9, "!secret")}, "line 9: x: address is !secret base; write what that stands for"),
+    ],
+)
+def test_every_key_of_an_entry_is_used_or_harmless_or_noted(more, said):
+    good = {"name": "good", "address": 90}
+    draft = draft_of(Path("ha.yaml"), placed(hub({"name": "x", "address": 1} | more, good)))
+    assert "good" in [point.name for point in draft.buses[0].points]
+    notes = [note for note in draft.notes if said is not None and said in note]
+    assert len(notes) == len(draft.notes) == (said is not None)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"data_type": "custom", "structure": ">f", "count": 2}, ("float32", "ABCD")),
+        ({"data_type": "uint", "count": 4, "reverse_order": True}, ("uint64", "CDAB")),
+        ({"data_type": "int", "swap": "word_byte", "count": 2}, ("int32", "DCBA")),
+    ],
+)
+def test_older_and_custom_types_keep_their_meaning(tmp_path, more, said):
+    (point,) = written(tmp_path, draft_of(Path("ha.yaml"), placed(hub({"name": "x", "address": 1} | more)))).point
+    assert (point.type, point.order) == said
+
+
+def test_a_host_that_only_stands_for_one_is_refused():
+    document = placed(hub({"name": "x", "address": 1}))
+    document.value["modbus"].value[0].value["host"] = Placed("gateway", 4, "!secret")
+    with pytest.raises(ImportFileError, match=r"ha.yaml, line 4: hub hub: host is !secret gateway; write what that"):
+        draft_of(Path("ha.yaml"), document)
+
+
+def test_a_section_of_another_file_is_named_and_its_neighbours_are_taken():
+    document = placed(hub(switches=[{"name": "Fan", "address": 2}]))
+    document.value["modbus"].value[0].value["sensors"] = Placed("more.yaml", 6, "!include")
+    draft = draft_of(Path("ha.yaml"), document)
+    assert draft.notes == ["line 6: sensors are in more.yaml; put its entries here, or give that file (left out)"]
+    assert [point.name for point in draft.buses[0].points] == ["Fan"]
+    with pytest.raises(ImportFileError, match=r"line 1: modbus is !include hubs.yaml; give that file"):
+        draft_of(Path("ha.yaml"), Placed({"modbus": Placed("hubs.yaml", 1, "!include")}, 1))
 
 
 @settings(max_examples=200, deadline=None)

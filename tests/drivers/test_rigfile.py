@@ -143,3 +143,53 @@ def test_the_point_that_the_readme_shows_is_a_point():
     (keys,) = tomllib.loads(example[1])["point"]
     point = Point(**keys)
     assert (point.bits, point.label_of, point.sentinels) == ((4, 6), {0: "off", 2: "run"}, {7.0})
+
+
+SMALL = """\
+[rig]
+name = "small"
+
+[bus.plc]
+transport = "modbus_tcp"
+
+[[point]]
+name = "p"
+bus = "plc"
+table = "input"
+address = 1
+unit = "1"
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "said"),
+    [
+        ("[rig]", 'bus = "plc"\n[rig]', 5, "is not valid TOML"),
+        ('[bus.plc]\ntransport = "modbus_tcp"', "", 1, "bus: is missing; add it"),
+        ('[rig]\nname = "small"\n\n[bus.plc]\ntransport = "modbus_tcp"', 'bus = "plc"', 1, "bus must be a section"),
+        ("[bus.plc]\ntransport", "[bus]\nplc", 5, "bus.plc must be a section, [bus.plc], with transport"),
+        ("[[point]]", "[point]", 7, "point must be sections with two brackets, [[point]]"),
+        ("[[point]]", "[[interlock]]\nkind = 3\n[[point]]", 8, "kind 3 is not known; use"),
+        ('name = "small"', 'name = "small"\nheartbeat = 3', 3, "heartbeat: must be a table of keys, got 3"),
+        ('name = "small"', "name = 3", 2, "name: must be text in quotes, got 3"),
+        ('name = "small"', 'name = "small"\nperiod_s = "fast"', 3, "period_s: must be a number, got 'fast'"),
+        ('name = "small"', 'name = "small"\nperiod_s = -1', 3, "period_s: must be above 0, got -1"),
+        ("[rig]", 'name = "twice"\n[rig]', 1, "name is there twice, above [rig] and in it"),
+        ("address = 1", "address = 1.5", 11, "address of point p: must be a whole number, got 1.5"),
+        ("address = 1", "address = 1\nbits = [1, 2, 3]", 12, "bits of point p: must be a list of 2 values, got 3"),
+        ("address = 1", "address = 1\nplausible = [1]", 12, "plausible of point p: has too few values"),
+        ("address = 1", "address = 1\nlabels = 3", 12, "labels of point p: must be a table of keys, got 3"),
+        ("address = 1", "address = 1\ninvalid = 4", 12, "invalid of point p: must be a list in square brackets"),
+        ('name = "p"', 'name = "1p"', 8, "name of point 1p: '1p' must be letters, digits and underscores, starting"),
+        ('transport = "modbus_tcp"', 'host = "h"', 4, "bus.plc: transport is missing; add it"),
+        ('transport = "modbus_tcp"', 'transport = "modbus_tcp"\nhole = [{}]', 6, "bus.plc.hole.table: is missing"),
+    ],
+)
+def test_a_section_or_a_value_of_the_wrong_kind_is_named_with_its_line(tmp_path, old, new, line, said):
+    assert old in SMALL
+    path = tmp_path / "rig.toml"
+    path.write_text(SMALL.replace(old, new, 1), encoding="utf-8")
+    text = complaint(path)
+    assert said in text
+    assert f"line {line}" in text
+    assert "Input should" not in text

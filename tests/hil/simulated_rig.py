@@ -91,6 +91,8 @@ class SimulatedRig:
         self.registers.now = self._booted = self.now
         self._cycle = 0
 
+    exhausted: str | None = None
+
     async def connect(self) -> None:
         self._reach()
 

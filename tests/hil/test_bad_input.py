@@ -341,7 +341,9 @@ def test_fahrenheit_and_kelvin_are_to_be_converted_not_renamed(tmp_path):
 def test_an_input_that_uses_next_to_nothing_of_its_range_is_asked_about(tmp_path):
     path = healthy_record(tmp_path, heater_power_W=np.full(3000, 0.7))
     code, printed = hil("commission", path, "--twin", TWIN, "--out", tmp_path / "new.toml")
-    assert code == 0 and "heater_power_W is 0.7 to 0.7 in this record, where the twin declares" in printed
+    assert "heater_power_W is 0.7 to 0.7 in this record, where the twin declares" in printed
+    assert code == 2 and "no twin is written: the record identifies none of the 13 tunables" in printed
+    assert not list(tmp_path.glob("new*"))
 
 
 def test_a_record_with_tabs_between_columns_is_checked_as_a_record(tmp_path):

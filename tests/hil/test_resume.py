@@ -7,6 +7,7 @@ import random
 import shutil
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import time
@@ -275,12 +276,49 @@ def test_a_run_that_was_killed_while_its_report_was_written_gets_it(story, tmp_p
     folder = RunFolder(tmp_path / "run")
     folder.report.unlink()
     folder.record.unlink()
-    done = hil("resume", folder.path, "--no-viewer")
+    refused = hil("resume", folder.path, "--no-viewer")
+    assert refused.returncode == 2
+    assert f"has run to its end; `hil report {folder.path}` makes its record and report" in refused.stderr
+    done = hil("report", folder.path)
     assert done.returncode == 0, done.stderr
-    assert "the run was over, but its report was not written" in done.stderr
     record, whole = read_record(folder.record), read_record(story.whole.record)
     assert np.array_equal(record.columns["T_tank_C"], whole.columns["T_tank_C"])
     assert folder.report.is_file()
+
+
+def clock_moved(source: Path, to: Path, **changes: float | str) -> None:
+    """A copy of the cut run whose rows are older, or whose note of the clocks is another."""
+    shutil.copytree(source, to)
+    with sqlite3.connect(to / "journal.sqlite") as database:
+        if "older_s" in changes:
+            database.execute("UPDATE samples SET wall_s = wall_s - ?", (changes.pop("older_s"),))
+        noted = json.loads(database.execute("SELECT value FROM meta WHERE key = 'clock'").fetchone()[0])
+        database.execute("UPDATE meta SET value = ? WHERE key = 'clock'", (json.dumps(noted | changes),))
+    database.close()
+
+
+def test_a_gap_of_ten_years_is_questioned_and_the_stated_one_is_taken(story, tmp_path):
+    cut, ten_years_s = story.folder.path.parents[1] / "as it was cut", 10 * 365.25 * 86400
+    clock_moved(cut, tmp_path / "run", older_s=ten_years_s)
+    before = rows(tmp_path / "run" / "journal.sqlite")
+    refused = hil("resume", tmp_path / "run", "--no-viewer")
+    assert refused.returncode == 2
+    assert "longer than 7 d" in refused.stderr
+    assert len(refused.stderr.strip().splitlines()) == 1
+    assert rows(tmp_path / "run" / "journal.sqlite") == before
+    done = hil("resume", tmp_path / "run", "--gap", "12min", "--timeout", 60, "--no-viewer", "--json")
+    assert json.loads(done.stdout)["segments"][0]["gap_s"] == pytest.approx(720.0, abs=60.0)
+
+
+def test_a_wall_clock_that_jumped_within_a_boot_is_told_and_changes_no_gap(story, tmp_path):
+    cut, noted = story.folder.path.parents[1] / "as it was cut", 5 * 86400.0
+    with sqlite3.connect(cut / "journal.sqlite") as database:
+        clock = json.loads(database.execute("SELECT value FROM meta WHERE key = 'clock'").fetchone()[0])
+    database.close()
+    # As if the clock had been five days behind while the run went on, and then been set right.
+    clock_moved(cut, tmp_path / "run", older_s=noted, wall_at_boot_s=clock["wall_at_boot_s"] - noted)
+    done = hil("resume", tmp_path / "run", "--timeout", 60, "--no-viewer", "--json")
+    assert json.loads(done.stdout)["segments"][0]["gap_s"] < 3600.0
 
 
 def test_a_run_that_was_cut_is_told_from_one_that_goes_on(story):

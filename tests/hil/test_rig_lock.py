@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,12 +17,16 @@ from types import SimpleNamespace
 import pytest
 from click.testing import CliRunner
 
+from drivers.bus_sections import ModbusRtuTcpBus
 from drivers.rig_model import Rig
 from drivers.rigfile import load_rig
+from hil.commands.resume import command as resume_command
 from hil.commands.run import command as run_command
 from hil.control import ask, live_runs
 from hil.engine import Outcome
-from hil.rig_lock import RigBusyError, claimed, end_points
+from hil.errors import exit_code
+from hil.lock_folder import RigLockError
+from hil.rig_lock import RigBusyError, RigClaim, claimed, end_points
 from hil.run_folder import RunFolder
 from hil.run_request import RunRequest
 from hil.session import run_session
@@ -31,24 +34,47 @@ from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import rig_with
 
 PROJECT = Path(__file__).resolve().parents[2]
-HIL = [sys.executable, "-m", "hil"]
+AT_HOME = """
+import os, pwd, sys
+from types import SimpleNamespace
+home = sys.argv.pop(1)
+pwd.getpwuid = lambda uid: SimpleNamespace(pw_dir=home, pw_name=f"number {uid}")
+"""
+"""Takes the home folder of the user from the command line, so that no test writes into the real one."""
+HIL = AT_HOME + "from hil.cli import main; main()"
 LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,100,100,100\n{end},100,100,100\n"
-HOLDER = """
-import sys, time
+HOLDER = (
+    AT_HOME
+    + """
+import time
 from pathlib import Path
 from drivers.rigfile import load_rig
-from hil.rig_lock import claimed
-with claimed(load_rig(Path(sys.argv[1])), print) as claim:
+from hil.rig_lock import claimed, end_points
+rig = load_rig(Path(sys.argv[1]))
+end_points(rig)  # imports what another user may not read
+os.setuid(int(sys.argv[2]))
+with claimed(rig, print) as claim:
     claim.tell(Path("/runs/first"))
     print("held", flush=True)
     time.sleep(60)
 """
+)
 
 
 @pytest.fixture(autouse=True)
-def _locks_of_its_own(tmp_path, monkeypatch):
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr(tempfile, "tempdir", None)
+def home(tmp_path, monkeypatch):
+    """Home folder of the user, with no other folder in the environment."""
+    path = tmp_path / "home"
+    path.mkdir()
+    for name in ("HOME", "XDG_RUNTIME_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    user = SimpleNamespace(pw_dir=str(path), pw_name="the tester")
+    monkeypatch.setattr("hil.lock_folder.pwd.getpwuid", lambda uid: user)
+    return path
+
+
+def locks(home: Path) -> Path:
+    return home / ".local/state/hil/locks"
 
 
 def rig_file(place: Path, modbus: int, can: int, host: str = "127.0.0.1") -> Path:
@@ -73,16 +99,22 @@ def free_ports(count: int) -> list[int]:
         return [int(probe.getsockname()[1]) for probe in probes]
 
 
+PORT = free_ports(1)[0]
+"""Locks are seen by all of the machine: no two sessions of tests may mean the same."""
+
+
 def with_bus(**changed: object) -> Rig:
     """The shipped rig with its PLC elsewhere."""
     rig = load_rig(PROJECT / "profiles/rigs/virtual.toml")
+    changed = {"port": PORT} | changed
     return rig.model_copy(update={"bus": rig.bus | {"plc": rig.bus["plc"].model_copy(update=changed)}})
 
 
 @contextlib.contextmanager
-def holding(rig: Path) -> Iterator[subprocess.Popen[str]]:
-    """Another process that has the rig."""
-    holder = subprocess.Popen([sys.executable, "-c", HOLDER, str(rig)], cwd=PROJECT, stdout=subprocess.PIPE, text=True)
+def holding(rig: Path, home: Path, uid: int | None = None, **environ: str) -> Iterator[subprocess.Popen[str]]:
+    """Another process that has the rig, with `home` as its user's home folder and `environ` in its environment."""
+    command = [sys.executable, "-c", HOLDER, str(home), str(rig), str(os.getuid() if uid is None else uid)]
+    holder = subprocess.Popen(command, cwd=PROJECT, stdout=subprocess.PIPE, text=True, env=os.environ | environ)
     try:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
@@ -92,7 +124,7 @@ def holding(rig: Path) -> Iterator[subprocess.Popen[str]]:
         holder.communicate()
 
 
-async def test_a_second_run_is_refused_before_the_rig_hears_of_it_and_goes_when_the_first_was_killed(tmp_path):
+async def test_a_second_run_is_refused_before_the_rig_hears_of_it_and_goes_when_the_first_was_killed(tmp_path, home):
     (tmp_path / "load.csv").write_text(LOAD.format(end=700), encoding="utf-8")
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
@@ -100,7 +132,7 @@ async def test_a_second_run_is_refused_before_the_rig_hears_of_it_and_goes_when_
         listener.setblocking(False)
         port = int(listener.getsockname()[1])
         first, second = (rig_file(tmp_path, port, port, host) for host in ("127.0.0.1", "localhost"))
-        with holding(first) as holder:
+        with holding(first, home) as holder:
             request = RunRequest(
                 tmp_path / "load.csv", rig=second, twin=None, use_twin=False, runs=tmp_path / "runs", viewer=False
             )
@@ -112,7 +144,7 @@ async def test_a_second_run_is_refused_before_the_rig_hears_of_it_and_goes_when_
             said = str(refused.value)
             assert said.splitlines() == [said]
             assert f"localhost:{port}" in said
-            assert f"the run /runs/first (process {holder.pid})" in said
+            assert f"the run /runs/first (process {holder.pid}; " in said
             assert "`hil ctl abort /runs/first`" in said
             holder.kill()
             holder.wait()
@@ -121,9 +153,10 @@ async def test_a_second_run_is_refused_before_the_rig_hears_of_it_and_goes_when_
 
 
 @contextlib.contextmanager
-def running(place: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
+def running(place: Path, home: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
     """A run of its own process that has come to running, and its folder under `place`."""
-    run = subprocess.Popen([*HIL, "run", *arguments, "--runs", str(place)], cwd=PROJECT, stderr=subprocess.DEVNULL)
+    command = [sys.executable, "-c", HIL, str(home), "run", *arguments, "--runs", str(place)]
+    run = subprocess.Popen(command, cwd=PROJECT, stderr=subprocess.DEVNULL)
     try:
         deadline = time.monotonic() + 60
         while not (live := live_runs(place)) or ask(live[0] / "control.sock", "status")["text"] != "running":
@@ -135,82 +168,195 @@ def running(place: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[byt
         run.wait()
 
 
-def test_runs_on_one_rig_from_two_terminals(tmp_path):
+def test_runs_on_one_rig_from_two_terminals(tmp_path, home):
     def beside(verb: str, *more: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([*HIL, verb, *more], cwd=PROJECT, capture_output=True, text=True, timeout=60)
+        command = [sys.executable, "-c", HIL, str(home), verb, *more]
+        return subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, timeout=60)
 
     modbus, can = free_ports(2)
     options = [str(tmp_path / "load.csv"), "--rig", str(rig_file(tmp_path, modbus, can)), "--no-twin", "--no-viewer"]
     (tmp_path / "load.csv").write_text(LOAD.format(end=4000), encoding="utf-8")
-    served = [*HIL, "rig", "--modbus-port", str(modbus), "--can-port", str(can)]
+    served = [sys.executable, "-m", "hil", "rig", "--modbus-port", str(modbus), "--can-port", str(can)]
     with subprocess.Popen(served, cwd=PROJECT, stdout=subprocess.PIPE) as server, contextlib.ExitStack() as stack:
         stack.callback(server.kill)
         assert b"Virtual rig" in server.stdout.readline()
-        with running(tmp_path / "first", *options) as (first, folder):
+        with running(tmp_path / "first", home, *options) as (first, folder):
             refused = beside("run", *options, "--runs", str(tmp_path / "second"))
             assert (refused.returncode, "Traceback" in refused.stderr) == (1, False)
-            assert f"{folder} (process {first.pid})" in refused.stderr
+            assert f"{folder} (process {first.pid};" in refused.stderr
             assert not (tmp_path / "second").exists()
             assert beside("run", *options, "--check-only").returncode == 0
-        with running(tmp_path / "second", *options) as (second, _):  # the first was killed
+        with running(tmp_path / "second", home, *options) as (second, _):  # the first was killed
             resumed = beside("resume", str(folder), "--no-viewer")
-            assert (resumed.returncode, f"(process {second.pid})" in resumed.stderr) == (1, True)
+            assert (resumed.returncode, f"(process {second.pid};" in resumed.stderr) == (1, True)
             assert RunFolder(folder).was_cut  # as it was
             second.send_signal(signal.SIGINT)
             second.wait(timeout=60)
 
 
-def test_an_end_point_has_one_name_however_it_is_written(tmp_path):
-    names = [set(end_points(with_bus(host=host))) for host in ("127.0.0.1", "localhost", "LocalHost", "::1")]
-    assert all(name == names[0] for name in names)
+def test_an_end_point_has_one_key_however_it_is_written(tmp_path):
+    hosts = ("127.0.0.1", "localhost", "LocalHost", "::1", "127.1", "::ffff:127.0.0.1", "0.0.0.0", "127.0.0.2", "[::1]")
+    keys = [set(end_points(with_bus(host=host))) for host in hosts]
+    assert all(key == keys[0] and len(key) == 1 for key in keys)
+    assert keys[0] == set(end_points(with_bus(device_id=7)))
     (tmp_path / "line").symlink_to("/dev/null")
-    rtu = {"transport": "modbus_rtu", "serial_port": str(tmp_path / "line")}
     rig = load_rig(PROJECT / "profiles/rigs/virtual.toml").model_dump(exclude_unset=True)
-    rig["bus"]["plc"] = rtu
-    assert "serial /dev/null" in end_points(Rig.model_validate(rig))
+    found = []
+    for path in (str(tmp_path / "line"), "/dev/null", "/dev/../dev/null"):
+        rig["bus"]["plc"] = {"transport": "modbus_rtu", "serial_port": path}
+        found.append(set(end_points(Rig.model_validate(rig))))
+    assert found[0] == found[1] == found[2] and len(found[0]) == 1
 
 
-def test_devices_behind_one_gateway_and_other_ports_are_apart():
-    with claimed(with_bus(host="192.0.2.1"), pytest.fail):
-        names = [
-            set(end_points(with_bus(**other)))
-            for other in ({}, {"device_id": 7}, {"port": 5021}, {"host": "192.0.2.1"})
-        ]
-        assert len(set.union(*names)) == 4
-    reading = with_bus()
-    points = tuple(p for p in reading.point if p.access == "r")
-    assert not end_points(reading.model_copy(update={"point": points}))
+def test_a_host_with_several_addresses_is_locked_at_each(monkeypatch):
+    def known(host, *_args, **_kinds):
+        found = {"gateway": ("192.0.2.1", "192.0.2.2")}.get(host, (host,))
+        return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (address, 0)) for address in found]
 
-
-def test_a_claim_that_ends_leaves_nothing_locked():
-    rig, said = with_bus(), []
-    with claimed(rig, said.append) as claim:
-        with pytest.raises(RigBusyError, match=f"process {os.getpid()} is starting"), claimed(rig, said.append):
+    monkeypatch.setattr("drivers.host_address.socket.getaddrinfo", known)
+    assert len(end_points(with_bus(host="gateway"))) == 2
+    with claimed(with_bus(host="gateway"), pytest.fail):
+        for host in ("192.0.2.1", "192.0.2.2"):
+            with pytest.raises(RigBusyError), claimed(with_bus(host=host), pytest.fail):
+                pass
+        with claimed(with_bus(host="192.0.2.3"), pytest.fail):
             pass
+
+
+def test_only_what_is_written_to_is_locked_and_serial_lines_always():
+    rig = with_bus()
+    points = tuple(p for p in rig.point if p.access == "r")
+    assert not end_points(rig.model_copy(update={"point": points}))
+    assert len({*end_points(rig), *end_points(with_bus(port=PORT + 1)), *end_points(with_bus(host="192.0.2.1"))}) == 3
+    behind = ModbusRtuTcpBus(transport="modbus_rtu_tcp", port=PORT)
+    rig = rig.model_copy(update={"bus": rig.bus | {"plc": behind}, "point": points})
+    assert len(end_points(rig)) == 1
+
+
+def test_a_claim_that_ends_leaves_nothing_locked_and_nothing_behind(home):
+    rig = with_bus()
+    with claimed(rig, pytest.fail) as claim:
+        with (
+            pytest.raises(RigBusyError, match=rf"process {os.getpid()} is starting .*whatever its device ids"),
+            claimed(with_bus(device_id=9), pytest.fail),
+        ):
+            pass
+        assert len(list(locks(home).iterdir())) == 1
         claim.release()
-        with claimed(rig, said.append):
+        with claimed(rig, pytest.fail):
             pass
-    with claimed(None, said.append), claimed(rig, said.append):
+    with claimed(None, pytest.fail), claimed(rig, pytest.fail):
         pass
-    assert said == []
+    assert not list(locks(home).iterdir())
+    assert locks(home).stat().st_mode & 0o777 == 0o700
 
 
-def test_without_a_folder_for_locks_a_run_goes_on_and_says_so(tmp_path, monkeypatch):
-    (tmp_path / f"hil-rigs-{os.getuid()}").symlink_to("/usr")
+@pytest.mark.parametrize("alone", ["files", "names"])
+def test_processes_with_other_folders_in_their_environment_meet(tmp_path, home, monkeypatch, alone):
+    if alone == "files":
+        monkeypatch.setattr("hil.rig_lock.take_name", lambda name: None)
+    else:
+        monkeypatch.setattr("hil.rig_lock.open_folders", lambda: ([], []))
+    environ = {name: str(tmp_path / name) for name in ("TMPDIR", "HOME", "XDG_RUNTIME_DIR")}
+    for path in environ.values():
+        Path(path).mkdir()
+    path = rig_file(tmp_path, PORT, PORT)
+    with holding(path, home, **environ) as holder:
+        with pytest.raises(RigBusyError, match=f"process {holder.pid}"), claimed(load_rig(path), pytest.fail):
+            pass
+        for name in ("HOME", "XDG_RUNTIME_DIR"):
+            monkeypatch.setenv(name, environ[name])
+        with pytest.raises(RigBusyError, match=f"process {holder.pid}"), claimed(load_rig(path), pytest.fail):
+            pass
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can run as another user")
+def test_another_user_is_seen_and_named(tmp_path, home):
+    path = rig_file(tmp_path, PORT, PORT)
+    other = tmp_path / "other"
+    other.mkdir()
+    os.chown(other, 65534, 65534)
+    for folder in (tmp_path, *list(tmp_path.parents)[:2]):
+        folder.chmod(folder.stat().st_mode | 0o011)
+    with holding(path, other, uid=65534) as holder:
+        with pytest.raises(RigBusyError) as refused, claimed(load_rig(path), pytest.fail):
+            pass
+        assert f"process {holder.pid} of user the tester" in str(refused.value)
+        assert "ask that user" in str(refused.value)
+
+
+def test_a_lock_folder_that_is_not_ours_refuses_and_no_lock_says_what_it_gives_up(home, monkeypatch):
+    locks(home).parent.mkdir(parents=True)
+    locks(home).symlink_to("/usr")
+    with pytest.raises(RigLockError, match=r"locks, the folder of rig locks, cannot be used .*--no-lock") as refused:
+        claimed(with_bus(), pytest.fail).__enter__()
+    assert exit_code(refused.value) == 1
     said: list[str] = []
-    with claimed(with_bus(), said.append), claimed(with_bus(), said.append):
+    with claimed(with_bus(), said.append, no_lock=True):
+        with pytest.raises(RigLockError), claimed(with_bus(), pytest.fail):
+            pass
+        assert len(said) == 1
+        assert "--no-lock: nothing keeps a second run from driving this rig" in said[0] and str(home) in said[0]
+        locks(home).unlink()
+        # What could be had was taken: others are refused, and another --no-lock names who has it.
+        with pytest.raises(RigBusyError, match=f"process {os.getpid()}"), claimed(with_bus(), pytest.fail):
+            pass
+        with claimed(with_bus(), said.append, no_lock=True):
+            assert f"driven by process {os.getpid()}" in said[1]
+
+
+@pytest.mark.parametrize("named", ["HOME", "XDG_RUNTIME_DIR"])
+def test_a_folder_of_the_environment_that_is_not_ours_refuses(tmp_path, home, monkeypatch, named):
+    monkeypatch.setenv(named, str(tmp_path / "absent"))
+    with claimed(with_bus(), pytest.fail):  # a session's folder goes when its user logs out
         pass
-    assert len(said) == 2
-    assert "nothing keeps a second run" in said[0]
-    (tmp_path / f"hil-rigs-{os.getuid()}").unlink()
-    with monkeypatch.context() as elsewhere:
-        elsewhere.setattr(
-            "hil.rig_lock._open_folder", lambda: (_ for _ in ()).throw(PermissionError("somebody else's"))
-        )
-        with claimed(with_bus(), said.append):
-            assert "somebody else's" in said[-1]
+    everybodys = tmp_path / "everybodys"
+    everybodys.mkdir()
+    everybodys.chmod(0o777)
+    monkeypatch.setenv(named, str(everybodys))
+    with pytest.raises(RigLockError, match=f"{named} is {everybodys}, which every user may write to"):
+        claimed(with_bus(), pytest.fail).__enter__()
+    everybodys.chmod(0o700)
+    owner = os.getuid() + 1
+    monkeypatch.setattr("hil.lock_folder.os.getuid", lambda: owner)
+    with pytest.raises(RigLockError, match=f"{named} is {everybodys}, which belongs to user the tester"):
+        claimed(with_bus(), pytest.fail).__enter__()
+
+
+def test_a_user_without_a_folder_of_its_own_is_refused_unless_the_session_has_one(tmp_path, home, monkeypatch):
+    home.rmdir()
+    with pytest.raises(RigLockError, match=r"no folder of your own .*XDG_RUNTIME_DIR"):
+        claimed(with_bus(), pytest.fail).__enter__()
+    runtime = tmp_path / "runtime"
+    runtime.mkdir(mode=0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
     with claimed(with_bus(), pytest.fail):
-        assert (tmp_path / f"hil-rigs-{os.getuid()}").stat().st_mode & 0o777 == 0o700
+        assert list((runtime / "hil/locks").iterdir())
+
+
+def test_a_lock_that_its_owner_removes_while_another_opens_it_is_not_taken_twice(home, monkeypatch):
+    monkeypatch.setattr("hil.rig_lock.take_name", lambda name: None)
+    first, second = RigClaim(), RigClaim()
+    first.take(with_bus(), pytest.fail)
+    opened = os.open
+
+    def late(path, flags, *rest, **more):
+        handle = opened(path, flags, *rest, **more)
+        if flags & os.O_CREAT:
+            monkeypatch.setattr("hil.lock_folder.os.open", opened)
+            first.release()  # between opening and locking
+        return handle
+
+    monkeypatch.setattr("hil.lock_folder.os.open", late)
+    second.take(with_bus(), pytest.fail)
+    with pytest.raises(RigBusyError), claimed(with_bus(), pytest.fail):
+        pass
+    second.release()
+
+
+def test_no_lock_is_an_option_of_both_verbs():
+    for verb in (run_command, resume_command):
+        assert "--no-lock" in CliRunner().invoke(verb, ["--help"]).output
 
 
 @pytest.mark.parametrize("reads_W", [0.0, 700.0])

@@ -144,6 +144,32 @@ def test_tracking_the_record_again_gives_the_same_table(finished):
     assert json.loads(done.stdout)["errors_K"]["rows"] == finished.printed["errors_K"]["rows"]
 
 
+def test_a_signal_while_files_are_made_leaves_the_record_and_says_how_to_make_the_rest(tmp_path):
+    (tmp_path / "load.csv").write_text(LOAD.format(end=1600), encoding="utf-8")
+    command = [*HIL, "run", str(tmp_path / "load.csv"), "--virtual", "--lockstep", "--no-twin", "--no-viewer"]
+    process = subprocess.Popen(
+        [*command, "--runs", str(tmp_path / "runs")], cwd=PROJECT, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith("writing review.rrd"):
+            process.send_signal(signal.SIGTERM)
+            break
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGTERM, said
+    folder = RunFolder(next((tmp_path / "runs").iterdir()))
+    assert "not made: review.rrd (stopped by SIGTERM); report.html (stopped by SIGTERM); `" in said
+    assert f"report {folder.path}` makes them from the journal" in said
+    assert "Traceback" not in said
+    manifest = folder.read_manifest()
+    assert (manifest["exit_status"], set(manifest["missing"])) == ("done", {"review.rrd", "report.html"})
+    assert len(read_record(folder.record).time_s) == 1601
+    assert not list(folder.path.glob(".*"))
+    assert hil("report", folder.path).returncode == 0
+    assert folder.review.is_file()
+    assert folder.report.is_file()
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_signal_ends_the_run_with_the_heater_safe(tmp_path, number):
     (tmp_path / "load.csv").write_text(LOAD.format(end=40000), encoding="utf-8")

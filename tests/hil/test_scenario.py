@@ -129,13 +129,13 @@ def test_heat_outside_the_range_names_the_time_and_the_systems(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("old", "new", "place", "remedy"),
     [
-        ('cooling = "air"', 'cooling = "oil"', "line 18, system 'Hotel', cooling", "'water' or 'air'"),
+        ('cooling = "air"', 'cooling = "oil"', "line 20, system 'Hotel', cooling", "'water' or 'air'"),
         ("load_kW = 10\n", "", "line 12, system 'Laser', load_kW", "add it"),
-        ("load_kW = 10\n", "load_kW = -1\n", "system 'Laser', load_kW", "greater than 0"),
-        ("load_kW = 10\n", "load_KW = 10\n", "system 'Laser', load_KW", "correct its spelling"),
+        ("load_kW = 10\n", "load_kW = -1\n", "system 'Laser', load_kW", "must be above 0, got -1"),
+        ("load_kW = 10\n", "load_KW = 10\n", "system 'Laser', load_KW", "check its spelling"),
         ('["0:00", 0.9], ', "", "system 'Propulsion', throttle", "add the value that holds from the start"),
         ('["1:00", 1.0]', '["0:00", 1.0]', "system 'Propulsion', throttle", "sort the steps by time"),
-        ('["1:00", 1.0]', '["1:00", 1.2]', "system 'Propulsion', throttle[1]", "less than or equal to 1"),
+        ('["1:00", 1.0]', '["1:00", 1.2]', "system 'Propulsion', throttle[1]", "must be at most 1, got 1.2"),
         ('["1:00", 1.0]', '["1h", 1.0]', "system 'Propulsion', throttle[1]", "write hours and minutes as '1:45'"),
         (
             '["1:00", 1.0]',

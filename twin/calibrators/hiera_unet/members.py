@@ -128,8 +128,13 @@ def load_ensemble(card: Path, identity: Identity) -> Ensemble:
             f"there is no trained network {card}; train one with `hil train loop` and name its card with --network, or "
             "choose another calibrator"
         ) from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, RecursionError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise HieraError(f"the card {card} cannot be read ({error}); {AGAIN}") from error
+    except KeyError as error:
+        raise HieraError(f"the card {card} has no {error}; {AGAIN}") from error
+    except (ValueError, TypeError, AttributeError, OverflowError) as error:
+        said = "its members or its factors are no tables, texts and numbers"
+        raise HieraError(f"the card {card} cannot be read: {said}; {AGAIN}") from error
     outside = [name for name in names if Path(name).name != name]
     if outside:
         raise HieraError(f"the card {card} names {outside[0]}, which does not lie beside it; train again")

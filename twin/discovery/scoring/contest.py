@@ -24,7 +24,7 @@ from twin.discovery.effects.probe import Probe, Run
 from twin.discovery.records.grid import Grid, filled
 from twin.discovery.records.noise import CAUTION, Noise, bands
 from twin.gauss_newton import Prior
-from twin.network import Array
+from twin.network import Array, TwinFileError
 
 if TYPE_CHECKING:
     from twin.discovery.scoring.structure import Structure
@@ -84,6 +84,9 @@ class Contest:
         structure: what the twin's structure leaves all along, in the terms of the `laws` of this record; by what it
             amounts to the residual is less, and how far it is open is noise. None where nothing tells.
 
+    Raises:
+        TwinFileError: heat in the twin's nodes moves no reading, or its effect is not finite.
+
     Attributes:
         edges, hours: block borders, bins, and their beginnings, h from the record's. b, sites: numbers of blocks and of
             places, which are the k nodes and then the m sensors. begins: first whole block of each stretch.
@@ -120,6 +123,11 @@ class Contest:
         longest = max(grid.stretches, key=lambda rows: rows.stop - rows.start)
         begun = int(np.searchsorted(self.edges[:-1], longest.start))
         after = np.abs(heat[begun:, :, min(begun, self.b - 1), :]).sum(axis=(1, 2))
+        if not np.isfinite(after).all() or not after.any():
+            raise TwinFileError(
+                "the twin's readings do not follow heat in any node, or not finitely; check the record's inputs and "
+                "the twin's parameters for values that no rig has"
+            )
         self.memory = int(np.flatnonzero(after > FORGOTTEN * after.max())[-1]) + 1
         onto = np.eye(self.b * self.m).reshape(self.b, self.m, self.b, self.m)
         # Columns go place by place, blocks within a place.

@@ -1,0 +1,65 @@
+"""Deviations of a run: set-points whose meters, over the whole run, did not show what was asked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from drivers.rig_model import Rig
+
+
+@dataclass(slots=True)
+class _Sums:
+    asked: float = 0.0
+    measured: float = 0.0
+    moved: float = 0.0
+    last: float = math.nan
+    count: int = 0
+    unknown: int = 0
+
+
+class Deviations:
+    """Sums of what was asked and measured of every set-point with a `readback`, tick by tick while the run runs.
+
+    A meter that follows with a lag of first order, and settles within `readback_within_s`, misses at most
+    sum(|steps|) * readback_within_s of the integral of what was asked. What its mean is off by more than that and
+    `readback_tolerance` is no lag: the actuator did not do what it was told.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._sums = {point.name: _Sums() for point in rig.setpoints if point.readback is not None}
+
+    def tick(self, asked: Mapping[str, float], readings: Mapping[str, float]) -> None:
+        """Add a tick: set-points in their units, and the good readings by point."""
+        for name, sums in self._sums.items():
+            value, meter = asked[name], self._rig.get(name).readback
+            before = (self._rig.get(name).safe_value or 0.0) if math.isnan(sums.last) else sums.last
+            sums.moved += abs(value - before)
+            sums.last = value
+            reading = readings.get(meter or "", math.nan)
+            if math.isnan(reading):
+                sums.unknown += 1
+                continue
+            sums.asked += value
+            sums.measured += reading
+            sums.count += 1
+
+    def found(self, period_s: float) -> list[str]:
+        """Return what deviates, a sentence each, after ticks of `period_s`."""
+        sentences = []
+        for name, sums in self._sums.items():
+            point = self._rig.get(name)
+            if sums.count == 0:
+                if sums.unknown:
+                    sentences.append(f"{point.readback} had no good value: what {name} did is not known")
+                continue
+            asked, measured = sums.asked / sums.count, sums.measured / sums.count
+            lag = sums.moved * point.readback_within_s / (sums.count * period_s)
+            if abs(measured - asked) > point.readback_tolerance + lag:
+                sentences.append(
+                    f"{name} asked for {asked:.4g} {point.unit} in the mean and {point.readback} read "
+                    f"{measured:.4g} {point.unit}; look at the actuator, its meter and their scales"
+                )
+        return sentences

@@ -1,0 +1,80 @@
+"""Columns of a record as its file stores them, before anything is decided about their numbers and times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+
+class RecordError(ValueError):
+    """A record cannot be read or written; one sentence that names the file, the line where there is one, the remedy."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.split()))  # a cell that is quoted may hold a line break
+
+
+@dataclass(frozen=True, eq=False)
+class RawRecord:
+    """Columns as stored: `cells` are Arrow arrays of any type, all of one length, named by `names`.
+
+    `units` is what the file itself says of a column's unit; `header_line` and `skipped_lines` map rows to lines of a
+    CSV (0 and empty for Parquet); `lines`, where it is not empty, are the rows' lines one by one. `delimiter` separates
+    its columns. `plausible` are ranges that the file itself declares for a column.
+    """
+
+    path: Path
+    sha256: str
+    names: tuple[str, ...]
+    cells: tuple[Any, ...]
+    messages: tuple[str, ...] = ()
+    metadata: dict[str, str] | None = None
+    units: dict[str, str] | None = None
+    header_line: int = 0
+    skipped_lines: tuple[int, ...] = ()
+    delimiter: str = ""
+    plausible: dict[str, tuple[float, float]] = field(default_factory=dict)
+    lines: tuple[int, ...] = ()
+
+    def place(self, row: int) -> str:
+        """Where `row` (from 0) stands in the file, for a message."""
+        if self.lines:
+            return f"line {self.lines[row]}"
+        if not self.header_line:
+            return f"row {row + 1}"
+        line = self.header_line + 1 + row
+        for skipped in self.skipped_lines:
+            line += skipped <= line
+        return f"line {line}"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Choices of the user for a record that does not show them itself.
+
+    Attributes:
+        decimal: sign of all numbers, "." or ",". dates: order of day, month and year, "dmy", "mdy" or "ymd".
+        time_column: name of the column of times, or two names with a comma between them: of dates and times of day.
+        time_scale: s of the rig's time in a unit of that column; 60 for a rig whose clock counts minutes as seconds.
+    """
+
+    decimal: Literal[".", ","] | None = None
+    dates: Literal["dmy", "mdy", "ymd"] | None = None
+    time_column: str | None = None
+    time_scale: float = 1.0
+
+
+def unique(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return `names` with repeats renamed so that the first keeps its name; and what was renamed."""
+    found: list[str] = []
+    messages = []
+    for place, given in enumerate(names, start=1):
+        name = given or f"column_{place}"
+        if name in found:
+            count = 2
+            while f"{name}_{count}" in found or f"{name}_{count}" in names:
+                count += 1
+            messages.append(f"column '{name}' stands twice: the second is read as '{name}_{count}'")
+            name = f"{name}_{count}"
+        found.append(name)
+    return tuple(found), tuple(messages)

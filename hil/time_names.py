@@ -1,0 +1,68 @@
+"""Names under which records hold their time, with the unit where the name has one."""
+
+from __future__ import annotations
+
+import re
+
+SECONDS_PER: dict[str, float] = {
+    "ns": 1e-9,
+    "us": 1e-6,
+    "µs": 1e-6,
+    "ms": 1e-3,
+    "msec": 1e-3,
+    "s": 1.0,
+    "sec": 1.0,
+    "secs": 1.0,
+    "second": 1.0,
+    "seconds": 1.0,
+    "min": 60.0,
+    "mins": 60.0,
+    "minute": 60.0,
+    "minutes": 60.0,
+    "h": 3600.0,
+    "hr": 3600.0,
+    "hour": 3600.0,
+    "hours": 3600.0,
+    "d": 86400.0,
+    "day": 86400.0,
+    "days": 86400.0,
+}
+"""Seconds in a unit of time, by its symbol in lower case."""
+
+_ELAPSED = ("time", "t", "elapsed", "elapsed time", "time elapsed", "run time", "rel time", "relative time")
+_MOMENT = (
+    *("timestamp", "time stamp", "datetime", "date time", "date/time", "date and time", "date", "epoch", "when"),
+    *("local time", "utc", "time utc", "utc time", "timestamp utc", "last changed", "last updated", "recorded at"),
+    *("datum", "zeit", "uhrzeit", "zeitstempel", "datum/zeit", "datum uhrzeit", "date heure", "horodatage"),
+)  # fmt: skip
+_UNIT = re.compile(r"(.+?)[ _]*[\[(]\s*([a-zµ]+)\s*[\])]|(.+)[ _]([a-zµ]+)|([a-zµ]+)")
+
+
+def seconds_per_unit(name: str) -> float | None:
+    """Return seconds per unit of the time column called `name`, 1 where the name gives no unit; None for no time."""
+    low = name.strip().lower()
+    if _spelt(low) in (*_ELAPSED, *_MOMENT):
+        return 1.0
+    parts = _UNIT.fullmatch(low)
+    if parts is None:
+        return None
+    stem, unit = (parts[1], parts[2]) if parts[1] else (parts[3], parts[4]) if parts[3] else ("", parts[5])
+    if stem == "t" and not parts[1] and unit != "s":
+        return None  # T_min and T_h are temperatures
+    if unit in SECONDS_PER and (_spelt(stem) in _ELAPSED or (not stem and unit in ("seconds", "minutes", "hours"))):
+        return SECONDS_PER[unit]
+    return None
+
+
+def is_time_name(name: str) -> bool:
+    """Return True for a name under which a record may hold its time."""
+    return seconds_per_unit(name) is not None
+
+
+def names_dates(name: str) -> bool:
+    """Return True for a name of dates, or of dates with times, and never of a time since the beginning."""
+    return _spelt(name.strip().lower()) in (*_MOMENT, "time of day") and "epoch" not in name.lower()
+
+
+def _spelt(low: str) -> str:
+    return re.sub(r"[ _()\[\]]+", " ", low).strip()

@@ -1,0 +1,271 @@
+"""Dates and times written as text to microseconds, one way of reading them for a whole column.
+
+`03/04/2026` is in March to one writer and in April to another. A column shows which by a number above twelve, or by
+days that follow each other at midnight; where neither does and the times between rows differ, it is refused.
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Order = Literal["ymd", "dmy", "mdy"]
+ORDERS: tuple[Order, ...] = ("dmy", "mdy", "ymd")
+WORDS = {"dmy": "day.month.year", "mdy": "month/day/year", "ymd": "year/month/day"}
+MICROS_PER_DAY = 86_400_000_000
+_EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
+_MICRO = datetime.timedelta(microseconds=1)
+
+_MONTHS = {
+    "jan": 1,
+    "feb": 2,
+    "mar": 3,
+    "apr": 4,
+    "may": 5,
+    "jun": 6,
+    "jul": 7,
+    "aug": 8,
+    "sep": 9,
+    "oct": 10,
+    "nov": 11,
+    "dec": 12,
+    "mär": 3,
+    "mrz": 3,
+    "mai": 5,
+    "okt": 10,
+    "dez": 12,
+}
+_TIME = (
+    r"(?P<hour>\d{1,3}):(?P<minute>[0-5]\d)(?::(?P<second>[0-5]\d|60)(?:[.,:](?P<fraction>\d{1,9}))?)?"
+    r"(?:\s*(?P<half>[AaPp])\.?\s?[Mm]\.?)?\s*(?P<zone>Z|z|UTC|GMT|CET|CEST|[+-]\d{2}(?::?\d{2})?)?"
+)
+_DATE = (
+    r"(?:[A-Za-z]{2,9}\.?,?\s+)?(?:(?P<a>\d{1,4})(?P<sep>[-/.])(?P<b>\d{1,2})(?P=sep)(?P<c>\d{1,4})"
+    r"|(?P<day>\d{1,2})[-/. ]+(?P<month>[A-Za-zä]{3,9})\.?[-/., ]+(?P<year>\d{4}|\d{2})"
+    r"|(?P<month2>[A-Za-zä]{3,9})\.?\s+(?P<day2>\d{1,2}),?\s+(?P<year2>\d{4})"
+    r"|(?P<compact>(?:19|20|21)\d{6}))"
+)
+_STAMP = re.compile(rf"{_DATE}(?:[T\s,_-]+{_TIME})?|(?P<long>(?:19|20|21)\d{{6}})[T_ -]?(?P<clock>\d{{6}})", re.ASCII)
+_CLOCK = re.compile(_TIME, re.ASCII)
+_ZONES = {"z": 0, "utc": 0, "gmt": 0, "cet": 60, "cest": 120}
+
+
+class TimeTextError(ValueError):
+    """A column of times may be read in two ways; the message lacks file and column."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stamps:
+    """Microseconds `(n,)` since 1970, None where a cell is no date; how they are written, and if with a time zone.
+
+    `dated` is False for times of day without a date. `note` is a sentence about what stays open, or "".
+    """
+
+    micros: list[int | None]
+    how: str
+    zoned: bool
+    dated: bool = True
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """A date as three numbers in the order of the cell, and the time after midnight UTC in microseconds."""
+
+    numbers: tuple[int, int, int] | None
+    fixed: tuple[int, int, int] | None
+    micros: int
+    sep: str
+    zoned: bool
+    lengths: tuple[int, int] = (2, 4)
+
+
+def read_stamps(cells: Sequence[str | None], order: Order | None = None) -> Stamps:
+    """Return the moments of text `cells`, None for missing ones; `order` is that of day, month and year, if given.
+
+    Raises:
+        TimeTextError: more than one order fits and the times between rows differ.
+    """
+    plain = [_iso(cell) for cell in cells]
+    there = sum(cell is not None for cell in cells)
+    if order is None and there and sum(x is not None for x in plain) == there:
+        return Stamps(plain, "ISO 8601", any(_has_zone(cell) for cell in cells if cell))
+    parts = [None if cell is None else _parts(cell) for cell in cells]
+    if sum(part is not None for part in parts) < sum(x is not None for x in plain):
+        return Stamps(plain, "ISO 8601", any(_has_zone(cell) for cell in cells if cell))
+    zoned = any(part.zoned for part in parts if part is not None)
+    open_parts = [part for part in parts if part is not None and part.numbers is not None]
+    if not open_parts:
+        return Stamps([_moment(part, "ymd") for part in parts], "a date", zoned)
+    found = _orders(open_parts) if order is None else [order]
+    read = {one: [_moment(part, one) for part in parts] for one in found}
+    most = max((sum(x is not None for x in micros) for micros in read.values()), default=0)
+    read = {one: m for one, m in read.items() if most and sum(x is not None for x in m) == most}
+    if not read:
+        return Stamps([None] * len(cells), "", zoned)
+    kept, note = _decided(read, cells)
+    how = WORDS[kept] if open_parts[0].sep == "." else WORDS[kept].replace(".", "/")
+    return Stamps(read[kept], how, zoned, note=note)
+
+
+def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
+    """Return times of day as microseconds since the first midnight, a day more after each step back by half a day.
+
+    None where the cells are no times of day. Hours above 23 are those of a time since the beginning.
+
+    Raises:
+        TimeTextError: two numbers each, which may be hours and minutes or minutes and seconds.
+    """
+    found = [None if cell is None else _CLOCK.fullmatch(cell) for cell in cells]
+    there = [match for match in found if match is not None]
+    if not there or len(there) < sum(cell is not None for cell in cells) / 2:
+        return None
+    if all(match["second"] is None and match["half"] is None for match in there):
+        raise TimeTextError(
+            f"'{there[0][0]}' may be hours and minutes or minutes and seconds; write hh:mm:ss, or a date before it"
+        )
+    micros = [None if match is None else _micros_of_day(match) for match in found]
+    days = 0
+    last: int | None = None
+    out: list[int | None] = []
+    for value in micros:
+        if value is not None:
+            days += last is not None and value < last - MICROS_PER_DAY // 2
+            last = value
+        out.append(None if value is None else value + days * MICROS_PER_DAY)
+    return Stamps(out, "a time of day", False, dated=False)
+
+
+def is_time_of_day(cell: str) -> bool:
+    """Return True for a cell of hours and minutes without a date."""
+    return _CLOCK.fullmatch(cell) is not None
+
+
+def is_date(cell: str) -> bool:
+    """Return True for a cell of a date without a time of day."""
+    match = _STAMP.fullmatch(cell)
+    return match is not None and match["hour"] is None and match["long"] is None
+
+
+def is_moment(cell: str) -> bool:
+    """Return True for a cell of a date, with or without a time of day."""
+    return _STAMP.fullmatch(cell) is not None or _iso(cell) is not None
+
+
+def _iso(cell: str | None) -> int | None:
+    if cell is None or not cell[:4].isdigit() or not cell.isascii():
+        return None
+    try:
+        moment = datetime.datetime.fromisoformat(cell)
+    except ValueError:
+        return None
+    return (moment.replace(tzinfo=moment.tzinfo or datetime.UTC) - _EPOCH) // _MICRO
+
+
+def _has_zone(cell: str) -> bool:
+    return "Z" in cell or "+" in cell or cell.count("-") > 2
+
+
+def _parts(cell: str) -> _Parts | None:
+    match = _STAMP.fullmatch(cell)
+    if match is None:
+        return None
+    if match["long"]:
+        clock = match["clock"]
+        seconds = int(clock[:2]) * 3600 + int(clock[2:4]) * 60 + int(clock[4:])
+        return _Parts(None, _whole(match["long"]), seconds * 1_000_000, "", False)
+    if match["hour"] and int(match["hour"]) > 24:
+        return None
+    micros = _micros_of_day(match) if match["hour"] else 0
+    zoned = bool(match["zone"])
+    if match["compact"]:
+        return _Parts(None, _whole(match["compact"]), micros, "", zoned)
+    if match["a"]:
+        a, b, c = match["a"], match["b"], match["c"]
+        return _Parts((int(a), int(b), int(c)), None, micros, match["sep"], zoned, (len(a), len(c)))
+    name = (match["month"] or match["month2"])[:3].lower()
+    if name not in _MONTHS:
+        return None
+    year = int(match["year"] or match["year2"])
+    return _Parts(None, (_full(year), _MONTHS[name], int(match["day"] or match["day2"])), micros, "", zoned)
+
+
+def _whole(text: str) -> tuple[int, int, int]:
+    return int(text[:4]), int(text[4:6]), int(text[6:8])
+
+
+def _micros_of_day(match: re.Match[str]) -> int:
+    hour = int(match["hour"])
+    if match["half"]:
+        hour = hour % 12 + (12 if match["half"] in "Pp" else 0)
+    fraction = int((match["fraction"] or "0").ljust(9, "0")) // 1000
+    seconds = hour * 3600 + int(match["minute"]) * 60 + int(match["second"] or 0)
+    return seconds * 1_000_000 + fraction - _zone_minutes(match["zone"]) * 60_000_000
+
+
+def _zone_minutes(zone: str | None) -> int:
+    if not zone:
+        return 0
+    if zone.lower() in _ZONES:
+        return _ZONES[zone.lower()]
+    digits = zone[1:].replace(":", "").ljust(4, "0")
+    return (-1 if zone[0] == "-" else 1) * (int(digits[:2]) * 60 + int(digits[2:]))
+
+
+def _full(year: int) -> int:
+    """Return a year of four digits; two are of this century up to 69, as POSIX strptime reads them."""
+    return year if year > 99 else year + (2000 if year < 69 else 1900)
+
+
+def _orders(parts: Sequence[_Parts]) -> list[Order]:
+    """Return the orders of day, month and year that the writing allows."""
+    first = parts[0]
+    if first.lengths[0] == 4:
+        return ["ymd"]
+    if first.lengths[1] == 4:
+        return ["dmy"] if first.sep == "." else ["dmy", "mdy"]
+    return ["dmy"] if first.sep == "." else ["dmy", "mdy", "ymd"]
+
+
+def _moment(part: _Parts | None, order: Order) -> int | None:
+    if part is None:
+        return None
+    if part.fixed is not None:
+        year, month, day = part.fixed
+    else:
+        assert part.numbers is not None
+        year, month, day = (part.numbers[order.index(which)] for which in "ymd")
+    try:
+        date = datetime.datetime(_full(year), month, day, tzinfo=datetime.UTC)
+    except ValueError:
+        return None
+    return (date - _EPOCH) // _MICRO + part.micros
+
+
+def _decided(read: dict[Order, list[int | None]], cells: Sequence[str | None]) -> tuple[Order, str]:
+    """Return the order to read by, and what stays open; raises TimeTextError where the times between rows differ."""
+    orders = list(read)
+    if len(orders) == 1:
+        return orders[0], ""
+    elapsed = {one: np.array([x for x in read[one] if x is not None], dtype=np.int64) for one in orders}
+    first = next(cell for cell, x in zip(cells, read[orders[0]], strict=True) if x is not None)
+    if all(np.array_equal(np.diff(elapsed[one]), np.diff(elapsed[orders[0]])) for one in orders[1:]):
+        said = " or ".join(WORDS[one] for one in orders)
+        return orders[0], f"'{first}' may be {said}: only the date of the record depends on it (--dates settles it)"
+    goes_on = [one for one in orders if _goes_on(elapsed[one])]
+    if len(goes_on) == 1:
+        return goes_on[0], ""
+    options = ", ".join(f"--dates {one}" for one in orders)
+    raise TimeTextError(f"'{first}' may be {' or '.join(WORDS[one] for one in orders)}; give one of {options}")
+
+
+def _goes_on(micros: NDArray[np.int64]) -> bool:
+    """Return True where no step is a day or longer and none goes back: a clock that went on over midnight."""
+    steps = np.diff(micros)
+    return bool(len(steps)) and bool((steps >= 0).all()) and int(steps.max()) < MICROS_PER_DAY

@@ -1,0 +1,254 @@
+"""Files made after a run: each by itself, also when one fails, a signal comes, or the folder is moved or deleted."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+
+from hil.commands.check import command as check
+from hil.commands.commission import command as commission
+from hil.commands.report import command as report
+from hil.derived_files import Derived, derive_files, missing_sentence
+from hil.errors import exit_code
+from hil.record import RecordError
+from hil.remaking import remake
+from hil.resuming import request_of
+from hil.run_folder import FolderLostError, RunFolderError
+from hil.subject import SubjectError, subject_of
+from tests.hil.ended_run import ended_run
+
+ALL = {"run.json", "journal.sqlite", "record.parquet", "review.rrd", "report.html"}
+
+
+def names(folder):
+    return {path.name for path in folder.path.iterdir()}
+
+
+def fails(*arguments, **options):
+    raise OSError(28, "No space left on device")
+
+
+def test_every_file_is_made_and_the_manifest_says_that_none_is_missing(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run")
+    said = []
+    derived = derive_files(folder, manifest, said.append)
+    assert names(folder) == ALL
+    assert (derived.missing, derived.exit_code(True), derived.exit_code(False)) == ({}, 0, 1)
+    assert folder.read_manifest()["missing"] == {}
+    assert said == ["writing record.parquet", "writing review.rrd", "writing report.html"]
+
+
+@pytest.mark.parametrize(
+    ("broken", "lost"),
+    [
+        ("hil.derived_files.export_record", "record.parquet"),
+        ("hil.review.write_review", "review.rrd"),
+        ("hil.report.write_report", "report.html"),
+    ],
+)
+def test_a_file_that_fails_leaves_the_others_and_is_made_later(tmp_path, monkeypatch, broken, lost):
+    folder, manifest = ended_run(tmp_path / "run")
+    said = []
+    with monkeypatch.context() as context:
+        context.setattr(broken, fails)
+        derived = derive_files(folder, manifest, said.append)
+    assert names(folder) == ALL - {lost}
+    assert folder.read_manifest()["missing"] == derived.missing == {lost: "No space left on device"}
+    assert said[-1] == missing_sentence(derived)
+    assert f"report {folder.path}` makes them from the journal" in said[-1]
+    assert derived.exit_code(True) == 1
+    done = CliRunner().invoke(report, [str(folder.path)])
+    assert (done.exit_code, names(folder)) == (0, ALL)
+    assert folder.read_manifest()["missing"] == {}
+    assert folder.read_manifest()["exit_status"] == "done"
+
+
+def test_a_defect_in_one_file_is_named_as_one_and_leaves_the_others(tmp_path, monkeypatch):
+    folder, manifest = ended_run(tmp_path / "run")
+    monkeypatch.setattr("hil.review.write_review", lambda *paths: {}["gone"])
+    derived = derive_files(folder, manifest, lambda text: None)
+    assert derived.missing == {"review.rrd": "KeyError: 'gone'; a defect of hil, please report it"}
+    assert names(folder) == ALL - {"review.rrd"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_ends_the_making_at_once_and_leaves_what_is_made(tmp_path, monkeypatch, number):
+    folder, manifest = ended_run(tmp_path / "run")
+    before = signal.getsignal(number)
+    began = time.monotonic()
+
+    def slow(*paths):
+        assert folder.read_manifest()["missing"]["review.rrd"] == "not made yet"  # what a kill would leave
+        os.kill(os.getpid(), number)
+        time.sleep(30)
+
+    with monkeypatch.context() as context:
+        context.setattr("hil.review.write_review", slow)
+        said = []
+        derived = derive_files(folder, manifest, said.append)
+    assert time.monotonic() - began < 20
+    assert signal.getsignal(number) == before
+    assert names(folder) == {"run.json", "journal.sqlite", "record.parquet"}
+    why = f"stopped by {number.name}"
+    assert folder.read_manifest()["missing"] == {"review.rrd": why, "report.html": why}
+    assert "not made: review.rrd" in said[-1]
+    assert derived.exit_code(True) == derived.exit_code(False) == 128 + number
+    remake(folder, False, said.append)
+    assert names(folder) == ALL
+
+
+def test_a_signal_after_the_last_file_changes_no_exit_code(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run")
+    assert Derived(folder, {}, signal.SIGTERM).exit_code(True) == 0
+    assert derive_files(folder, manifest, lambda text: None).stopped_by is None
+
+
+def test_a_folder_that_was_moved_gets_its_files_where_it_is_now(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run")
+    said = []
+    with folder.owned():
+        (tmp_path / "other").mkdir()
+        folder.path.rename(tmp_path / "other" / "moved")
+        derived = derive_files(folder, manifest, said.append)
+    assert derived.folder.path == tmp_path / "other" / "moved"
+    assert names(derived.folder) == ALL
+    assert f"the run's folder was moved: its files go to {tmp_path}/other/moved" in said
+
+
+def test_a_folder_whose_place_another_took_is_found_where_it_went(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run")
+    with folder.owned():
+        folder.path.rename(tmp_path / "moved")
+        folder.path.mkdir()
+        assert names(derive_files(folder, manifest, lambda text: None).folder) == ALL
+    assert list(folder.path.iterdir()) == []
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_folder_that_was_deleted_is_said_to_be_and_the_end_is_saved_beside_it(tmp_path, again):
+    folder, manifest = ended_run(tmp_path / "runs" / "run")
+    with folder.owned():
+        shutil.rmtree(folder.path)
+        if again:
+            folder.path.mkdir()
+        with pytest.raises(FolderLostError) as caught:
+            derive_files(folder, manifest, lambda text: None)
+    said = str(caught.value)
+    assert "was deleted; the run done (the profile is over), the rig was left safe" in said
+    assert "its samples are lost" in said
+    assert len(said.splitlines()) == exit_code(caught.value) == 1
+    copy = tmp_path / "runs" / "run.run.json"
+    assert f"how it ended stands in {copy}" in said
+    assert json.loads(copy.read_text(encoding="utf-8"))["uid"] == manifest["uid"]
+
+
+def test_a_folder_that_is_deleted_with_its_parent_is_said_to_be(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    folder, manifest = ended_run(tmp_path / "runs" / "run")
+    manifest["safe"] = False
+    with folder.owned():
+        shutil.rmtree(tmp_path / "runs")
+        with pytest.raises(FolderLostError, match=r"was deleted.*the rig was NOT confirmed safe: look at it now"):
+            derive_files(folder, manifest, lambda text: None)
+    assert [path.name for path in tmp_path.glob("hil-run-*/*")] == ["run.run.json"]
+
+
+def test_a_folder_that_cannot_be_written_any_more_is_said_to_be(tmp_path, monkeypatch):
+    folder, manifest = ended_run(tmp_path / "run")
+
+    def refuses(self, document):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr("hil.run_folder.RunFolder.write_manifest", refuses)
+    with pytest.raises(FolderLostError) as caught:
+        derive_files(folder, manifest, lambda text: None)
+    assert "cannot be written (Read-only file system)" in str(caught.value)
+    assert "make it writable, then `" in str(caught.value)
+    assert (tmp_path / "run.run.json").is_file()
+
+
+def test_a_run_killed_before_it_could_say_how_it_ended_is_reported_by_its_journal(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run")
+    folder.write_manifest(manifest | {"exit_status": "running", "reason": ""})
+    remake(folder, False, lambda text: None)
+    found = folder.read_manifest()
+    assert (found["exit_status"], found["reason"], found["ticks"]) == ("done", "the profile is over", 300)
+    assert names(folder) == ALL
+
+
+def test_a_run_that_was_cut_is_reported_as_far_as_it_came_and_stays_cut(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run", ended=False)
+    folder.write_manifest(manifest)
+    remake(folder, False, lambda text: None)
+    assert names(folder) == ALL
+    assert folder.was_cut
+    assert pq.read_metadata(folder.record).num_rows == 300
+
+
+def test_a_live_run_is_not_reported(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run", ended=False)
+    folder.write_manifest(manifest)
+    with folder.owned(), pytest.raises(RunFolderError, match="still goes on"):
+        remake(folder, False, lambda text: None)
+
+
+def test_record_and_review_are_made_again_where_they_are_older_or_it_is_asked(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run")
+    derive_files(folder, manifest, lambda text: None)
+    said = []
+    remake(folder, False, said.append)
+    assert said == ["writing report.html"]
+    os.utime(folder.record, (1e9, 1e9))
+    said.clear()
+    remake(folder, False, said.append)
+    assert said == ["writing record.parquet", "writing report.html"]
+    said.clear()
+    remake(folder, True, said.append)
+    assert said == ["writing record.parquet", "writing review.rrd", "writing report.html"]
+
+
+@pytest.mark.parametrize("exit_status", ["done", "running"])
+def test_a_run_that_went_to_its_end_is_not_resumed_and_its_files_are_pointed_at(tmp_path, exit_status):
+    folder, manifest = ended_run(tmp_path / "run")
+    folder.write_manifest(manifest | {"exit_status": exit_status})
+    with pytest.raises(RunFolderError, match=r"has run to its end; `hil report .*` makes its record and report"):
+        request_of(folder, folder.read_manifest(), {})
+
+
+def test_the_record_of_an_ended_run_is_made_for_whoever_reads_it(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run")
+    folder.write_manifest(manifest)
+    folder.twin.touch()
+    assert subject_of(folder.path, None).record == folder.record
+    assert pq.read_metadata(folder.record).num_rows == 300
+    folder.record.unlink()
+    folder.journal.write_text("damaged", encoding="utf-8")
+    with pytest.raises(SubjectError, match="none can be made from its journal"):
+        subject_of(folder.path, None)
+
+
+def test_a_run_folder_is_checked_and_commissioned_by_its_record(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run")
+    folder.write_manifest(manifest)
+    checked = CliRunner().invoke(check, [str(folder.path)])
+    assert checked.exit_code == 0, checked.output
+    assert "record.parquet: 300 samples over 0.08 h" in checked.output
+    with pytest.raises(SubjectError, match=r"holds no record.parquet; give a run folder"):
+        CliRunner().invoke(check, [str(tmp_path)], catch_exceptions=False)
+    twin = tmp_path / "twin.toml"
+    text = (Path(__file__).resolve().parents[2] / "profiles/twins/loop.toml").read_text(encoding="utf-8")
+    twin.write_text(text.replace("pump_speed_pct", "pump_nowhere_pct"), encoding="utf-8")
+    with pytest.raises(RecordError) as caught:
+        CliRunner().invoke(
+            commission, [str(folder.path), "--twin", str(twin), "--out", str(tmp_path / "new.toml")],
+            catch_exceptions=False,
+        )  # fmt: skip
+    assert str(caught.value).startswith(f"{folder.record} lacks pump_nowhere_pct")

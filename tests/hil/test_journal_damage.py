@@ -1,0 +1,61 @@
+"""A journal that a disk or a person has damaged: a sentence that names the file and the part, not a traceback."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from hil.bench.fuzz_journal import read_all, sound_journal
+from hil.journal import JournalError, JournalReader
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Path:
+    path = tmp_path / "journal.sqlite"
+    sound_journal(path)
+    return path
+
+
+def changed(path: Path, *statements: str) -> None:
+    database = sqlite3.connect(path, isolation_level=None)
+    for statement in statements:
+        database.execute(statement)
+    database.close()
+
+
+def test_a_sound_journal_is_read_by_every_method(journal):
+    read_all(journal)
+
+
+@pytest.mark.parametrize(
+    ("statement", "said"),
+    [
+        ("UPDATE meta SET value = '{' WHERE key = 'header'", "its header cannot be read"),
+        ("UPDATE meta SET value = '3' WHERE key = 'header'", "its header cannot be read"),
+        ("UPDATE meta SET value = 'x' WHERE key = 'schema_version'", "its header cannot be read"),
+        ("UPDATE samples SET quality = x'00'", "its samples cannot be read"),
+        ("UPDATE samples SET source_time_s = 'text'", "its samples cannot be read"),
+        ("UPDATE calibrations SET document = '['", "its calibrations cannot be read"),
+        ("ALTER TABLE states DROP COLUMN reason", "its states cannot be read"),
+        ("DROP TABLE events", "its events cannot be read (no such table: events)"),
+    ],
+)
+def test_damage_is_named_with_the_file_and_the_part(journal, statement, said):
+    changed(journal, statement)
+    with pytest.raises(JournalError) as caught:
+        read_all(journal)
+    assert str(caught.value).startswith(f"{journal} is damaged: ")
+    assert said in str(caught.value)
+    assert "argument" not in str(caught.value)
+
+
+def test_another_version_and_another_file_are_refused(journal, tmp_path):
+    changed(journal, "UPDATE meta SET value = '99' WHERE key = 'schema_version'")
+    with pytest.raises(JournalError, match="has schema 99, this version reads"):
+        JournalReader(journal)
+    other = tmp_path / "other.sqlite"
+    other.write_bytes(b"no database " * 100)
+    with pytest.raises(JournalError, match="is not a journal of this harness"):
+        JournalReader(other)

@@ -1,0 +1,193 @@
+"""The report of a run: every signal in numbers and pictures, times in the unit that fits, and nothing that is empty."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.points import Quality, Signal
+from hil.journal import Header, JournalWriter
+from hil.journal_rows import Samples
+from hil.report import write_report
+from hil.report_pictures import MEASURED, Curves, pictures
+from hil.report_signals import NONE, number, set_against_read, signal_statistics, time_unit
+from hil.run_folder import RunFolder, new_manifest
+from tests.hil.ended_run import ended_run
+from tests.hil.synthetic_journal import make
+
+SIGNALS = (
+    Signal("heater_power_set", "W", "setpoint", role="heater_power"),
+    Signal("fan_speed_set", "%", "setpoint", role="fan_speed"),
+    Signal("heater_power", "W", role="heater_power"),
+    Signal("fan_speed", "%", role="fan_speed"),
+    Signal("T_a", "degC"),
+    Signal("T_dead", "degC"),
+)
+
+
+def samples(ticks: int = 200, period_s: float = 1.0) -> Samples:
+    """A heater that reads 2 W less than its set-point, which is raised half way, and a thermometer without a value."""
+    time_s = np.arange(ticks) * period_s
+    wanted = np.where(time_s < time_s[-1] / 2, 100.0, 300.0)
+    values = np.column_stack(
+        [wanted, 0 * time_s + 50, wanted - 2.0, 0 * time_s + 50, 20 + 0.01 * time_s, np.nan * time_s]
+    )
+    quality = np.zeros(values.shape, dtype=np.uint8)
+    quality[:, 5] = Quality.SENSOR_FAULT
+    values[3:4, 4], quality[3:4, 4] = 900.0, Quality.OUT_OF_RANGE
+    return Samples(np.arange(ticks), time_s, values, quality, np.zeros(values.shape))
+
+
+def header(period_s: float = 1.0) -> Header:
+    return Header(SIGNALS, {}, (), "load", 200.0, period_s, {})
+
+
+def page_of(folder: RunFolder) -> str:
+    write_report(folder)
+    return folder.report.read_text(encoding="utf-8")
+
+
+def cells(page: str) -> list[list[str]]:
+    return [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr[^>]*>(.*?)</tr>", page)]
+
+
+def test_statistics_are_of_good_values_alone():
+    found = {s.name: s for s in signal_statistics(header(), samples())}
+    warm = found["T_a"]
+    assert (warm.least, warm.greatest) == (20.0, pytest.approx(21.99))
+    assert (warm.good, warm.unit) == (pytest.approx(0.995), "°C")
+    dead = found["T_dead"]
+    assert np.isnan([dead.least, dead.mean, dead.greatest]).all()
+    assert dead.good == 0.0
+    assert list(found) == ["heater_power", "fan_speed", "T_a", "T_dead", "heater_power_set", "fan_speed_set"]
+
+
+def test_a_read_back_is_held_against_a_set_point_that_has_stood():
+    told = samples()
+    told.values[100:110, 2] = 0.0  # lags behind the step: no difference of a settled one
+    heater, fan = set_against_read(header(), told)
+    assert (heater.name, heater.settled_difference, heater.settled_greatest) == ("heater_power", -2.0, -2.0)
+    assert (fan.set_mean, fan.read_mean, fan.settled_difference) == (50.0, 50.0, 0.0)
+    short = set_against_read(header(), samples(10))[0]
+    assert np.isnan(short.settled_difference)
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "symbol"), [(0.0, "s"), (100.0, "s"), (700.0, "min"), (8000.0, "min"), (4e4, "h"), (1e6, "d")]
+)
+def test_times_are_in_the_unit_that_fits(duration_s, symbol):
+    assert time_unit(duration_s).symbol == symbol
+
+
+def test_a_number_that_is_not_known_is_a_dash():
+    assert [number(value) for value in (None, float("nan"), float("inf"), 1.25)] == [NONE, NONE, NONE, "1.25"]
+
+
+def made(path, told: Samples, about: Header) -> RunFolder:
+    """A run without a twin, of these samples."""
+    path.mkdir()
+    folder = RunFolder(path)
+    writer = JournalWriter(folder.journal, about)
+    for k, tick in enumerate(told.tick.tolist()):
+        row = (told.values[k].tolist(), told.quality[k].tolist(), told.source_time_s[k].tolist())
+        writer.sample(tick, float(told.time_s[k]), 1e9 + k, 0.001, *row)
+    writer.event(0, 0.0, "INFO", "begun")
+    writer.close()
+    folder.write_manifest(new_manifest({}, network_mode="shadow"))
+    return folder
+
+
+def test_a_run_without_a_twin_shows_every_signal_in_numbers_and_pictures(tmp_path):
+    page = page_of(made(tmp_path / "run", samples(), header()))
+    rows = {row[0]: row for row in cells(page) if row}
+    assert {signal.name for signal in SIGNALS} <= set(rows)
+    assert rows["T_dead"] == ["T_dead", "°C", NONE, NONE, NONE, "0.0%"]
+    assert rows["T_a"][:3] == ["T_a", "°C", "20"]
+    assert "<h2>Set against read</h2>" in page
+    assert "<h2>Signals</h2><img" in page
+    assert "<h2>Set-points and read-backs</h2><img" in page
+    assert "Measured against twin" not in page
+    assert "nan" not in re.sub(r"base64,[^\"]*|Provenance", "", page)
+    assert rows["0.00 min"][2] == "begun"
+
+
+@pytest.mark.parametrize("ticks", [0, 1, 2, 5])
+def test_the_shortest_runs_are_reported(tmp_path, ticks):
+    told = samples(max(ticks, 1))
+    if not ticks:
+        told = Samples(told.tick[:0], told.time_s[:0], told.values[:0], told.quality[:0], told.source_time_s[:0])
+    page = page_of(made(tmp_path / "run", told, header()))
+    assert "nan" not in re.sub(r"base64,[^\"]*|Provenance", "", page)
+
+
+def test_a_run_with_twins_shows_them_the_pump_and_the_fan(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run", ticks=900)
+    folder.write_manifest(manifest | {"errors_K": {"columns": ["static"], "rows": {"T_x": [None]}, "noise_K": {}}})
+    page = page_of(folder)
+    for heading in (
+        "Measured against twin",
+        "Residual (measured - twin), means of 45 s",
+        "Signals",
+        "Set against read",
+    ):
+        assert f"<h2>{heading}</h2>" in page
+    assert ["T_x", NONE, NONE] in cells(page)
+    assert {"pump_speed", "fan_speed", "heater_power"} <= {row[0] for row in cells(page) if len(row) == 6}
+
+
+class Drawn:
+    """What is handed to matplotlib: the curves of every figure, axes by axes."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.axes: list[list[object]] = []
+        monkeypatch.setattr("hil.report_pictures._embedded", self._keep)
+
+    def _keep(self, figure) -> str:
+        self.axes += [axes.get_lines() for axes in figure.axes]
+        self.labels = [axes.get_ylabel() for axes in figure.axes]
+        return ""
+
+
+def curves(ticks: int = 300, **changes: object) -> Curves:
+    truth = make(ticks)
+    told = Samples(np.arange(ticks), truth.time_s, truth.values, truth.quality, np.zeros(truth.values.shape))
+    columns = [signal.column for signal in truth.header.signals]
+    measured = {"T_tank_C": truth.values[:, columns.index("T_tank_C")]}
+    twins = {name: values[:, 3:] for name, values in truth.twins.items()}
+    return replace(
+        Curves(truth.header, told, measured, twins, np.zeros(0, dtype=np.int64), time_unit(ticks)), **changes
+    )
+
+
+def test_the_measured_curve_is_above_the_tracked_ones(monkeypatch):
+    drawn = Drawn(monkeypatch)
+    pictures(curves())
+    lines = {line.get_label(): line for line in drawn.axes[0]}
+    assert lines["measured"].get_color() == MEASURED
+    others = [line for label, line in lines.items() if label != "measured"]
+    assert others
+    assert all(lines["measured"].get_zorder() > line.get_zorder() for line in others)
+    assert all(lines["measured"].get_linewidth() < line.get_linewidth() for line in others)
+
+
+def test_no_plot_is_empty(monkeypatch):
+    drawn = Drawn(monkeypatch)
+    pictures(curves(measured={"T_tank_C": np.full(300, np.nan)}, twins={"static": np.full((300, 1), np.nan)}))
+    assert drawn.axes
+    assert all(
+        np.isfinite(line.get_ydata()).any() for lines in drawn.axes for line in lines if len(line.get_ydata()) > 2
+    )
+    assert all(lines for lines in drawn.axes)
+
+
+def test_a_curve_is_broken_where_the_run_was_cut(monkeypatch):
+    drawn = Drawn(monkeypatch)
+    pictures(curves(cuts=np.array([150])))
+    line = next(line for line in drawn.axes[0] if line.get_label() == "measured")
+    at = np.flatnonzero(np.isnan(line.get_ydata()))
+    assert at[0] == 150
+    assert np.isfinite(line.get_ydata()[[149, 151]]).all()
+    assert line.get_xdata()[at[0] + 1] == 150.0 / time_unit(300).seconds
