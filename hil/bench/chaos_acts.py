@@ -28,6 +28,11 @@ LOCK_S = (1.0, 10.0)
 CLOCK_STEPS_S = (600, 3600, 86_400, 315_360_000)
 """A step must be longer than a case lasts, so that times before and after it can be told apart."""
 MEMORY_MB = (2, 12)
+FOREIGN_EVERY_S = 0.05
+"""Between writes of another master, s: twice in a tick, so that its value is there whenever set-points are read back."""
+FOREIGN_ONCE_S = (0.0, 0.15)
+FOREIGN_ON_S = (1.5, 3.0)
+"""A master that writes on; set-points are read back once a second (`hil.setpoint_readback`)."""
 _LOCK = """
 import sqlite3, sys, time
 database = sqlite3.connect(sys.argv[1], isolation_level=None, timeout=5)
@@ -263,12 +268,14 @@ def device_is(mode: Mode) -> Act:
     return act
 
 
-def second_master(register: int, value: int) -> Act:
-    """Return the act of another master that writes a set-point, once or a few times."""
+def second_master(register: int, value: int, for_s: tuple[float, float]) -> Act:
+    """Return the act of another master that writes a set-point, once and then every `FOREIGN_EVERY_S` for so long."""
 
     async def act(stage: ChaosStage) -> None:
-        for _ in range(stage.generator.choice((1, 1, 4))):
+        until = time.monotonic() + stage.generator.uniform(*for_s)
+        await write_register(stage.rig.modbus_port, register, value)
+        while time.monotonic() < until:
+            await asyncio.sleep(FOREIGN_EVERY_S)
             await write_register(stage.rig.modbus_port, register, value)
-            await asyncio.sleep(0.05)
 
     return act

@@ -151,12 +151,12 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
         "Modbus connection reset, port gone for 0.05 to 0.3 s", "rides", acts.link_blip, "wire",
     ),
     "second master, heater": ChaosKind(
-        "another master writes 200 W", "either", acts.second_master(HEATER_SET, 2000), "rig",
-        alarm=("master", "heater_power_set"),
+        "another master writes 200 W, up to four times in 0.2 s", "either",
+        acts.second_master(HEATER_SET, 2000, acts.FOREIGN_ONCE_S), "rig",
     ),
     "second master, pump": ChaosKind(
-        "another master stops the pump", "either", acts.second_master(PUMP_SET, 0), "rig",
-        alarm=("master", "pump_speed_set"),
+        "another master stops the pump every 0.05 s for 1.5 to 3 s", "either",
+        acts.second_master(PUMP_SET, 0, acts.FOREIGN_ON_S), "rig", alarm=("master", "pump_speed_set"),
     ),
     "device acknowledges only": ChaosKind(
         "heater set-points acknowledged, not applied; later SIGTERM", "lies", acts.device_is("echo"), "rig",
