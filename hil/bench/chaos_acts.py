@@ -29,7 +29,7 @@ CLOCK_STEPS_S = (600, 3600, 86_400, 315_360_000)
 """A step must be longer than a case lasts, so that times before and after it can be told apart."""
 MEMORY_MB = (2, 12)
 FOREIGN_EVERY_S = 0.05
-"""Between writes of another master, s: twice in a tick, so that its value is there whenever set-points are read back."""
+"""Between writes of another master, s: twice in a tick, so that its value is there at every read-back of set-points."""
 FOREIGN_ONCE_S = (0.0, 0.15)
 FOREIGN_ON_S = (1.5, 3.0)
 """A master that writes on; set-points are read back once a second (`hil.setpoint_readback`)."""

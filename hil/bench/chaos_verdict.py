@@ -147,6 +147,8 @@ def event_of(strikes: list[Strike], stage: ChaosStage, journal: judge.Journal) -
     must = [at_s for kind, at_s in struck if order("pauses") <= order(kind.ending) < order("lies")]
     if stage.asked_s < math.inf:
         must.append(stage.asked_s)
+    if ending == "lies" and left < math.inf:
+        must.append(left)  # it has ended of something else, and from then on the heater ought to obey
     if must:
         return ending, min(must)
     return ending, max([began, *journal.wall_s[-1:]])

@@ -182,6 +182,7 @@ def test_the_event_is_the_attack_that_ends_the_run_or_the_signal_at_its_end():
     assert _event(("SIGTERM", 10.0), ("harness killed", 10.2), left_s=10.3) == ("killed", 10.0)
     assert _event(("SIGTERM", 10.0), ("harness killed", 10.4), left_s=10.1) == ("stops", 10.0)
     assert _event(("device lies", 10.0), asked_s=14.0) == ("lies", 14.0)
+    assert _event(("device lies", 10.0), asked_s=14.0, left_s=11.0) == ("lies", 11.0)
 
 
 def test_the_tables_count_by_kind_and_list_what_was_broken():
