@@ -25,7 +25,10 @@ from hil.bench.faults_verdict import REACT_S, Result, as_document
 from hil.bench.report import Cell, Table
 
 ROOT = Path(__file__).resolve().parents[2]
-_SOURCES = ("hil/*.py", "hil/bench/faults*.py", "drivers/*.py", "drivers/virtual/*.py", "profiles/rigs/*")
+_SOURCES = (
+    "hil/*.py", "hil/bench/faults*.py", "hil/bench/chaos*.py", "drivers/*.py",
+    "drivers/virtual/*.py", "profiles/rigs/*",
+)  # fmt: skip
 
 
 async def campaign(
@@ -75,7 +78,7 @@ def measure(
 
     `two`: `runs` pairs of faults.
     """
-    keep = work / f"{_fingerprint()}_{seed}"
+    keep = work / f"{fingerprint()}_{seed}"
     keep.mkdir(parents=True, exist_ok=True)
     skipped: list[str] = []
     names = list(kinds) or list(KINDS)
@@ -248,8 +251,8 @@ def _kept(path: Path) -> Result | None:
         return None
 
 
-def _fingerprint() -> str:
-    """Of everything that a case's outcome depends on: a change of it makes kept cases void."""
+def fingerprint() -> str:
+    """Return a digest of all that a case's outcome depends on: a change of it makes kept cases void."""
     digest = hashlib.sha256()
     for pattern in _SOURCES:
         for path in sorted(ROOT.glob(pattern)):

@@ -24,6 +24,23 @@ def command(pid: int) -> bytes:
         return b""
 
 
+def descriptors(pid: int) -> list[int]:
+    """Return its open descriptors; an empty list where it has gone."""
+    try:
+        return [int(entry.name) for entry in Path(f"/proc/{pid}/fd").iterdir()]
+    except OSError:
+        return []
+
+
+def address_space_bytes(pid: int) -> int:
+    """Return the size of its address space; 0 where it has gone."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) << 10 for line in lines if line.startswith("VmSize")), 0)
+
+
 def resident_MB(pid: int) -> float:
     """Resident memory, MB (2^20 bytes)."""
     try:
@@ -39,3 +56,11 @@ def waited_s(pid: int) -> float:
         return int(Path(f"/proc/{pid}/schedstat").read_text().split()[1]) * 1e-9
     except (OSError, IndexError, ValueError):
         return 0.0
+
+
+def is_stopped(pid: int) -> bool:
+    """Return whether a process stands still by SIGSTOP, or has ended and not been waited for."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0] in (b"T", b"Z", b"X")
+    except OSError:
+        return True

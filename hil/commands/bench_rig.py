@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import click
@@ -13,6 +14,7 @@ from hil.commands.bench_report import JSON, OUT, QUICK, SEED, finish
 @click.command("faults")
 @click.option("--runs", default=200, show_default=True, type=click.IntRange(1), help="Number of faults, of all kinds.")
 @click.option("--pairs", type=click.IntRange(1), help="Instead: so many pairs of faults, the second while one lasts.")
+@click.option("--chaos", is_flag=True, help="Instead: attacks, alone and in pairs, half without the rig's watchdog.")
 @click.option("--kind", "kinds", multiple=True, help="This kind alone; may be repeated.")
 @click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Cases at a time, a rig each.")
 @click.option(
@@ -25,6 +27,7 @@ from hil.commands.bench_report import JSON, OUT, QUICK, SEED, finish
 def faults_command(
     runs: int,
     pairs: int | None,
+    chaos: bool,
     kinds: tuple[str, ...],
     jobs: int,
     work: Path,
@@ -41,20 +44,47 @@ def faults_command(
       hil bench faults --runs 32
       hil bench faults --kind "rig reboot" --runs 5
       hil bench faults --pairs 40
+      hil bench faults --chaos --runs 500 --jobs 2
     """
     from hil.bench import faults
     from hil.bench.faults_kinds import KINDS
     from hil.terminal import Steps
 
-    unknown = [kind for kind in kinds if kind not in KINDS]
-    if unknown:
-        raise click.UsageError(f"no kind {unknown[0]!r}; there are {', '.join(map(repr, KINDS))}")
+    if chaos and pairs is not None:
+        raise click.UsageError("--chaos and --pairs exclude each other: half of the chaos runs are pairs anyway")
+    if chaos:
+        _chaos(runs, kinds, jobs, work, seed, out, as_json)
+        return
+    _require_known(kinds, KINDS)
     with Steps("faults", 1.0, quiet=as_json) as steps:
         two, count = pairs is not None, pairs or runs
         tables, skipped, kept = faults.measure(count, seed, work, steps.update, kinds=kinds, jobs=jobs, two=two)
     finish("faults_pairs" if two else "faults", seed, tables, skipped, out, as_json)
     if not kept:
         sys.exit(1)
+
+
+def _chaos(
+    runs: int, kinds: tuple[str, ...], jobs: int, work: Path, seed: int, out: Path | None, as_json: bool
+) -> None:
+    """Run the chaos campaign, and exit with 1 where a must was broken."""
+    from hil.bench import chaos
+    from hil.bench.chaos_kinds import CHAOS_KINDS
+    from hil.terminal import Steps
+
+    _require_known(kinds, CHAOS_KINDS)
+    with Steps("chaos", 1.0, quiet=as_json) as steps:
+        tables, skipped, kept = chaos.measure(runs, seed, work, steps.update, kinds=kinds, jobs=jobs)
+    finish("chaos", seed, tables, skipped, out, as_json)
+    if not kept:
+        sys.exit(1)
+
+
+def _require_known(kinds: Iterable[str], known: Collection[str]) -> None:
+    """Raise UsageError for a kind that there is not."""
+    unknown = [kind for kind in kinds if kind not in known]
+    if unknown:
+        raise click.UsageError(f"no kind {unknown[0]!r}; there are {', '.join(map(repr, known))}")
 
 
 @click.command("loop")
