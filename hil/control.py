@@ -60,6 +60,8 @@ async def serving(path: Path, engine: Engine, announce: Callable[[str], None]) -
         talks.add(task)
         try:
             await _talk(engine, reader, writer)
+        except asyncio.CancelledError:
+            pass  # the run is over; asyncio would print a connection's cancelled task
         finally:
             talks.discard(task)
             writer.close()

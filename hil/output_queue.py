@@ -81,8 +81,10 @@ class QueuedLog(logging.Handler):
         self._write = write
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Queue a record as a line."""
-        self._output.put(lambda: self._write(self.format(record)))
+        """Queue a record as a line: its first, and the error that it is about."""
+        error = record.exc_info[1] if record.exc_info else None
+        said = next(iter(record.getMessage().splitlines()), "") + (f": {error}" if error is not None else "")
+        self._output.put(self._write, said)
 
 
 @contextlib.contextmanager

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from drivers.points import DriverError, Snapshot
 from drivers.rig import RigConnection
 from hil.heaters import Descent, good_readings, safe_limits, still_hot
+from hil.setpoints import count_tolerance
 
 WRITE_DEADLINE_S = 30.0
 HURRIED_WRITE_DEADLINE_S = 5.0
@@ -103,7 +104,7 @@ async def write_safe(connection: RigConnection, safe_values: dict[str, float]) -
     wrong = [
         f"{name} holds {held[name]:g} instead of {value:g}"
         for name, value in safe_values.items()
-        if abs(held[name] - value) > abs(connection.rig.get(name).scale)
+        if not abs(held[name] - value) <= count_tolerance(connection.rig.get(name))
     ]
     return "; ".join(wrong)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -230,7 +230,7 @@ async def _run_in(run: _Run) -> RunResult:
             with stopping(engine):
                 outcome = await engine.run()
         run.claim.release()  # what follows needs no rig
-        comparison = await tracking.finish() if tracking is not None else None
+        comparison = None if tracking is None else await _unless_interrupted(tracking.finish(), announce)
         outcome.problems.extend(tracking.failures if tracking is not None else ())
         wall_s = loop.time() - began
         told = None
@@ -256,6 +256,24 @@ async def _run_in(run: _Run) -> RunResult:
     return RunResult(
         derived.folder, outcome, comparison, duration_s, wall_s, follower, told, derived.adopted, derived.gates, derived
     )
+
+
+async def _unless_interrupted(
+    work: Coroutine[Any, Any, Comparison | None], announce: Callable[[str], None]
+) -> Comparison | None:
+    """Return what the calibrators have left to say; None where an impatient operator asks for the end, which must not
+    cost the record."""
+    asked = asyncio.Event()
+    with interrupted(asked.set):
+        last, stop = asyncio.ensure_future(work), asyncio.ensure_future(asked.wait())
+        await asyncio.wait({last, stop}, return_when=asyncio.FIRST_COMPLETED)
+        stop.cancel()
+        if last.done():
+            return last.result()
+        last.cancel()
+        await asyncio.gather(last, stop, return_exceptions=True)
+    announce("the calibrators were not waited for: their last windows are missing")
+    return None
 
 
 def _closed(journal: JournalWriter) -> None:

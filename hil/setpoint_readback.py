@@ -22,6 +22,7 @@ from drivers.points import DeviceExceptionError, DriverError, Quality, Snapshot
 from drivers.rig import RigConnection
 from drivers.rig_model import Point
 from hil.conditions import Tick
+from hil.setpoints import count_tolerance
 
 INTERVAL_S = 1.0
 """Mean interval between two checks, s of rig time: one request more a second on each device that is written to. Each
@@ -33,8 +34,6 @@ CLOSE_S = 10.0
 ROUNDING = 0.05
 """Furthest that a device's rounding may take a set-point from what was written, of its limits' span: steps of a tenth
 are the coarsest that drives and dimmers have. Further away it is not the device's rounding but another value."""
-_FLOAT_ERROR = 1e-6
-"""What a float32 register loses of a number, and unit conversion beside it, relative."""
 _GOLDEN = 0.6180339887498949
 """Steps by the golden ratio, modulo 1, come evenly close to every phase, and never repeat."""
 
@@ -56,7 +55,7 @@ class SetpointReadback:
         for point in connection.rig.setpoints:
             if point.access == "rw":
                 self._points[point.bus] = (*self._points.get(point.bus, ()), point)
-        self._tolerance = {point.name: _tolerance(point) for points in self._points.values() for point in points}
+        self._tolerance = {point.name: count_tolerance(point) for points in self._points.values() for point in points}
         self._written: deque[_Written] = deque()
         self._is_confirmed = True
         self._due_s = 0.0
@@ -180,13 +179,3 @@ class SetpointReadback:
         self._note(
             "WARN", f"another master would not be noticed: {listed} cannot be read back ({error}); give access = 'w'"
         )
-
-
-def _tolerance(point: Point) -> float:
-    """Return how far a value that is read back may be from the one that was written, in the unit of `point`.
-
-    Half a raw count is lost in rounding to it; a float loses digits.
-    """
-    largest = max(abs(limit) for limit in point.limits or (0.0,))
-    digits = _FLOAT_ERROR * max(largest, abs(point.scale))
-    return digits if point.type.startswith("float") else 0.5 * abs(point.scale) + digits

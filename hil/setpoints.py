@@ -9,6 +9,19 @@ from drivers.points import ConfigurationError
 from drivers.rig_model import Point, Rig
 from drivers.units import split_column
 
+_FLOAT_ERROR = 1e-6
+"""What a float32 register loses of a number, and unit conversion beside it, relative."""
+
+
+def count_tolerance(point: Point) -> float:
+    """Return how far a value that is read back may be from the one that was written, in the unit of `point`.
+
+    Half a raw count is lost in rounding to it; a float loses digits.
+    """
+    largest = max(abs(limit) for limit in point.limits or (0.0,))
+    digits = _FLOAT_ERROR * max(largest, abs(point.scale))
+    return digits if point.type.startswith("float") else 0.5 * abs(point.scale) + digits
+
 
 def bind(rig: Rig, columns: Sequence[str]) -> list[Point]:
     """The set-point of each profile column; raises ConfigurationError on a name or unit that the rig lacks."""

@@ -152,12 +152,12 @@ def _registers(wire: Wire, step: dict[str, Any]) -> list[int]:
 
 
 def _differs(wire: Wire, check: dict[str, Any]) -> str:
-    """Return how a read-back differs from its safe value by more than one count; empty where it does not."""
+    """Return how a read-back differs from its safe value by more than half a count; empty where it does not."""
     found = _registers(wire, check)
     if found == check["want"]:
         return ""
     held, want = number(found, check), number(check["want"], check)
-    if abs(held - want) <= 1.0:
+    if abs(held - want) <= 0.5:
         return ""
     return f"{check['name']} holds {held * check['scale'] + check['offset']:g}"
 

@@ -29,7 +29,7 @@ from hil.lock_folder import RigLockError
 from hil.rig_lock import RigBusyError, RigClaim, claimed, end_points
 from hil.run_folder import RunFolder
 from hil.run_request import RunRequest
-from hil.session import run_session
+from hil.session import RunResult, run_session
 from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import rig_with
 
@@ -366,8 +366,8 @@ def test_a_profile_that_is_over_is_no_good_end_where_the_heater_still_heats(read
         bench.rig.readings["heater_power"] = reads_W
         bench.ticks(10)
         outcome = bench.outcome
-        assert (outcome.status, outcome.safe, outcome.in_order) == ("done", True, reads_W == 0.0)
-        assert outcome.away == ("" if reads_W == 0.0 else "heater_power reads 700.0 W where 0 W is safe")
+        assert (outcome.status, outcome.safe, outcome.in_order) == ("done", reads_W == 0.0, reads_W == 0.0)
+        assert outcome.away == ("" if reads_W == 0.0 else "heater_power still reads 700.0 W, safe is 10 W at most")
 
 
 @pytest.mark.parametrize(
@@ -385,7 +385,7 @@ def test_the_exit_code_is_1_unless_the_rig_was_seen_safe(tmp_path, monkeypatch, 
     (tmp_path / "load.csv").write_text(LOAD.format(end=700), encoding="utf-8")
 
     async def over(*_: object) -> object:
-        return SimpleNamespace(folder=folder, outcome=Outcome(status, "", safe=safe, away=away))
+        return RunResult(folder, Outcome(status, "", safe=safe, away=away), None, 0.0, 0.0, False)
 
     monkeypatch.setattr("hil.session.run_session", over)
     result = CliRunner().invoke(run_command, [str(tmp_path / "load.csv"), "--virtual", "--json"])
