@@ -35,13 +35,13 @@ class Deviations:
         """Add a tick: set-points in their units, and the good readings by point."""
         for name, sums in self._sums.items():
             value, meter = asked[name], self._rig.get(name).readback
-            before = (self._rig.get(name).safe_value or 0.0) if math.isnan(sums.last) else sums.last
-            sums.moved += abs(value - before)
-            sums.last = value
             reading = readings.get(meter or "", math.nan)
             if math.isnan(reading):
                 sums.unknown += 1
                 continue
+            # The way begins where the actuator is found.
+            sums.moved += abs(value - (reading if math.isnan(sums.last) else sums.last))
+            sums.last = value
             sums.asked += value
             sums.measured += reading
             sums.count += 1

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from drivers.points import DeviceExceptionError, DriverError, Snapshot
+from drivers.points import DeviceExceptionError, DriverError, Quality, Snapshot
 from drivers.rig import RigConnection
 from drivers.rig_model import Point
 from hil.clock import LONGEST_WAIT_S, Clock
@@ -95,6 +95,13 @@ class Outcome:
     def verdict(self) -> str:
         """Its status as people read it."""
         return "done with deviations" if self.status == "done" and self.deviations else self.status
+
+
+def age(snapshot: Snapshot, points: tuple[Point, ...], seconds: float) -> None:
+    """Mark good values as stale that may be `seconds` old, where that is more than their points allow."""
+    for index, point in enumerate(points):
+        if seconds > point.stale_after_s and snapshot.quality[index] == Quality.GOOD:
+            snapshot.quality[index] = int(Quality.STALE)
 
 
 class Engine:
@@ -367,11 +374,13 @@ class Engine:
         if self._lockstep:
             await self._connection.wait_for_device_time(clock.now(), FIRST_SAMPLE_TIMEOUT_S)
         began = time.perf_counter()
+        asked_s = clock.now()
         snapshot = self._snapshot = await self._connection.read()
-        # A process that was stopped while it read has read what is now, not what was when the tick began.
+        now, wall_s = clock.now(), time.time()
+        # A process that was stopped while it read has read at any time since: the row is of now, old values are stale.
         self._at.tick = self._first + clock.current_tick()
         passed = self._at.tick - last
-        now = clock.now()
+        age(snapshot, self._connection.points, now - asked_s)
         self._notice_pause(passed * clock.period_s)
         # A machine without descriptors cannot open the link again: waiting for it would only heat on.
         why = self._guard.failure() or (self._connection.exhausted if snapshot.faults else None)
@@ -392,7 +401,7 @@ class Engine:
             ended = (Event.COMPLETE, "the profile is over") if over else None
             if ended is None:
                 clock.release()
-        self._told.sample(snapshot, self._commanded(), now, began)
+        self._told.sample(snapshot, self._commanded(), now, wall_s, began)
         if self._observer is not None and time.monotonic() - self._shown > 0.2:
             self._shown = time.monotonic()
             self._observer(self.status())

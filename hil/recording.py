@@ -70,8 +70,11 @@ class Recorder:
         self._published = time.monotonic()
         self._behind = False
 
-    def sample(self, snapshot: Snapshot, commanded: Mapping[str, float], now_s: float, began: float) -> None:
-        """The tick: what was read and what is commanded now; `began` is when its work began, of `perf_counter`.
+    def sample(
+        self, snapshot: Snapshot, commanded: Mapping[str, float], now_s: float, wall_s: float, began: float
+    ) -> None:
+        """Append the tick: what was read, at `now_s` of rig time and `wall_s` of the wall clock, and what is commanded.
+        `began` is when the tick's work began, of `perf_counter`.
 
         Raises JournalError.
         """
@@ -79,7 +82,7 @@ class Recorder:
         quality = snapshot.quality + [int(Quality.GOOD)] * len(commanded)
         source = snapshot.source_time_s + [now_s] * len(commanded)
         latency = time.perf_counter() - began
-        self._journal.sample(self._at.tick, self._at.time_s, time.time(), latency, values, quality, source)
+        self._journal.sample(self._at.tick, self._at.time_s, wall_s, latency, values, quality, source)
         self._journal.check()
         behind = self._journal.behind_s > BEHIND_S
         if behind and not self._behind:

@@ -117,7 +117,7 @@ def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
         tuple(rows),
         (
             "Safe: nothing reaches the heater any more, told by the rig's own log. Medians and worst.",
-            "Detected: the harness left its running state, or the rig's watchdog cut; the earlier one.",
+            "Detected: the harness left its running state, its guardian acted or the rig's watchdog cut; the earliest.",
             "Seen: a value was recorded as not good, or a warning told, or it was detected.",
             "Samples: acknowledged, that is read by another process from the live journal; lost: not in it afterwards.",
             "Resumed: the first of each kind, and each that came at any instant, by `hil resume` with the fault over: "
@@ -162,7 +162,7 @@ def pair_tables(results: list[Result], seed: int) -> tuple[Table, ...]:
             "Drawn so that every kind comes about equally often, but for two faults of one wire. The second strikes so "
             "long after the first, while that lasts.",
             "After fault: after the first of the two that has to end a run, or after the kill of the harness.",
-            "By: who detected, the harness or the rig's watchdog.",
+            "By: who detected, the harness, its guardian or the rig's watchdog.",
             "With the wire to the heater down only the rig can act, whoever detects: see decision 0013.",
         ),
     )  # fmt: skip
@@ -203,7 +203,7 @@ def _musts(results: list[Result]) -> Table:
     told = [r for r in heated if r.ended != "killed" or r.detected is not None]
     deaf = [r for r in told if r.wire_down]
     reacted = [r for r in told if r.safe is not None and r.detected is not None]
-    killed = [r for r in heated if r.ended == "killed" and r.by == "rig"]
+    killed = [r for r in heated if r.ended == "killed" and r.by in ("guardian", "rig")]
     stopped = [r for r in heated if r not in killed]
     cold = [r for r in results if not r.heated]
     resumed = [r.resumed for r in results if r.resumed is not None]
@@ -215,7 +215,10 @@ def _musts(results: list[Result]) -> Table:
     rows: list[tuple[Cell, ...]] = [
         (f"safe within {REACT_S:g} s of detection", f"{quick} of {len(told)}"),
         (f"safe within the stale limit of {STALE_LIMIT_S:g} s of the fault", f"{timely} of {len(stopped)}"),
-        (f"harness gone: cut by the rig's watchdog of {WATCHDOG_S:g} s", f"{cut} of {len(killed)}"),
+        (
+            f"harness gone: made safe by its guardian, or cut by the rig's watchdog of {WATCHDOG_S:g} s",
+            f"{cut} of {len(killed)}",
+        ),
         ("struck before anything heated, and nothing did", f"{sum(not r.failures for r in cold)} of {len(cold)}"),
         (
             "rode through, and safe within 1 s of SIGTERM later",

@@ -7,6 +7,7 @@ is told by the rig.
 from __future__ import annotations
 
 import bisect
+import json
 import sqlite3
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -138,6 +139,16 @@ def safe_since(truth: list[Moment], occurred_s: float) -> float | None:
 def watchdog_at(truth: list[Moment], occurred_s: float) -> float | None:
     """When the rig's own watchdog cut the heater, after `occurred_s`."""
     return next((m.wall_s for m in truth if m.wall_s >= occurred_s and m.status & WATCHDOG_TRIPPED), None)
+
+
+def guardian_at(folder: Path | None, occurred_s: float) -> float | None:
+    """Return when the run's guardian began to make the rig safe, after `occurred_s`."""
+    try:
+        lines = (folder or Path()).joinpath("guardian.log").read_text(encoding="utf-8").splitlines()
+        rows = [json.loads(line) for line in lines]
+    except (OSError, ValueError):
+        return None
+    return next((row["wall_s"] for row in rows if row["what"] == "acting" and row["wall_s"] >= occurred_s), None)
 
 
 def ended_at(journal: Journal, occurred_s: float) -> float | None:

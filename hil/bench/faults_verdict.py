@@ -25,7 +25,7 @@ TRUTH_STEP_S = 2.0 * PERIOD_S
 class Result:
     """What one case came to. Times in s after the occurrence; `detected` and `safe` are None where that never was.
 
-    `by` is who detected: the harness or the rig's watchdog. `acknowledged` and `lost` count samples.
+    `by` is who detected: the harness, its guardian or the rig's watchdog. `acknowledged` and `lost` count samples.
     """
 
     kind: str
@@ -87,14 +87,16 @@ def _judge(
     result.wrong = judge.wrong_values(journal, truth)
     noticed, left = judge.noticed_at(journal, occurred_s, stage.asked_s), judge.ended_at(journal, occurred_s)
     watchdog, safe = judge.watchdog_at(truth, occurred_s), judge.safe_since(truth, occurred_s)
+    guardian = judge.guardian_at(harness.folder(), occurred_s)
     result.noticed = None if noticed is None else noticed - occurred_s
     rode = result.ended == "rode through"
     result.reason = next((row[3] for row in reversed(journal.states) if row[2] in ("finishing", "faulted")), "")
     if left is None and "tmpfs" in case.places:
         left = stage.told_s  # its journal cannot say so any more
-    detected = noticed if rode else min((t for t in (left, watchdog) if t is not None), default=None)
+    detected = noticed if rode else min((t for t in (left, guardian, watchdog) if t is not None), default=None)
     if not rode:
-        result.by = "" if detected is None else "harness" if detected == left else "rig"
+        by = {left: "harness", guardian: "guardian", watchdog: "rig"}
+        result.by = "" if detected is None else by[detected]
         result.ended = result.ended or harness.ended_as() or "ended by itself"
         result.safe = None if safe is None else safe - occurred_s
     if detected is not None:

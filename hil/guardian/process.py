@@ -61,7 +61,9 @@ class Log:
     def write(self, what: str, **more: object) -> None:
         """Append a line; what cannot be written is not."""
         stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-        line = json.dumps({"time": stamp, "what": what, **more}, ensure_ascii=True) + "\n"
+        line = (
+            json.dumps({"time": stamp, "wall_s": round(time.time(), 3), "what": what, **more}, ensure_ascii=True) + "\n"
+        )
         try:
             if self._file >= 0:
                 os.write(self._file, line.encode())

@@ -50,12 +50,12 @@ def test_thirty_faults_break_no_must(results):
 
 
 @pytest.mark.parametrize("case", [HUNG, KILLED])
-def test_a_loop_that_hangs_or_was_killed_is_cut_by_the_rigs_own_watchdog(results, case):
+def test_a_loop_that_hangs_or_was_killed_is_made_safe_by_its_guardian(results, case):
     (gone,) = (result for result in results if (result.kind, result.number) == case)
     assert gone.heated
-    assert gone.by == "rig"
+    assert gone.by == "guardian"
     assert gone.safe is not None
-    assert 0.5 * WATCHDOG_S < gone.safe <= WATCHDOG_S + 0.2
+    assert gone.safe <= WATCHDOG_S
     assert gone.acknowledged > 0
     assert gone.lost == 0
     assert gone.unsaved_s is not None
@@ -87,7 +87,7 @@ def test_two_faults_at_a_time_break_no_must():
     stuck, stopped, hung = found
     assert stuck.safe <= STALE_LIMIT_S
     assert stopped.safe <= STALE_LIMIT_S
-    assert (hung.ended, hung.by) == ("killed", "rig")
+    assert (hung.ended, hung.by) == ("killed", "guardian")
     assert hung.safe <= WATCHDOG_S + 0.2
     table, musts = pair_tables(found, SEED)
     assert [row[0] for row in table.rows] == list(TWO_AT_A_TIME)
