@@ -26,7 +26,7 @@ def refusal(name: str) -> str:
     shown = name if len(name) <= LONGEST_SHOWN else f"{name[:LONGEST_SHOWN]}..."
     return (
         f"{shown!r} cannot be a name: a name is letters A to Z without accents, digits and underscores, and does not "
-        f"start with a digit; rename it here and in the record, for example to {_proposal(name)}"
+        f"start with a digit; rename it (a column in the record too), for example to {_proposal(name)}"
     )
 
 
