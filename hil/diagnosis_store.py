@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from hil.atomic import replacing
+from hil.record_limits import read_parquet
 from twin.discovery.diagnosis import Diagnosis
 
 DOCUMENT, CURVES, PAGE, REVIEW = "diagnosis.json", "diagnosis.parquet", "diagnosis.html", "diagnosis.rrd"
@@ -93,7 +94,7 @@ def write_curves(curves: Curves, path: Path) -> None:
 def read_curves(path: Path) -> Curves:
     """Read what `write_curves` wrote; raises DiagnosisFolderError."""
     try:
-        table = pq.read_table(path)
+        table = read_parquet(path, path, DiagnosisFolderError)
         about = json.loads(table.schema.metadata[_KEY])
     except (OSError, pa.ArrowException, KeyError, TypeError) as error:
         raise DiagnosisFolderError(f"{path} holds no curves of a diagnosis ({error}); diagnose again") from error

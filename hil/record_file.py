@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.record_limits import TEXT_COPIES, read_parquet, require_columns, require_size
+
 if TYPE_CHECKING:
     import pyarrow as pa
 
@@ -77,6 +79,7 @@ class Numbers:
 def read_raw(path: Path) -> RawRecord:
     """The columns of the file at `path`, told Parquet or CSV by its content; raises RecordError."""
     try:
+        require_size(path, RecordError, 1 if path.suffix == ".parquet" else TEXT_COPIES)
         content = path.read_bytes()
     except OSError as error:
         raise RecordError(
@@ -105,14 +108,13 @@ def _with_rows(raw: RawRecord) -> RawRecord:
 
 def _parquet(path: Path, content: bytes, digest: str) -> RawRecord:
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     if not content.endswith(b"PAR1"):
         raise RecordError(
             f"{path} is cut off (its Parquet footer is missing); copy it again, or export it again from its journal"
         )
     try:
-        table = pq.read_table(pa.BufferReader(content))
+        table = read_parquet(path, pa.BufferReader(content), RecordError)
         given = table.column_names
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise RecordError(f"{path} is a damaged Parquet file ({str(error).splitlines()[0]}); copy it again") from error
@@ -147,6 +149,7 @@ def _csv(path: Path, content: bytes, digest: str) -> RawRecord:
         given = next(csv.reader([header], delimiter=delimiter, strict=True))
     except csv.Error as error:
         raise RecordError(f"{path} line {header_line} is no header ({error}); name the columns there") from error
+    require_columns(path, len(given), RecordError)
     names, repeated = _unique([name.strip() for name in given])
     messages += repeated
     if all(_is_number(name) for name in names):
