@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.points import Signal
+from hil.journal_check import checked_reader, require_header, require_tables, sentences
 from hil.journal_rows import (
     BandRow,
     CalibrationRow,
@@ -29,15 +30,18 @@ from hil.journal_rows import (
 SCHEMA_VERSION = 1
 
 
+@checked_reader
 class JournalReader:
     """Reads a journal, finished or still growing. Each call sees what is committed by then."""
 
+    @sentences
     def __init__(self, path: Path) -> None:
         if not path.is_file():
             raise JournalError(f"{path} does not exist; give the folder of a run")
         self._path = path
         try:
             self._database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+            require_tables(self._database, path)
             begun = self._database.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone()
             meta = dict(self._database.execute("SELECT key, value FROM meta")) if begun else {}
         except sqlite3.Error as error:
@@ -57,6 +61,7 @@ class JournalReader:
         sensors = {name: tuple(columns) for name, columns in document.pop("twin_sensors").items()}
         twin_names = tuple(document.pop("twin_names"))
         self.header = Header(signals=signals, twin_sensors=sensors, twin_names=twin_names, **document)
+        require_header(self.header)
 
     def meta(self, key: str) -> Any:
         """One entry of the header table, or None."""

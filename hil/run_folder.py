@@ -20,6 +20,8 @@ from typing import Any
 from drivers.rigfile import file_sha256
 from hil import __version__
 from hil.atomic import replacing
+from hil.folder_check import read_json, require_plain
+from hil.manifest_check import checked_manifest
 
 LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "pyarrow", "rerun-sdk")
 BYTES_PER_TICK = 2500
@@ -28,6 +30,10 @@ BYTES_PER_TICK = 2500
 
 class RunFolderError(Exception):
     """The run folder cannot be made or read; the message says what to do."""
+
+
+def _damaged(sentence: str) -> RunFolderError:
+    return RunFolderError(f"{sentence}; the journal beside it still holds the run")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,16 +83,16 @@ class RunFolder:
         return self.path / "run.json"
 
     def read_manifest(self) -> dict[str, Any]:
-        """`run.json`; raises RunFolderError where this is no run folder."""
+        """`run.json`, checked; raises RunFolderError where this is no run folder, or one that leads outside itself."""
         try:
-            document: dict[str, Any] = json.loads(self.manifest.read_text(encoding="utf-8"))
+            self.manifest.lstat()  # before the folder is looked through: it may be anybody's home
+            require_plain(self.path, RunFolderError)
+            document = read_json(self.manifest, _damaged)
         except FileNotFoundError:
             raise RunFolderError(f"{self.path} is not a run folder (no run.json); give one of runs/*") from None
-        except json.JSONDecodeError as error:
-            raise RunFolderError(
-                f"{self.manifest} is damaged ({error}); the journal beside it still holds the run"
-            ) from error
-        return document
+        except OSError as error:
+            raise RunFolderError(f"{self.manifest} cannot be read ({error.strerror}); check who may read it") from None
+        return checked_manifest(document, self.manifest, RunFolderError)
 
     @property
     def was_cut(self) -> bool:

@@ -60,7 +60,7 @@ def command(
       hil resume runs/20260520T120000Z-battle_40h
       hil resume runs/20260520T120000Z-battle_40h --band 2 --timeout 14400
     """
-    from hil.resuming import request_of
+    from hil.resuming import named, request_of
     from hil.run_folder import RunFolder
     from hil.session import resume_session
     from hil.soaking import SoakRule
@@ -73,7 +73,10 @@ def command(
     where = None if control is None else address(control)
 
     def request(manifest: dict[str, Any]) -> RunRequest:
-        return request_of(folder, manifest, moved, control=where, rearm=rearm, viewer=viewer)
+        asked = request_of(folder, manifest, moved, control=where, rearm=rearm, viewer=viewer)
+        for sentence in named(asked):
+            click.echo(sentence, err=True)  # with --json too
+        return asked
 
     with LiveRun(quiet=as_json) as live:
         rule = SoakRule(band_K, timeout_s)
