@@ -107,7 +107,7 @@ def _require_kinds(row: object) -> None:
     for field in dataclasses.fields(row):  # type: ignore[arg-type]
         kinds = _KINDS.get(str(field.type))
         cell = getattr(row, field.name)
-        if kinds is not None and (not isinstance(cell, kinds) or (float in kinds and not math.isfinite(cell))):
+        if kinds is not None and (not isinstance(cell, kinds) or (isinstance(cell, float) and not math.isfinite(cell))):
             raise ValueError(f"{type(row).__name__}.{field.name} is {str(cell)[:40]!r}, no {field.type}")
 
 
