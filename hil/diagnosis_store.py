@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from hil.atomic import replacing
+from hil.folder_check import read_json
 from hil.record_limits import read_parquet
 from twin.discovery.diagnosis import Diagnosis
 
@@ -130,7 +131,9 @@ def read_findings(folder: Path) -> Findings:
     """Read a results folder; raises DiagnosisFolderError."""
     path = folder / DOCUMENT
     try:
-        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        document = read_json(path, DiagnosisFolderError)
+    except OSError as error:
         raise DiagnosisFolderError(f"{path} cannot be read ({error}); diagnose again") from error
+    if not isinstance(document, dict):
+        raise DiagnosisFolderError(f"{path} is no diagnosis; diagnose again")
     return Findings(document, read_curves(folder / CURVES))

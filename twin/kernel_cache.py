@@ -113,6 +113,15 @@ def not_private(folder: Path) -> str:
     return "" if os.access(folder, os.W_OK) else "cannot be written"
 
 
+def numba_may_cache() -> bool:
+    """Return whether numba may keep machine code where it is told to: beside the source, or in a private folder."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    try:
+        return not given or not not_private(Path(given))
+    except OSError:
+        return False
+
+
 def cache_folder(name: str) -> Path | None:
     """A folder of that name in the cache, beside the kernels, or None where nothing can be kept."""
     root = cache_root()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
 import os
 import pickle
@@ -151,6 +152,23 @@ def test_a_folder_that_everybody_could_replace_is_not_used(root: Path, tmp_path:
     assert cache_root() != root
     tmp_path.chmod(0o1777)
     assert cache_root() == root
+
+
+@pytest.mark.parametrize("module", ["twin.kernel_cache", "drivers.virtual.compiled_cache"])
+def test_functions_compiled_ahead_are_not_kept_where_others_may_write(
+    module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = importlib.import_module(module)
+    may_cache = getattr(found, "may_cache", None) or found.numba_may_cache
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    assert may_cache()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    tmp_path.chmod(0o700)
+    assert may_cache()
+    tmp_path.chmod(0o777)
+    assert not may_cache()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "nowhere"))
+    assert not may_cache()
 
 
 SHARED = """
