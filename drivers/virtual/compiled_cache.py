@@ -11,7 +11,7 @@ from pathlib import Path
 
 
 def may_cache() -> bool:
-    """Return whether the folder that numba is told to use, if any, belongs to this user and nobody else may write it."""
+    """Return whether the folder that numba is told to use, if any, is this user's and nobody else may write it."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     if not given:
         return True
