@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
+from hil.journal_documents import require_document
 from hil.journal_rows import Header, JournalError
 
 P = ParamSpec("P")
@@ -109,6 +110,8 @@ def _require_kinds(row: object) -> None:
         cell = getattr(row, field.name)
         if kinds is not None and (not isinstance(cell, kinds) or (isinstance(cell, float) and not math.isfinite(cell))):
             raise ValueError(f"{type(row).__name__}.{field.name} is {str(cell)[:40]!r}, no {field.type}")
+        if isinstance(cell, dict):
+            require_document(type(row).__name__, cell)
 
 
 def damaged(path: object, error: Exception) -> JournalError:

@@ -181,6 +181,28 @@ def test_a_journal_with_cells_of_another_kind_is_one_sentence(run: RunFolder, st
         write_report(run)
 
 
+DOCUMENTS = [
+    '{"parameters": "x"}', '{"parameters": {"a": "x"}}', '{"standard_errors": 7}', '{"kind": [1]}', '{"rmse_K": "a"}',
+    '{"mean_K": 1}', '{"values": {"a": "x"}, "held": [], "reasons": 3}',
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("table", ["calibrations", "proposals", "bands"])
+def test_a_document_of_another_shape_is_one_sentence(run: RunFolder, table: str) -> None:
+    from hil.review import write_review
+
+    for document in DOCUMENTS:
+        database = sqlite3.connect(run.journal)
+        database.execute(f"UPDATE {table} SET document = ?", (document,))
+        database.commit()
+        database.close()
+        for use in (lambda: write_report(run), lambda: write_review(run.journal, run.review)):
+            try:
+                use()
+            except JournalError as error:
+                assert "is damaged (" in str(error) and "\n" not in str(error)
+
+
 HEADERS: dict[str, Any] = {
     "twin_sensors": {"T": ["no_such_C"]}, "signals": "x", "twin_names": [1], "period_s": 0.0, "duration_s": "x",
     "noise_K": {"T": "x"}, "profile": 1,
