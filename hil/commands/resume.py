@@ -68,7 +68,7 @@ def command(
       hil resume runs/20260520T120000Z-battle_40h --band 2 --timeout 14400
     """
     from hil.gap_evidence import duration_s
-    from hil.resuming import request_of
+    from hil.resuming import named, request_of
     from hil.run_folder import RunFolder
     from hil.session import resume_session
     from hil.soaking import SoakRule
@@ -82,10 +82,13 @@ def command(
     where = None if control is None else address(control)
 
     def request(manifest: dict[str, Any]) -> RunRequest:
-        return request_of(
+        asked = request_of(
             folder, manifest, moved, control=where, rearm=rearm, no_lock=no_lock, viewer=viewer,
             guardian=not no_guardian,
         )  # fmt: skip
+        for sentence in named(asked):
+            click.echo(sentence, err=True)  # with --json too
+        return asked
 
     with LiveRun(quiet=as_json) as live:
         rule = SoakRule(band_K, timeout_s)
