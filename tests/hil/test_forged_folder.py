@@ -17,8 +17,9 @@ import pytest
 from drivers.rigfile import file_sha256
 from hil.control import ControlError, ask
 from hil.journal import JournalError, JournalReader
+from hil.remaking import remake
 from hil.report import write_report
-from hil.resuming import named, request_of
+from hil.resuming import named, request_of, standing
 from hil.run_folder import RunFolder, RunFolderError, new_manifest
 from hil.run_request import RunRequest
 from tests.hil.synthetic_journal import make, write
@@ -71,6 +72,23 @@ def test_what_is_in_order_is_read_and_reported(run: RunFolder) -> None:
     assert "by an operator" in run.report.read_text(encoding="utf-8")
 
 
+def test_a_folder_with_everything_that_a_run_may_write_is_in_order(run: RunFolder) -> None:
+    for name in ("guardian.log", "record.healthy.parquet", "twin.toml", "twin.before-1.toml", "journal.sqlite-shm"):
+        (run.path / name).write_bytes(b"x")
+    run.diagnosis.mkdir()
+    (run.diagnosis / "diagnosis.json").write_text("{}", encoding="utf-8")
+    outcome = {
+        "exit_status": "done with deviations", "deviations": ["pump asked for 80 % in the mean"], "trips": ["T high"],
+        "away": "", "guardian": "the run hung; safe values read back", "missing": {"review.rrd": "no space"},
+        "errors_K": {"columns": ["static"], "rows": {"T_C": [None]}, "noise_K": {"T_C": None}},
+        "bands": {"static": {"T_C": [None, None]}}, "diagnosis": None, "adoption": None,
+    }  # fmt: skip
+    altered(run, **outcome)
+    assert run.read_manifest()["exit_status"] == "done with deviations"
+    write_report(run)
+    assert "done with deviations" in run.report.read_text(encoding="utf-8")
+
+
 NAMES = ("record.parquet", "review.rrd", "report.html", "twin.toml", "journal.sqlite-wal", "control.sock", "diagnosis")
 
 
@@ -112,7 +130,7 @@ WRONG: dict[str, Any] = {
     "exit_status": {"a": 1}, "reason": ["x"], "uid": 7, "files": ["rig"], "versions": {"hil": 1}, "problems": "all",
     "segments": [{"number": "two"}], "errors_K": {"columns": 1}, "bands": {"static": {"T": [1.0]}},
     "parameters": {"pso": {"a": ["x", None, True]}}, "adoption": "yes", "overruns": "many", "host": None,
-    "settings": {"control": ["host", "port"]},
+    "settings": {"control": ["host", "port"]}, "missing": ["review.rrd"], "deviations": "none", "guardian": {},
 }  # fmt: skip
 
 
@@ -121,6 +139,14 @@ def test_an_entry_of_another_kind_is_one_sentence(run: RunFolder, key: str) -> N
     altered(run, **{key: WRONG[key]})
     with pytest.raises(RunFolderError, match=rf"run\.json is not what a run writes: '{key}"):
         write_report(run)
+
+
+def test_a_wrong_entry_is_quoted_in_plain_words_and_briefly(run: RunFolder) -> None:
+    altered(run, reason=["\x1b[2J" * 1000])
+    with pytest.raises(RunFolderError) as caught:
+        run.read_manifest()
+    said = str(caught.value)
+    assert "'reason' cannot be [" in said and said.isprintable() and len(said) < 300 + len(str(run.manifest))
 
 
 @pytest.mark.parametrize(
@@ -182,6 +208,17 @@ def test_a_journal_with_cells_of_another_kind_is_one_sentence(run: RunFolder, st
         match=r"journal\.sqlite is damaged: its \w+ cannot be read \(.*\); take the journal from the machine",
     ):
         write_report(run)
+
+
+def test_a_state_that_no_run_has_is_one_sentence(run: RunFolder) -> None:
+    database = sqlite3.connect(run.journal)
+    database.execute("INSERT INTO states VALUES (1, 0, 0.0, 0.0, 0.0, 'idle', 'start', 'flying', '')")
+    database.commit()
+    database.close()
+    altered(run, exit_status="running")
+    for use in (lambda: remake(run, False, print), lambda: standing(run)):
+        with pytest.raises(JournalError, match="its states cannot be read \\('flying' is no state of a run"):
+            use()
 
 
 DOCUMENTS = [

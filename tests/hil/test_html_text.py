@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from hil.diagnosis_page import page
 from hil.diagnosis_store import Findings, curves_of
 from hil.html_text import Html, document, element, image, table
+from hil.journal import JournalReader
 from hil.report import write_report
 from hil.run_folder import RunFolder, new_manifest
 from tests.hil.made_diagnosis import SENSORS, made
@@ -142,6 +143,26 @@ def test_no_string_of_a_forged_run_reaches_its_report_as_markup(tmp_path: Path) 
     shown = "\n".join(read.texts)
     assert all(part in shown for part in ("done", "over", "one", "cut", "adopted", "ERROR", "run finished"))
     assert shown.count(MARK) >= 20
+
+
+def test_no_name_of_a_forged_signal_reaches_the_tables_and_pictures_of_a_report(tmp_path: Path) -> None:
+    run = a_run(tmp_path)
+    database = sqlite3.connect(run.journal)
+    header = json.loads(database.execute("SELECT value FROM meta WHERE key = 'header'").fetchone()[0])
+    predicted = {column for columns in header["twin_sensors"].values() for column in columns}
+    reader = JournalReader(run.journal)
+    free = [place for place, signal in enumerate(reader.header.signals) if signal.column not in predicted]
+    reader.close()
+    assert free
+    for place in free:
+        header["signals"][place]["name"] += SHORT
+    database.execute("UPDATE meta SET value = ? WHERE key = 'header'", (json.dumps(header),))
+    database.commit()
+    database.close()
+    write_report(run)
+    read = safe(run.report.read_text(encoding="utf-8"))
+    assert "u" not in read.tags
+    assert "".join(read.texts).count(SHORT) >= len(free)
 
 
 def test_no_string_of_a_forged_diagnosis_reaches_its_page_as_markup() -> None:

@@ -85,6 +85,24 @@ def test_too_many_columns_are_refused(tmp_path: Path, monkeypatch: pytest.Monkey
             read_record(path)
 
 
+@pytest.mark.parametrize("annotated", [False, True])
+@pytest.mark.usefixtures("small")
+def test_readings_that_would_spread_over_many_columns_are_refused_before_they_do(
+    tmp_path: Path, annotated: bool
+) -> None:
+    path = tmp_path / "long.csv"
+    if annotated:
+        table = "#datatype,string\n,time,T{k}_C\n" + ",2026-01-01T00:00:00Z,1\n" * 20 + "\n"
+        path.write_text("".join(table.replace("{k}", str(k)) for k in range(400)), encoding="utf-8")
+    else:
+        rows = "".join(
+            f"2026-01-01T{k // 3600:02d}:{k // 60 % 60:02d}:{k % 60:02d}Z,s{k % 1000},{k}\n" for k in range(9000)
+        )
+        path.write_text("time,series,value\n" + rows, encoding="utf-8")
+    with pytest.raises(RecordError, match=r"long\.csv has \d+ times of \d+ columns .* limit of 100 MB"):
+        read_record(path)
+
+
 def test_a_large_csv_is_refused_by_its_size_alone(tmp_path: Path, small: None) -> None:
     path = tmp_path / "large.csv"
     with path.open("wb") as file:
