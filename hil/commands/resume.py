@@ -82,17 +82,18 @@ def command(
     where = None if control is None else address(control)
 
     def request(manifest: dict[str, Any]) -> RunRequest:
-        asked = request_of(
+        return request_of(
             folder, manifest, moved, control=where, rearm=rearm, no_lock=no_lock, viewer=viewer,
             guardian=not no_guardian,
         )  # fmt: skip
+
+    def name_rig(asked: RunRequest) -> None:
         for sentence in named(asked):
             click.echo(sentence, err=True)  # with --json too
-        return asked
 
     with LiveRun(quiet=as_json) as live:
         rule = SoakRule(band_K, timeout_s)
-        result = asyncio.run(resume_session(folder, request, rule, live.update, live.announce, gap_s))
+        result = asyncio.run(resume_session(folder, request, rule, live.update, live.announce, gap_s, name_rig))
     if as_json:
         click.echo(json.dumps(as_json_document(result), indent=1))
     else:
