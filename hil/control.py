@@ -122,6 +122,8 @@ def document(status: Status) -> dict[str, Any]:
 
 def ask(path: Path, verb: str, reason: str = "") -> dict[str, Any]:
     """The answer of the run that listens at `path`; raises ControlError where none does."""
+    if path.is_symlink():
+        raise ControlError(f"{path} is a link, and a run listens in its own folder only; take the link away")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
         client.settimeout(ANSWER_WITHIN_S)
         try:

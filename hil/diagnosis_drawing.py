@@ -32,6 +32,7 @@ STYLE: dict[str, Any] = {
     "grid.alpha": 0.25,
     "legend.frameon": False,
     "svg.fonttype": "path",
+    "text.parse_math": False,  # a $ in somebody's name is a $
 }
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import html
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +9,7 @@ from hil.atomic import replacing
 from hil.diagnosis_pictures import pictures
 from hil.diagnosis_store import PAGE, Findings, read_findings
 from hil.diagnosis_words import after_label, at_rest, beside_answer, grown, plain, reasons
-from hil.file_names import printable
+from hil.html_text import Html, document, element, image, joined
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
@@ -35,6 +33,7 @@ nav { font-size: .9rem; margin: .6rem 0 } nav a { color: #0072B2; margin-right: 
 @media print { h2 { break-after: avoid } img { break-inside: avoid } nav { display: none } }
 """
 _FAR_SD = 3.0
+NOTHING = joined([])
 
 
 def write_page(folder: Path) -> Path:
@@ -42,7 +41,7 @@ def write_page(folder: Path) -> Path:
     path = folder / PAGE
     text = page(read_findings(folder))
     with replacing(path) as temporary:
-        temporary.write_text(printable(text), encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
     return path
 
 
@@ -51,9 +50,9 @@ def page(findings: Findings) -> str:
     d = findings.document
     drawn = pictures(findings)
     subject = Path(str(d.get("record") or "record"))
-    title = html.escape(f"Diagnosis of {subject.parent.name}/{subject.name}" if subject.parent.name else subject.name)
+    title = f"Diagnosis of {subject.parent.name}/{subject.name}" if subject.parent.name else subject.name
     body = [
-        f"<h1>{title}</h1>",
+        element("h1", title),
         _verdict(d),
         _cards(d),
         _experiment(d),
@@ -66,7 +65,7 @@ def page(findings: Findings) -> str:
         _section(
             "What re-tuning alone had to bend", drawn, "tunables", _TUNABLES_NOTE if not grown(d) else _GROWN_NOTE
         ),
-        "<h2>Tables</h2>",
+        element("h2", "Tables"),
         _effects(d),
         _alternatives(d),
         _error_table(d),
@@ -75,10 +74,11 @@ def page(findings: Findings) -> str:
         _lists(d),
         _provenance(d),
     ]
-    head = (
-        f"<!doctype html><html lang=en><head><meta charset=utf-8><title>{title}</title><style>{_STYLE}</style></head>"
-    )
-    return head + "<body>" + "\n".join(part for part in body if part) + "</body></html>\n"
+    return document(title, _STYLE, body)
+
+
+def _note(text: str) -> Html:
+    return element("p", text, class_="note")
 
 
 _UNKNOWN_NOTE = (
@@ -143,33 +143,33 @@ def _errors_note(d: dict[str, Any]) -> str:
     )
 
 
-def _section(title: str, drawn: dict[str, str], name: str, note: str) -> str:
+def _section(title: str, drawn: dict[str, str], name: str, note: str) -> Html:
     if name not in drawn:
-        return ""
-    data = base64.b64encode(drawn[name].encode()).decode()
-    picture = f'<img id="{name}" alt="{html.escape(title or name)}" src="data:image/svg+xml;base64,{data}">'
-    heading = f"<h2>{html.escape(title)}</h2>" if title else ""
-    return f"{heading}<p class=note>{html.escape(note)}</p>{picture}"
+        return NOTHING
+    picture = image("svg+xml", drawn[name].encode(), title or name, name)
+    return joined([*([element("h2", title)] if title else []), _note(note), picture])
 
 
-def _belief(d: dict[str, Any], drawn: dict[str, str]) -> str:
+def _belief(d: dict[str, Any], drawn: dict[str, str]) -> Html:
     """Chance, and the blocks of time left out."""
-    said = "".join(f"<p>{html.escape(text)}</p>" for text in reasons(d))
+    said = joined(element("p", text) for text in reasons(d))
     blocks = _section("", drawn, "blocks", _HIDDEN_NOTE if grown(d) else _BLOCKS_NOTE)
-    return f"<h2>Why believe it</h2>{said}{blocks}" if said or blocks else ""
+    return joined([element("h2", "Why believe it"), said, blocks]) if said or blocks else NOTHING
 
 
-def _verdict(d: dict[str, Any]) -> str:
+def _verdict(d: dict[str, Any]) -> Html:
     name = str(d["verdict"])
-    warnings = "".join(f"<p class=warn>{html.escape(text)}</p>" for text in d["warnings"])
-    kind = html.escape(name.replace(" ", "-"))
-    return (
-        f'<div class="verdict {kind}"><b>{html.escape(name)}</b><p>{html.escape(d["summary"])}</p></div>{warnings}'
-        + "".join(f"<p class=note>{html.escape(text)}</p>" for text in d["notes"])
+    kind = name.replace(" ", "-")
+    return joined(
+        [
+            element("div", element("b", name), element("p", d["summary"]), class_=f"verdict {kind}"),
+            *(element("p", text, class_="warn") for text in d["warnings"]),
+            *(_note(text) for text in d["notes"]),
+        ]
     )
 
 
-def _cards(d: dict[str, Any]) -> str:
+def _cards(d: dict[str, Any]) -> Html:
     cards: list[tuple[str, str, str]] = []
     for e in d["effects"]:
         low, high = e["interval90"]
@@ -191,31 +191,27 @@ def _cards(d: dict[str, Any]) -> str:
         if after_label(d) == "with the effect":
             value, beside = f"{_number(e['before'])} → {_number(e['after'])} K", f"as it was {_number(e['stale'])}"
         cards.append((f"{worst}, held out", value, f"{beside}, noise {_number(e['noise'])} K"))
-    cells = (
-        f"<div><span>{html.escape(a)}</span><b>{html.escape(b)}</b><i>{html.escape(c)}</i></div>" for a, b, c in cards
-    )
-    return f"<div class=cards>{''.join(cells)}</div>" if cards else ""
+    cells = (element("div", element("span", a), element("b", b), element("i", c)) for a, b, c in cards)
+    return element("div", *cells, class_="cards") if cards else NOTHING
 
 
-def _table(head: list[str], rows: list[list[str]], numbers: int = 0, far: tuple[bool, ...] = ()) -> str:
+def _table(head: list[str], rows: list[list[str]], numbers: int = 0, far: tuple[bool, ...] = ()) -> Html:
     """A table; the last `numbers` columns are right-aligned, rows marked `far` are bold."""
     first = len(head) - numbers
 
-    def cells(tag: str, row: list[str]) -> str:
-        return "".join(
-            f"<{tag}{' class=n' if i >= first else ''}>{html.escape(cell)}</{tag}>" for i, cell in enumerate(row)
-        )
+    def cells(tag: str, row: list[str]) -> list[Html]:
+        return [element(tag, cell, class_="n" if i >= first else "") for i, cell in enumerate(row)]
 
     marks = far or (False,) * len(rows)
     lines = (
-        f"<tr{' class=far' if mark else ''}>{cells('td', row)}</tr>" for row, mark in zip(rows, marks, strict=True)
+        element("tr", *cells("td", row), class_="far" if mark else "") for row, mark in zip(rows, marks, strict=True)
     )
-    return f"<table><tr>{cells('th', head)}</tr>{''.join(lines)}</table>"
+    return element("table", element("tr", *cells("th", head)), *lines)
 
 
-def _effects(d: dict[str, Any]) -> str:
+def _effects(d: dict[str, Any]) -> Html:
     if not d["effects"]:
-        return ""
+        return NOTHING
     rows = []
     for e in d["effects"]:
         low, high = e["interval90"]
@@ -229,14 +225,14 @@ def _effects(d: dict[str, Any]) -> str:
             ]
         )  # fmt: skip
     head = ["kind", "where", "driver", "change", "shape", "size", "90 %", "since", "90 %", "confidence", "z"]
-    said = "".join(f"<p class=note>{html.escape(e['evidence'])}</p>" for e in d["effects"])
-    return f"<h3>Effects</h3>{_table(head, rows, 6)}{said}"
+    return joined([element("h3", "Effects"), _table(head, rows, 6), *(_note(e["evidence"]) for e in d["effects"])])
 
 
-def _alternatives(d: dict[str, Any]) -> str:
+def _alternatives(d: dict[str, Any]) -> Html:
     rows = [[plain(a), _share(a), "this record cannot tell it from the answer"] for a in beside_answer(d)]
     rows += [[plain(a), _share(a), a["why_not"]] for a in d["alternatives"]]
-    return f"<h3>Other explanations</h3>{_table(['explanation', 'confidence', 'why not'], rows)}" if rows else ""
+    head = ["explanation", "confidence", "why not"]
+    return joined([element("h3", "Other explanations"), _table(head, rows)]) if rows else NOTHING
 
 
 def _share(a: dict[str, Any]) -> str:
@@ -244,34 +240,34 @@ def _share(a: dict[str, Any]) -> str:
     return f"{100.0 * share:.0f} %" if share >= 0.005 else "0" if share == 0.0 else "< 1 %"
 
 
-def _error_table(d: dict[str, Any]) -> str:
+def _error_table(d: dict[str, Any]) -> Html:
     kinds = {"stale": "as it was", "before": "re-tuned"}
     if after_label(d) != "re-tuned":
         kinds["after"] = after_label(d)
     return _errors("RMSE in K, held out", d["error"]["sensors"], kinds)
 
 
-def _further_tables(d: dict[str, Any]) -> str:
+def _further_tables(d: dict[str, Any]) -> Html:
     """Errors over further records, of the diagnosed twin only where one was made."""
     kinds = {"stale": "as it was", "before": "re-tuned"}
     if d["verdict"] == "effect found":
         kinds["after"] = after_label(d)
-    return "".join(
+    return joined(
         _errors(f"RMSE in K, {one['record']}, all of it", one["sensors"], kinds) for one in d.get("further_records", ())
     )
 
 
-def _errors(title: str, sensors: dict[str, Any], kinds: dict[str, str]) -> str:
+def _errors(title: str, sensors: dict[str, Any], kinds: dict[str, str]) -> Html:
     rows = []
     for name, e in sensors.items():
         means = e["ten_second_means"]
         cells = [e[k] for k in kinds] + [e["noise"]] + [means[k] for k in kinds]
         rows.append([name, *(_number(cell) for cell in cells)])
     head = ["sensor", *kinds.values(), "noise", *(f"{label}, 10 s means" for label in kinds.values())]
-    return f"<h3>{html.escape(title)}</h3>{_table(head, rows, len(head) - 1)}" if rows else ""
+    return joined([element("h3", title), _table(head, rows, len(head) - 1)]) if rows else NOTHING
 
 
-def _tunable_table(d: dict[str, Any]) -> str:
+def _tunable_table(d: dict[str, Any]) -> Html:
     beside = after_label(d) != "re-tuned"
     rows, far = [], []
     for m in d["tunables_moved"]:
@@ -285,43 +281,46 @@ def _tunable_table(d: dict[str, Any]) -> str:
         far.append(max(abs(m["before_sd"] or 0.0), abs(m["after_sd"] or 0.0)) > _FAR_SD)
     head = ["parameter", "unit", "in the twin file" if grown(d) else "commissioned", "re-tuned alone", "in sd"]
     head += [after_label(d), "in sd"] if beside else []
-    note = "<p class=note>Bold: more than three standard deviations.</p>"
-    return f"<h3>Tunables</h3>{_table(head, rows, len(head) - 2, tuple(far))}{note}" if rows else ""
+    shown = _table(head, rows, len(head) - 2, tuple(far))
+    note = _note("Bold: more than three standard deviations.")
+    return joined([element("h3", "Tunables"), shown, note]) if rows else NOTHING
 
 
-def _lists(d: dict[str, Any]) -> str:
-    parts = []
+def _lists(d: dict[str, Any]) -> Html:
+    parts: list[Html] = []
     if d["description"]:
         rows = [[key.replace("_", " "), _said(value)] for key, value in d["description"].items()]
-        parts.append(f"<h3>The unknown in numbers</h3>{_table(['', ''], rows)}")
+        parts += [element("h3", "The unknown in numbers"), _table(["", ""], rows)]
     if curve := d.get("empirical"):
         rows = [[_number(x, ".4g"), _number(q, ".4g")] for x, q in curve["curve"]]
-        said = f"<p class=note>Offered, not adopted: {html.escape(curve['says'])}. As a twin: empirical.toml.</p>"
-        parts.append(f"<h3>A curve instead of a cause</h3>{said}{_table([curve['follows'], 'W'], rows, 2)}")
+        said = _note(f"Offered, not adopted: {curve['says']}. As a twin: empirical.toml.")
+        parts += [element("h3", "A curve instead of a cause"), said, _table([curve["follows"], "W"], rows, 2)]
     if d["blind_spots"]:
-        items = "".join(f"<li>{html.escape(text)}</li>" for text in d["blind_spots"])
-        parts.append(f"<h3>Blind spots of this record</h3><ul>{items}</ul>")
-    return "".join(parts)
+        items = element("ul", *(element("li", text) for text in d["blind_spots"]))
+        parts += [element("h3", "Blind spots of this record"), items]
+    return joined(parts)
 
 
 _TOLD = ("why", "steps", "possible", "name", "causes", "expected_difference", "needed_difference", "hottest_C", "hours")
 """Parts of a plan that its sentence and its table tell already."""
 
 
-def _experiment(d: dict[str, Any]) -> str:
+def _experiment(d: dict[str, Any]) -> Html:
     """What to run next, where the record leaves a question open."""
     plan = d["next_experiment"]
     if not plan:
-        return ""
-    why = f"<p>{html.escape(str(plan['why']))}</p>" if plan.get("why") else ""
+        return NOTHING
+    parts = [element("h2", "Next experiment")]
+    parts += [element("p", str(plan["why"]))] if plan.get("why") else []
     steps = plan.get("steps") or ()
     columns = list(dict.fromkeys(column for step in steps for column in step if column != "time_s"))
     rows = [[_hours(step["time_s"]), *(_said(step.get(column, "")) for column in columns)] for step in steps[:-1]]
     rows += [[f"{_hours(step['time_s'])}: end", *[""] * len(columns)] for step in steps[-1:]]
-    table = _table(["from", *columns], rows, len(columns)) if rows else ""
-    beside = "<p class=note>As a load profile: experiment.csv beside this page.</p>" if rows else ""
+    if rows:
+        parts.append(_table(["from", *columns], rows, len(columns)))
+        parts.append(_note("As a load profile: experiment.csv beside this page."))
     rest = [[k.replace("_", " "), _said(v)] for k, v in plan.items() if v and k not in _TOLD]
-    return f"<h2>Next experiment</h2>{why}{table}{beside}{_table(['', ''], rest) if rest else ''}"
+    return joined([*parts, *([_table(["", ""], rest)] if rest else [])])
 
 
 def _said(value: Any) -> str:
@@ -332,7 +331,7 @@ def _said(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _provenance(d: dict[str, Any]) -> str:
+def _provenance(d: dict[str, Any]) -> Html:
     about = d.get("provenance") or {}
     rows = [[name, f"{item['path']}  sha256 {item['sha256'][:16]}"] for name, item in about.get("files", {}).items()]
     if d.get("revision"):
@@ -341,7 +340,7 @@ def _provenance(d: dict[str, Any]) -> str:
     rows += [[key, str(about[key])] for key in ("command", "made", "host") if about.get(key)]
     if d.get("seconds") is not None:
         rows.append(["took", f"{d['seconds']:.0f} s"])
-    return f"<h3>Provenance</h3>{_table(['', ''], rows)}" if rows else ""
+    return joined([element("h3", "Provenance"), _table(["", ""], rows)]) if rows else NOTHING
 
 
 def _sized(effect: dict[str, Any]) -> str:

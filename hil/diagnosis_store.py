@@ -18,6 +18,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from hil.atomic import replacing
+from hil.folder_check import read_json
+from hil.record_limits import read_parquet, require_size
 from twin.discovery.diagnosis import Diagnosis
 
 DOCUMENT, CURVES, PAGE, REVIEW = "diagnosis.json", "diagnosis.parquet", "diagnosis.html", "diagnosis.rrd"
@@ -93,8 +95,11 @@ def write_curves(curves: Curves, path: Path) -> None:
 def read_curves(path: Path) -> Curves:
     """Read what `write_curves` wrote; raises DiagnosisFolderError."""
     try:
-        table = pq.read_table(pa.BufferReader(path.read_bytes()))
+        require_size(path, DiagnosisFolderError, 1)
+        table = read_parquet(path, pa.BufferReader(path.read_bytes()), DiagnosisFolderError)
         about = json.loads(table.schema.metadata[_KEY])
+    except DiagnosisFolderError:
+        raise
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError) as error:
         raise DiagnosisFolderError(f"{path} holds no curves of a diagnosis ({error}); diagnose again") from error
     try:
@@ -136,9 +141,9 @@ def read_findings(folder: Path) -> Findings:
     """Read a results folder; raises DiagnosisFolderError."""
     path = folder / DOCUMENT
     try:
-        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        document = read_json(path, DiagnosisFolderError)
+    except OSError as error:
         raise DiagnosisFolderError(f"{path} cannot be read ({error}); diagnose again") from error
     if not isinstance(document, dict):
-        raise DiagnosisFolderError(f"{path} cannot be read (it is no table); diagnose again")
+        raise DiagnosisFolderError(f"{path} is no diagnosis; diagnose again")
     return Findings(document, read_curves(folder / CURVES))

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from drivers.units import SUFFIX_OF_UNIT, column_name, split_column
 from hil.atomic import replacing
 from hil.file_names import component
+from hil.record_limits import require_size
 
 MAX_LINE = 2000
 """Longest line in characters; anything longer is no table of set-points."""
@@ -126,6 +127,7 @@ def read_profile(path: Path, unitless: Collection[str] = ()) -> Profile:
     Raises ProfileError with one sentence that names the file, the line and the remedy.
     """
     try:
+        require_size(path, ProfileError)
         content = path.read_bytes()
     except OSError as error:
         raise ProfileError(f"{path} cannot be read ({error.strerror}); give the path of a profile CSV") from error

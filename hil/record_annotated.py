@@ -10,6 +10,7 @@ import csv
 import re
 from pathlib import Path
 
+from hil.record_limits import require_cells, require_columns
 from hil.record_raw import RawRecord, RecordError, unique
 
 _ANNOTATION = re.compile(r'\s*"?#(datatype|group|default)\b')
@@ -47,6 +48,7 @@ def read_annotated(path: Path, text: str, digest: str) -> RawRecord:
             defaults = cells if cells[0] == "#default" else defaults
             continue
         if header is None:
+            require_columns(path, len(columns) + len(cells), RecordError)
             header = list(unique(cells)[0]) if cells[0] else ["", *unique(cells[1:])[0]]
             continue
         if len(cells) != len(header):
@@ -63,6 +65,7 @@ def read_annotated(path: Path, text: str, digest: str) -> RawRecord:
         lines.append(number)
     if not lines or not columns:
         raise RecordError(f"{path} holds no samples, only annotations; give a record with at least one row")
+    require_cells(path, len(lines), len(columns), RecordError)
     filled = [
         pa.chunked_array([column + [None] * (len(lines) - len(column))], pa.string()) for column in columns.values()
     ]

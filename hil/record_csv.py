@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from drivers.units import column_name, split_column
 from hil.csv_dialect import BLANKS, Dialect, DialectError, find_dialect
 from hil.record_annotated import is_annotated, read_annotated
+from hil.record_limits import require_columns
 from hil.record_numbers import may_be_lost
 from hil.record_raw import RawRecord, RecordError, unique
 from hil.time_names import is_time_name
@@ -46,6 +47,7 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         messages.append("columns are separated by blanks")
         text = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+(?=\r?$)", "", text))
         content, encoding, delimiter = text.encode(), "utf-8", "\t"
+    require_columns(path, len(dialect.names), RecordError)
     named, units = _named(dialect)
     names, repeated = unique(named)
     messages += repeated

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from hil.record_csv import read_csv
+from hil.record_limits import TEXT_COPIES, read_parquet, require_size
 from hil.record_long import one_column_a_series
 from hil.record_raw import RawRecord, RecordError, unique
 
@@ -26,6 +27,7 @@ _FOREIGN = (
 def read_raw(path: Path) -> RawRecord:
     """The columns of the file at `path`, told Parquet or CSV by its content; raises RecordError."""
     try:
+        require_size(path, RecordError, 1 if path.suffix == ".parquet" else TEXT_COPIES)
         content = path.read_bytes()
     except OSError as error:
         raise RecordError(
@@ -54,18 +56,18 @@ def _with_rows(raw: RawRecord) -> RawRecord:
 
 def _parquet(path: Path, content: bytes, digest: str) -> RawRecord:
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     if not content.endswith(b"PAR1"):
         raise RecordError(
             f"{path} is cut off (its Parquet footer is missing); copy it again, or export it again from its journal"
         )
     try:
-        table = pq.ParquetFile(pa.BufferReader(content)).read()  # unlike read_table, with repeated names
-        table.validate(full=True)  # text that is no UTF-8 would fail later, cell by cell
+        table = read_parquet(path, pa.BufferReader(content), RecordError)
         given = table.column_names
         units = {f.name: told for f in table.schema if (told := _told(f.metadata, b"unit"))}
         declared = {f.name: _range(_told(f.metadata, b"plausible")) for f in table.schema}
+    except RecordError:
+        raise
     except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError, OverflowError) as error:
         why = (str(error).splitlines() or [type(error).__name__])[0]
         raise RecordError(f"{path} is a damaged Parquet file ({why}); copy it again") from error

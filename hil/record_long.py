@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from drivers.units import canonical_unit, column_name, split_column
+from hil.record_limits import require_cells
 from hil.record_numbers import evidence_of, may_be_lost, parse, trimmed
 from hil.record_raw import RawRecord, RecordError
 from hil.time_names import is_time_name
@@ -108,6 +109,7 @@ def _spread(
             f"{raw.path} has {len(names)} series, more than a rig has signals; give a record with a column for each"
         )
     row_of = {moment: row for row, moment in enumerate(dict.fromkeys(moments))}
+    require_cells(raw.path, len(row_of), len(names), RecordError)
     columns: dict[str, list[str | None]] = {name: [None] * len(row_of) for name in names}
     first: dict[str, int] = {}
     lost = doubtful = 0

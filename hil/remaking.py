@@ -9,7 +9,7 @@ from typing import Any
 from hil.derived_files import RECORD, REVIEW, REVISION, Derived, derive_files
 from hil.journal import JournalReader
 from hil.run_folder import RunFolder, RunFolderError
-from hil.states import ENDED, State
+from hil.states import ENDED
 
 
 def remake(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) -> Derived:
@@ -48,7 +48,7 @@ def as_it_ended(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
         tick, _ = reader.last()
     finally:
         reader.close()
-    if not states or State(states[-1].target) not in ENDED:
+    if not states or states[-1].target not in ENDED:
         return manifest
     last = states[-1]
     ended = datetime.datetime.fromtimestamp(last.wall_s, datetime.UTC).isoformat(timespec="seconds")

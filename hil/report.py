@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from drivers.points import Quality
 from hil.adoption import accepted, closed_gates
 from hil.atomic import replacing
-from hil.file_names import printable
+from hil.html_text import Html, document, element, joined, table
 from hil.journal import JournalReader
 from hil.journal_rows import Samples, TwinOutput
 from hil.report_pictures import Curves, pictures
@@ -27,12 +26,14 @@ from hil.report_signals import (
 from hil.run_folder import RunFolder
 from hil.tracking import Proposed, parameter_cell, window_kind
 
+LEVELS = ("ERROR", "WARN")
+"""Levels of events that are coloured."""
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem } img { width: 100% }
 table { border-collapse: collapse }
 td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: right }
-td:first-child, th:first-child { text-align: left; white-space: nowrap }
+td:first-child, th:first-child { text-align: left; white-space: nowrap } td.text { text-align: left }
 .ERROR { color: #b3261e } .WARN { color: #9a6700 }
 p.note { color: #5b636b; font-size: .9rem }
 """
@@ -74,30 +75,31 @@ def write_report(folder: RunFolder) -> None:
         ]
     finally:
         reader.close()
-    title = html.escape(folder.path.name)
-    page = f"<!doctype html><meta charset=utf-8><title>{title}</title><style>{_STYLE}</style><h1>{title}</h1>"
+    page = document(folder.path.name, _STYLE, [element("h1", folder.path.name), *body])
     with replacing(folder.report) as temporary:
-        temporary.write_text(printable(page + "\n".join(body)), encoding="utf-8")
+        temporary.write_text(page, encoding="utf-8")
 
 
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
-    lines = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><tr>{top}</tr>{lines}</table>"
+def _part(title: str, *content: Html) -> Html:
+    return joined([element("h2", title), *content])
 
 
-def _summary(manifest: dict[str, Any]) -> str:
-    reason = f": {html.escape(manifest['reason'])}" if manifest["reason"] else ""
+def _note(text: str) -> Html:
+    return element("p", text, class_="note")
+
+
+def _summary(manifest: dict[str, Any]) -> Html:
+    reason = f": {manifest['reason']}" if manifest["reason"] else ""
     is_safe = manifest.get("safe") and not manifest.get("away")
     safe = "The heater was left at its safe value, read back." if is_safe else "NOT confirmed safe."
-    problems = "".join(f"<p class=WARN>{html.escape(problem)}</p>" for problem in manifest.get("problems", []))
-    return f"<p><b>{manifest['exit_status']}</b>{reason}. {safe}</p>{problems}"
+    problems = (element("p", problem, class_="WARN") for problem in manifest.get("problems", []))
+    return joined([element("p", element("b", manifest["exit_status"]), f"{reason}. {safe}"), *problems])
 
 
-def _segments(manifest: dict[str, Any], unit: TimeUnit) -> str:
+def _segments(manifest: dict[str, Any], unit: TimeUnit) -> Html:
     segments = manifest.get("segments")
     if not segments:
-        return ""
+        return joined([])
     rows = [
         [
             str(item["number"]),
@@ -113,13 +115,13 @@ def _segments(manifest: dict[str, Any], unit: TimeUnit) -> str:
         "The run was cut and resumed. Nothing is known of the gaps: curves and errors leave them out. The profile's "
         "clock stood while the rig was led back to where it was; the samples of that time are in the record."
     )
-    return f"<h2>Segments</h2>{_table(head, rows)}<p class=note>{note}</p>"
+    return _part("Segments", table(head, rows), _note(note))
 
 
-def _error_table(manifest: dict[str, Any]) -> str:
+def _error_table(manifest: dict[str, Any]) -> Html:
     errors = manifest.get("errors_K")
     if not errors:
-        return ""
+        return joined([])
     rows = [
         [sensor, *(number(cell, ".3f") for cell in (*cells, errors["noise_K"].get(sensor)))]
         for sensor, cells in errors["rows"].items()
@@ -129,50 +131,48 @@ def _error_table(manifest: dict[str, Any]) -> str:
         "fitted: the same window after its calibration."
     )
     head = ["sensor", *errors["columns"], "noise"]
-    return f"<h2>RMSE in K</h2>{_table(head, rows)}<p class=note>{note}</p>"
+    return _part("RMSE in K", table(head, rows), _note(note))
 
 
-def _band_table(manifest: dict[str, Any]) -> str:
+def _band_table(manifest: dict[str, Any]) -> Html:
     bands = manifest.get("bands")
     if not bands:
-        return ""
+        return joined([])
     sensors = next(iter(bands.values()))
     rows = [[sensor, *(_band(*bands[twin][sensor]) for twin in bands)] for sensor in sensors]
     note = "Foretold for ten minutes from the twin's own misses in the two hours before; in brackets the share held."
-    return f"<h2>90 % bands, ± K</h2>{_table(['sensor', *bands], rows)}<p class=note>{note}</p>"
+    return _part("90 % bands, ± K", table(["sensor", *bands], rows), _note(note))
 
 
 def _band(half: float | None, inside: float | None) -> str:
     return NONE if number(half) == NONE else f"{number(half, '.3f')} ({number(inside, '.0%')})"
 
 
-def _parameter_table(manifest: dict[str, Any]) -> str:
+def _parameter_table(manifest: dict[str, Any]) -> Html:
     parameters = manifest.get("parameters")
     if not parameters:
-        return ""
+        return joined([])
     names = dict.fromkeys(name for values in parameters.values() for name in values)
     rows = [[name, *(parameter_cell(values.get(name)) for values in parameters.values())] for name in names]
     note = "held: the record does not tell it, or a gate is closed; the value is older than the end."
     adopted = manifest.get("adoption")
-    became = f"<p>{html.escape(adopted['sentence'])}</p>" if adopted else ""
-    title = "Parameters at the end, ± 90 %"
-    return f"<h2>{title}</h2>{_table(['parameter', *parameters], rows)}<p class=note>{note}</p>{became}"
+    became = [element("p", adopted["sentence"])] if adopted else []
+    return _part("Parameters at the end, ± 90 %", table(["parameter", *parameters], rows), _note(note), *became)
 
 
-def _gates(reader: JournalReader, unit: TimeUnit) -> str:
+def _gates(reader: JournalReader, unit: TimeUnit) -> Html:
     proposals = [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
     if not proposals:
-        return ""
+        return joined([])
     rows = [
         [name, f"{a.value:.4g} ± {a.half_width:.2g}", f"{a.count}", unit.of(a.first_s), unit.of(a.last_s)]
         for name, a in accepted(proposals).items()
     ]
     head = ["parameter", "accepted last", "in a row", f"since / {unit.symbol}", f"last / {unit.symbol}"]
-    said = html.escape(closed_gates(proposals))
-    return f"<h2>What the network's gates let through</h2>{_table(head, rows)}<p class=note>{said}</p>"
+    return _part("What the network's gates let through", table(head, rows), _note(closed_gates(proposals)))
 
 
-def _pictures(reader: JournalReader, samples: Samples, unit: TimeUnit) -> str:
+def _pictures(reader: JournalReader, samples: Samples, unit: TimeUnit) -> Html:
     cuts = np.searchsorted(samples.tick, [row.tick for row in reader.segments()])
     measured = measured_sensors(reader, samples)
     twins = {name: _at_ticks(reader.twin_outputs(name), samples) for name in reader.header.twin_names}
@@ -188,14 +188,13 @@ def _at_ticks(output: TwinOutput, samples: Samples) -> NDArray[np.float64]:
     return found
 
 
-def _signals(reader: JournalReader, samples: Samples) -> str:
+def _signals(reader: JournalReader, samples: Samples) -> Html:
     rows = [
         [s.name, s.unit, number(s.least), number(s.mean), number(s.greatest), f"{s.good:.1%}"]
         for s in signal_statistics(reader.header, samples)
     ]
     head = ["signal", "unit", "min", "mean", "max", "good"]
-    note = "Over all good values; - for a signal without any."
-    body = f"<h2>Signals in numbers</h2>{_table(head, rows)}<p class=note>{note}</p>"
+    body = [_part("Signals in numbers", table(head, rows), _note("Over all good values; - for a signal without any."))]
     pairs = [
         [p.name, p.unit, *map(number, (p.set_mean, p.read_mean, p.settled_difference, p.settled_greatest))]
         for p in set_against_read(reader.header, samples)
@@ -203,11 +202,11 @@ def _signals(reader: JournalReader, samples: Samples) -> str:
     if pairs:
         head = ["set-point", "unit", "set, mean", "read, mean", "read - set, mean", "read - set, greatest"]
         note = f"Differences on ticks on which the set-point had stood for {SETTLED_AFTER_S:g} s."
-        body += f"<h2>Set against read</h2>{_table(head, pairs)}<p class=note>{note}</p>"
-    return body
+        body.append(_part("Set against read", table(head, pairs), _note(note)))
+    return joined(body)
 
 
-def _calibrations(reader: JournalReader) -> str:
+def _calibrations(reader: JournalReader) -> Html:
     kinds: dict[str, dict[str, int]] = {}
     for row in reader.calibrations():
         kind = window_kind(row.document)
@@ -215,15 +214,15 @@ def _calibrations(reader: JournalReader) -> str:
         counts[kind] = counts.get(kind, 0) + 1
         counts["flagged calibrated"] = counts.get("flagged calibrated", 0) + bool(row.document.get("calibrated"))
     if not kinds:
-        return ""
+        return joined([])
     rows = [[name, ", ".join(f"{count} {kind}" for kind, count in counts.items())] for name, counts in kinds.items()]
-    return f"<h2>Windows</h2>{_table(['calibrator', 'windows'], rows)}"
+    return _part("Windows", table(["calibrator", "windows"], rows))
 
 
-def _timing(manifest: dict[str, Any], reader: JournalReader) -> str:
+def _timing(manifest: dict[str, Any], reader: JournalReader) -> Html:
     latency = reader.latencies() * 1e3
     if not len(latency):
-        return ""
+        return joined([])
     p50, p99 = np.percentile(latency, [50, 99])
     header = reader.header
     factor = len(latency) * header.period_s / reader.wall_s()
@@ -234,21 +233,26 @@ def _timing(manifest: dict[str, Any], reader: JournalReader) -> str:
         ["restarts of the rig's program", f"{manifest.get('rig_restarts', 0)}"],
         ["times real time", number(factor, ".1f")],
     ]
-    return f"<h2>Timing</h2>{_table(['', ''], rows)}"
+    return _part("Timing", table(["", ""], rows))
 
 
-def _events(reader: JournalReader, unit: TimeUnit) -> str:
-    lines = [
-        f"<tr class={row.level}><td>{unit.of(row.time_s)} {unit.symbol}</td><td>{row.level}</td>"
-        f"<td style='text-align:left'>{html.escape(row.text)}</td></tr>"
+def _events(reader: JournalReader, unit: TimeUnit) -> Html:
+    lines = (
+        element(
+            "tr",
+            element("td", f"{unit.of(row.time_s)} {unit.symbol}"),
+            element("td", row.level),
+            element("td", row.text, class_="text"),
+            class_=row.level if row.level in LEVELS else "",
+        )
         for row in reader.events()
-    ]
-    return f"<h2>Events</h2><table>{''.join(lines)}</table>"
+    )
+    return _part("Events", element("table", *lines))
 
 
-def _provenance(manifest: dict[str, Any]) -> str:
+def _provenance(manifest: dict[str, Any]) -> Html:
     rows = [["run", manifest["uid"]], ["started", manifest["started"]], ["host", manifest["host"]]]
     rows += [[name, f"{item['path']}  sha256 {item['sha256'][:16]}"] for name, item in manifest["files"].items()]
     rows += [[name, version] for name, version in manifest["versions"].items()]
     rows += [[name, str(value)] for name, value in manifest["settings"].items()]
-    return f"<h2>Provenance</h2>{_table(['', ''], rows)}"
+    return _part("Provenance", table(["", ""], rows))

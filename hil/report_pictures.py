@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.actuators import pair_actuators
+from hil.html_text import Html, element, image, joined
 from hil.journal_rows import Header, Samples
 from hil.report_signals import TimeUnit, good_values, symbol
 
@@ -57,18 +57,24 @@ class Curves:
     unit: TimeUnit
 
 
-def pictures(drawn: Curves) -> str:
+def pictures(drawn: Curves) -> Html:
     """Return headings and pictures as HTML; nothing for a run of fewer than two ticks, no plot without a value."""
     if len(drawn.samples.tick) < 2:
-        return ""
-    body = ""
+        return joined([])
+    import matplotlib
+
+    with matplotlib.rc_context({"text.parse_math": False}):  # a $ in somebody's name is a $
+        return joined(_pictures(drawn))
+
+
+def _pictures(drawn: Curves) -> Iterator[Html]:
     if drawn.measured:
-        body += _picture("Measured against twin", _against_twin(drawn), drawn)
+        yield _picture("Measured against twin", _against_twin(drawn), drawn)
         residuals, width_s = _residuals(drawn)
         what = f"{width_s / 60:.0f} min" if width_s >= 60 else f"{width_s:g} s"
-        body += _picture(f"Residual (measured - twin), means of {what}", residuals[1], drawn, residuals[0])
-    body += _picture("Signals", _others(drawn), drawn)
-    return body + _picture("Set-points and read-backs", _actuators(drawn), drawn)
+        yield _picture(f"Residual (measured - twin), means of {what}", residuals[1], drawn, residuals[0])
+    yield _picture("Signals", _others(drawn), drawn)
+    yield _picture("Set-points and read-backs", _actuators(drawn), drawn)
 
 
 def twin_colours(names: Sequence[str]) -> dict[str, str]:
@@ -140,7 +146,7 @@ def _actuators(drawn: Curves) -> Iterator[_Plot]:
         yield _Plot(f"{stem} / {unit}" if unit else stem, tuple(curves), 1.6)
 
 
-def _picture(heading: str, plots: Any, drawn: Curves, time_s: Floats | None = None) -> str:
+def _picture(heading: str, plots: Any, drawn: Curves, time_s: Floats | None = None) -> Html:
     """Return the plots above one another with one time axis, as HTML; nothing where none has a value."""
     known = []
     for plot in plots:
@@ -148,7 +154,7 @@ def _picture(heading: str, plots: Any, drawn: Curves, time_s: Floats | None = No
         if curves:
             known.append((plot, curves))
     if not known:
-        return ""
+        return joined([])
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, sum(plot.height for plot, _ in known) + 0.8), layout="constrained")
@@ -174,7 +180,7 @@ def _picture(heading: str, plots: Any, drawn: Curves, time_s: Floats | None = No
         handles = {label: handle for handle, label in drawn_as}
         figure.legend(handles.values(), handles, loc="outside upper right", ncols=6, frameon=False)
     rows[-1].set_xlabel(f"time / {drawn.unit.symbol}")
-    return f"<h2>{heading}</h2>{_embedded(figure)}"
+    return joined([element("h2", heading), _embedded(figure)])
 
 
 def _thinned(drawn: Curves, values: Floats) -> tuple[Floats, Floats]:
@@ -187,7 +193,7 @@ def _thinned(drawn: Curves, values: Floats) -> tuple[Floats, Floats]:
     return time_s, np.insert(values[kept], at, np.nan)
 
 
-def _embedded(figure: Any) -> str:
+def _embedded(figure: Any) -> Html:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
-    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'
+    return image("png", buffer.getvalue())

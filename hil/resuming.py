@@ -11,10 +11,13 @@ from typing import Any
 import numpy as np
 
 from drivers.points import Quality
-from drivers.rigfile import file_sha256
+from drivers.rigfile import file_sha256, load_rig
+from hil.folder_check import require_unshared
 from hil.gap_evidence import KEY, with_gap
 from hil.journal import JournalReader
+from hil.journal_check import require_alone
 from hil.journal_rows import SegmentRow, StateRow
+from hil.manifest_check import require_settings
 from hil.remaking import has_ended
 from hil.run_folder import RunFolder, RunFolderError
 from hil.run_request import RunRequest
@@ -120,8 +123,14 @@ def request_of(
         if not folder.report.is_file() or not folder.record.is_file():
             rest = f"`hil report {shlex.quote(str(folder.path))}` makes its record and report"
         raise RunFolderError(f"{folder.path} has run to its end; {rest}")
-    files = _checked_files(folder, manifest, moved)
+    require_unshared(folder.path, RunFolderError)
+    require_alone(folder.journal)
     settings = manifest["settings"]
+    require_settings(settings, folder.manifest, RunFolderError)
+    files = _checked_files(folder, manifest, moved)
+    for name in ("rig", "profile"):
+        if name not in files:
+            raise RunFolderError(f"{folder.manifest} names no {name}, so the run cannot be resumed; start a new run")
     known = settings.get("control")
     return RunRequest(
         profile=files["profile"],
@@ -151,9 +160,14 @@ def request_of(
 def _checked_files(folder: RunFolder, manifest: Mapping[str, Any], moved: Mapping[str, Path | None]) -> dict[str, Path]:
     """Where each file of the run is, its content unchanged; raises RunFolderError naming those that are not."""
     found, problems = {}, []
+    inside = folder.path.resolve()
     for name, item in manifest["files"].items():
         path = moved.get(name) or Path(item["path"])
         found[name] = path
+        if not moved.get(name) and (why := _not_named_by_a_run(path, inside)):
+            option = f"; where it is meant, name it with {FILES[name]}" if name in FILES else ""
+            problems.append(f"{folder.manifest} names {path} as the run's {name}, which {why}{option}")
+            continue
         copy = f" ({folder.twin} is the run's own copy)" if name == "twin" and folder.twin.is_file() else ""
         if not path.is_file():
             where = f"say where it is with {FILES[name]}" if name in FILES else "put it back"
@@ -165,3 +179,30 @@ def _checked_files(folder: RunFolder, manifest: Mapping[str, Any], moved: Mappin
     if problems:
         raise RunFolderError("\n".join(problems))
     return found
+
+
+def _not_named_by_a_run(path: Path, folder: Path) -> str:
+    """Return why no run writes this path of one of its files into its manifest, or "".
+
+    A run names its files by their absolute paths, and they lie outside its folder. One that lies inside came with the
+    folder: whoever made the folder chose the rig and what it is told.
+    """
+    if not path.is_absolute() or "\0" in str(path):
+        return "is no absolute path"
+    try:
+        return "came with the run's own folder" if path.resolve().is_relative_to(folder) else ""
+    except (OSError, RuntimeError):
+        return "leads round in a circle"
+
+
+def named(request: RunRequest) -> list[str]:
+    """Return what a resumed run will drive and with what, a sentence each, for the operator to see before it moves."""
+    rig = load_rig(request.rig)
+    buses = ", ".join(f"{name} at {bus.place}" for name, bus in rig.bus.items())
+    if request.virtual:
+        where = "a virtual rig of its own in place of the one"
+    elif request.control is not None:
+        where = f"the rig whose time is set through {request.control[0]}:{request.control[1]},"
+    else:
+        where = f"the rig {rig.name!r} ({buses})"
+    return [f"resuming drives {where} of {request.rig}, with the profile {request.profile}"]

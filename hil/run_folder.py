@@ -21,6 +21,8 @@ from drivers.rigfile import file_sha256
 from hil import __version__
 from hil.atomic import replacing
 from hil.file_names import ENDINGS, LONGEST_DATABASE_PATH, component, longest_name
+from hil.folder_check import read_json, require_plain
+from hil.manifest_check import checked_manifest
 
 LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "pyarrow", "rerun-sdk")
 BYTES_PER_TICK = 2500
@@ -33,6 +35,10 @@ class RunFolderError(Exception):
 
 class FolderLostError(RunFolderError):
     """The folder of a run was deleted, or cannot be written any more; the message says what is left of the run."""
+
+
+def _damaged(sentence: str) -> RunFolderError:
+    return RunFolderError(f"{sentence}; the journal beside it still holds the run")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,20 +90,16 @@ class RunFolder:
         return self.path / "run.json"
 
     def read_manifest(self) -> dict[str, Any]:
-        """`run.json`; raises RunFolderError where this is no run folder."""
+        """`run.json`, checked; raises RunFolderError where this is no run folder, or one that leads outside itself."""
         try:
-            document: Any = json.loads(self.manifest.read_text(encoding="utf-8"))
+            self.manifest.lstat()  # before the folder is looked through: it may be anybody's home
+            require_plain(self.path, RunFolderError)
+            document = read_json(self.manifest, _damaged)
         except FileNotFoundError:
             raise RunFolderError(f"{self.path} is not a run folder (no run.json); give one of runs/*") from None
         except OSError as error:
             raise RunFolderError(f"{self.manifest} cannot be read ({error.strerror}); give one of runs/*") from None
-        except (ValueError, RecursionError) as error:
-            raise RunFolderError(
-                f"{self.manifest} is damaged ({error}); the journal beside it still holds the run"
-            ) from error
-        if not isinstance(document, dict):
-            raise RunFolderError(f"{self.manifest} is damaged (no table); the journal beside it still holds the run")
-        return document
+        return checked_manifest(document, self.manifest, RunFolderError)
 
     def is_current(self, made: Path, within_s: float = 0.0) -> bool:
         """Return whether a file that was made from the journal is there and no older than the journal's last row, but

@@ -39,7 +39,7 @@ def picture(scenario: Scenario, path: Path, kind: str = "") -> None:
         "axes.spines.top": False,
         "axes.spines.right": False,
     }
-    style |= {"hatch.linewidth": 0.6, "svg.fonttype": "path", "font.family": "DejaVu Sans"}
+    style |= {"hatch.linewidth": 0.6, "svg.fonttype": "path", "font.family": "DejaVu Sans", "text.parse_math": False}
     with matplotlib.rc_context(style):
         figure = Figure(figsize=(9.6, 1.1 + 1.05 * sum(height for _, height in rows)), layout="constrained")
         axes = figure.subplots(

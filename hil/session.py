@@ -104,10 +104,12 @@ async def resume_session(
     observer: Callable[[Status], None] | None = None,
     announce: Callable[[str], None] = lambda text: None,
     gap_s: float | None = None,
+    before_moving: Callable[[RunRequest], None] = lambda request: None,
 ) -> RunResult:
     """Go on with the run in `folder` that was cut, as `request_of` its manifest, and derive everything anew.
 
-    `gap_s` states how long the run has been down where clocks do not agree on it, s.
+    `gap_s` states how long the run has been down where clocks do not agree on it, s. `before_moving` is told what will
+    be driven, once nothing refuses to go on.
 
     Raises what `run_session` raises, and RunFolderError where the run still goes on or cannot go on.
     """
@@ -121,6 +123,7 @@ async def resume_session(
         claim.tell(folder.path)
         was = questioned(folder, gap_s, announce)
         require_room(folder, _ticks(ready))
+        before_moving(request)
         folder.control.unlink(missing_ok=True)
         tracking = await _start_tracking(request, ready)
         if tracking is not None:

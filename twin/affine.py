@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 ONE, ZERO = "1.0", "0.0"
-_PARSING = threading.Lock()
+PARSING = threading.Lock()
 
 
 def parsed(text: str) -> ast.expr:
@@ -22,7 +22,7 @@ def parsed(text: str) -> ast.expr:
     One thread at a time: CPython counts the depth of the tree that it builds in a place that all threads share, and
     where one is interrupted by a finalizer another's count is off ("AST constructor recursion depth mismatch").
     """
-    with _PARSING:
+    with PARSING:
         return ast.parse(text, mode="eval").body
 
 

@@ -1,7 +1,6 @@
 """A network's elements put together: one system of states, coefficients and affine rates, still as text.
 
-Names in the text: ``x3`` state, ``p12`` parameter, ``u2`` input as the elements see it, ``D0`` outlet of a delay,
-``f1`` lagged value, ``a0`` command that has arrived, ``L_pipe__late`` a name of an element's own, ``now`` the stamp.
+Identifiers in the text are those of `twin.elements.symbols`.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from functools import cached_property
 
 from twin.affine import ZERO, Form, NotAffine, affine, names_in, parsed, plus, times
 from twin.elements import Fragment, Names
-from twin.elements.base import Drive, Stream
+from twin.elements.base import Drive
+from twin.elements.symbols import Stream, Symbols
 from twin.network import Network
 
-_TOKEN = re.compile(r"<([PTULDFAS]):([^>]+)>")
 FEW = 5
 """In networks of more states than this, shared intermediate results stay so: written out, a chain of volumes that
 hand on water has as many products as a full matrix."""
@@ -59,10 +58,8 @@ class System:
     def __init__(self, network: Network, free: tuple[str, ...]) -> None:
         self.network = network
         self._named: dict[str, str] = {}
-        self._index = {
-            "P": {p.id: network.ids.index(p.same_as or p.id) for p in network.parameters.values()},
-            "U": {name: k for k, name in enumerate(network.input_columns)},
-        }
+        parameters = {p.id: network.ids.index(p.same_as or p.id) for p in network.parameters.values()}
+        self._symbols = symbols = Symbols(parameters, network.input_columns, network.nodes)
         streams = streams_of(network)
         neutral = {
             p.id: p.value
@@ -72,28 +69,14 @@ class System:
         parts: list[tuple[str, Fragment]] = []
         for e in network.elements:
             own = {name[len(e.name) + 1 :]: v for name, v in neutral.items() if name.startswith(f"{e.name}.")}
-            parts.append((e.name, e.emit(Names(e.name, own, streams))))
+            fragment = e.emit(Names(e.name, own, streams, symbols))
+            symbols.settle(fragment.remembered(e.name))
+            parts.append((e.name, fragment))
         self.parts = tuple(parts)
-        self.states = (*network.nodes, *(f"{name}.{s.name}" for name, f in parts for s in f.states))
-        self._index["T"] = {name: k for k, name in enumerate(self.states)}
-        self._index["D"] = {name: k for k, name in enumerate(n for n, f in parts if f.delay)}
-        self.lags = tuple(f"{name}.{lag.name}" for name, f in parts for lag in f.lags)
-        self._index["F"] = {name: k for k, name in enumerate(self.lags)}
+        self.states = tuple(symbols.names["x"])
+        self.lags = tuple(symbols.names["f"])
         self.drives: tuple[tuple[str, Drive], ...] = tuple((name, f.drive) for name, f in parts if f.drive)
-        self._index["A"] = {name: k for k, (name, _) in enumerate(self.drives)}
-        self.driven = {self._index["U"][d.column] for _, d in self.drives}
-
-    def text(self, text: str) -> str:
-        """An element's expression in the names of the system."""
-        return _TOKEN.sub(self._one, text)
-
-    def _one(self, match: re.Match[str]) -> str:
-        sort, name = match.groups()
-        if sort == "L":
-            return "L_" + name.replace(".", "__")
-        if sort == "S":
-            return "now"
-        return {"P": "p", "T": "x", "U": "u", "D": "D", "F": "f", "A": "a"}[sort] + str(self._index[sort][name])
+        self.driven = {network.input_columns.index(d.column) for _, d in self.drives}
 
     @cached_property
     def delays(self) -> tuple[DelayLine, ...]:
@@ -102,22 +85,22 @@ class System:
         for name, f in self.parts:
             if f.delay:
                 d = f.delay
-                late = self.text(f"<L:{name}.late>")
-                line = flows.index(self.text(d.flow))
-                lines.append(DelayLine(name, line, late, self.text(d.water), self.text(d.volume), self.text(d.start)))
+                late = self._symbols.local(name, "late")
+                line = flows.index(d.flow)
+                lines.append(DelayLine(name, line, late, d.water, d.volume, d.start))
         return tuple(lines)
 
     @cached_property
     def flows(self) -> tuple[str, ...]:
         """Names of the flows, L/s, that push water through delays."""
-        return tuple(dict.fromkeys(self.text(f.delay.flow) for _, f in self.parts if f.delay))
+        return tuple(dict.fromkeys(f.delay.flow for _, f in self.parts if f.delay))
 
     @cached_property
     def own_coefficients(self) -> dict[str, str]:
         """What elements have worked out once a sample, and reciprocal capacitances: nothing taken apart."""
-        found = {self.text(name): self.text(value) for _, f in self.parts for name, value in (*f.uniform, *f.sample)}
+        found = {name: value for _, f in self.parts for name, value in (*f.uniform, *f.sample)}
         for j, node in enumerate(self.network.nodes):
-            found[f"c{j}"] = f"1.0 / {self.text(f'<P:{node}.capacitance>')}"
+            found[f"c{j}"] = f"1.0 / {self._symbols.parameter(f'{node}.capacitance')}"
         return found
 
     @cached_property
@@ -128,12 +111,12 @@ class System:
 
     @cached_property
     def locals_(self) -> dict[str, str]:
-        return _in_order({self.text(name): self.text(value) for _, f in self.parts for name, value in f.stage})
+        return _in_order({name: value for _, f in self.parts for name, value in f.stage})
 
     @cached_property
     def variables(self) -> frozenset[str]:
         """Names that stand for temperatures: states and outlets of delays."""
-        count = len(self._index["D"])
+        count = len(self._symbols.names["D"])
         return frozenset((*(f"x{j}" for j in range(len(self.states))), *(f"D{k}" for k in range(count))))
 
     @cached_property
@@ -163,8 +146,8 @@ class System:
 
     def _uses(self) -> Counter[str]:
         """How often each name stands in an expression of temperatures."""
-        texts = [*self.locals_.values(), *(self.text(h) for _, f in self.parts for h in f.heat.values())]
-        texts += [self.text(s.rate) for _, f in self.parts for s in f.states] + [d.water for d in self.delays]
+        texts = [*self.locals_.values(), *(h for _, f in self.parts for h in f.heat.values())]
+        texts += [s.rate for _, f in self.parts for s in f.states] + [d.water for d in self.delays]
         found: Counter[str] = Counter()
         for text in texts:
             for node in ast.walk(parsed(text)):
@@ -202,10 +185,10 @@ class System:
         """Per state the affine form of its rate, K/s, and what is not affine, W or K/s."""
         rows = []
         for j, node in enumerate(self.network.nodes):
-            form, rest = self._sum([self.text(f.heat[node]) for _, f in self.parts if node in f.heat])
+            form, rest = self._sum([f.heat[node] for _, f in self.parts if node in f.heat])
             rows.append((form.scaled(f"c{j}"), times(rest, f"c{j}")))
         for _, f in self.parts:
-            rows += [self._sum([self.text(s.rate)]) for s in f.states]
+            rows += [self._sum([s.rate]) for s in f.states]
         return tuple((self._name_terms(form), rest) for form, rest in rows)
 
     def _sum(self, terms: Iterable[str]) -> tuple[Form, str]:
@@ -235,7 +218,7 @@ class System:
     @cached_property
     def rates(self) -> tuple[str, ...]:
         """Bounds on each state's own rate, 1/s: of an affine row its own coefficient, else what elements declare."""
-        speeds = [self.text(s.speed) for _, f in self.parts for s in f.states]
+        speeds = [s.speed for _, f in self.parts for s in f.states]
         late = {d.late for d in self.delays}
         rows = []
         for j, (form, rest) in enumerate(self.slopes):
@@ -244,7 +227,7 @@ class System:
                 rows.append(times(own, "-1.0"))
             elif j < len(self.network.nodes):
                 node = self.network.nodes[j]
-                found = [f"({self.text(f.conductance[node])})" for _, f in self.parts if node in f.conductance]
+                found = [f"({f.conductance[node]})" for _, f in self.parts if node in f.conductance]
                 rows.append(f"({' + '.join(found) or ZERO}) * c{j}")
             else:
                 rows.append(speeds[j - len(self.network.nodes)])
@@ -264,12 +247,12 @@ class System:
     @cached_property
     def readings(self) -> tuple[str, ...]:
         """Each sensor's reading, in the network's order."""
-        return tuple(self.text(f.observe) for _, f in self.parts if f.observe is not None)
+        return tuple(f.observe for _, f in self.parts if f.observe is not None)
 
     @cached_property
     def followers(self) -> tuple[Follower, ...]:
         return tuple(
-            Follower(f"{name}.{lag.name}", self._name_terms(self.form(self.text(lag.of))), self.text(lag.constant))
+            Follower(f"{name}.{lag.name}", self._name_terms(self.form(lag.of)), lag.constant)
             for name, f in self.parts
             for lag in f.lags
         )
@@ -282,8 +265,8 @@ class System:
     @cached_property
     def starts(self) -> tuple[str, ...]:
         """Values at rest, in node temperatures: of the states after the nodes, then of the lags."""
-        states = [self.text(s.start) for _, f in self.parts for s in f.states]
-        return (*states, *(self.text(lag.of) for _, f in self.parts for lag in f.lags))
+        states = [s.start for _, f in self.parts for s in f.states]
+        return (*states, *(lag.of for _, f in self.parts for lag in f.lags))
 
 
 def _stays(network: Network, name: str, free: tuple[str, ...]) -> bool:
@@ -303,6 +286,8 @@ def streams_of(network: Network) -> Mapping[str, Stream]:
 def python_source(network: Network) -> str:
     """Source of ``rhs(T, u, p) -> list of dT/dt`` in plain Python: the reference for tests and oracles.
 
+    `twin.generated_code.functions` runs it; it calls ``exp`` and ``log``.
+
     T holds the node temperatures and the states of elements. It knows the present only: no dead time, no lag of an
     actuator, and pipes without delay. Any parameter may differ from the network's, but for those of elements with
     states, which are left out while they are neutral.
@@ -310,10 +295,10 @@ def python_source(network: Network) -> str:
     remembering = {name for name, f in System(network, network.ids).parts if f.states}
     system = System(network, tuple(p.id for p in network.parameters.values() if p.element not in remembering))
     body: list[str] = []
-    for name, drive in system.drives:
+    for k, (_, drive) in enumerate(system.drives):
         column = network.input_columns.index(drive.column)
-        body.append(f"{system.text(f'<A:{name}>')} = u{column}")
-        body.append(f"u{column} = {system.text(drive.value)}")
+        body.append(f"a{k} = u{column}")
+        body.append(f"u{column} = {drive.value}")
     body += [f"{line.late} = 0.0" for line in system.delays]
     body += [f"D{k} = 0.0" for k in range(len(system.delays))]
     return _function("rhs(T, u, p)", [*body, *_locals(system)], f"[{', '.join(_plain_rates(system))}]")
@@ -326,8 +311,8 @@ def remembering_source(system: System) -> str:
     each lag follows. ``pushed(u, p)`` gives each delay's flow, L/s, and volume, L, and each lag's time constant, s.
     ``read(T, F, p, now)`` gives the readings, with F the lagged values.
     """
-    waters = [system.text(f.delay.water) for _, f in system.parts if f.delay]
-    followed = [system.text(lag.of) for _, f in system.parts for lag in f.lags]
+    waters = [f.delay.water for _, f in system.parts if f.delay]
+    followed = [lag.of for _, f in system.parts for lag in f.lags]
     late = [f"{line.late} = 1.0" for line in system.delays]
     results = ", ".join(f"[{', '.join(texts)}]" for texts in (_plain_rates(system), waters, followed))
     pushes = [[system.flows[d.line] for d in system.delays], [d.volume for d in system.delays]]
@@ -353,14 +338,14 @@ def _plain_rates(system: System) -> list[str]:
     """Rates of all states as the elements have them, nothing taken apart."""
     rows = []
     for j, node in enumerate(system.network.nodes):
-        heat = " + ".join(f"({system.text(f.heat[node])})" for _, f in system.parts if node in f.heat) or ZERO
+        heat = " + ".join(f"({f.heat[node]})" for _, f in system.parts if node in f.heat) or ZERO
         rows.append(f"({heat}) * c{j}")
-    return rows + [system.text(s.rate) for _, f in system.parts for s in f.states]
+    return rows + [s.rate for _, f in system.parts for s in f.states]
 
 
 def _function(signature: str, body: list[str], result: str) -> str:
     """A function of vectors whose text uses entries by name: x3 of T, f1 of F, D0 of D, u2 of u, p7 of p."""
-    head = ["from math import exp, log", "", "", f"def {signature}:"]
+    head = [f"def {signature}:"]
     used = "\n".join([*body, result])
     for letter, vector in (("x", "T"), ("f", "F"), ("D", "D"), ("u", "u"), ("p", "p")):
         if re.search(rf"\b{vector}\b", signature):

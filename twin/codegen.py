@@ -207,16 +207,16 @@ class _Kernel:
             command = f"inputs[i, {c}]"
             body = [f"a{k} = {command}"]
             if d.dead_time:
-                body = [f"a{k} = arrived(time, inputs, {c}, i, {self.system.text(d.dead_time)})"]
+                body = [f"a{k} = arrived(time, inputs, {c}, i, {d.dead_time})"]
             if d.lag:
                 body += [
-                    f"share = {self.system.text(d.lag)} / max(time[i + 1] - time[i], 1e-12)",
+                    f"share = {d.lag} / max(time[i + 1] - time[i], 1e-12)",
                     "decay = exp(-1.0 / max(share, 1e-12))",
                     f"gone = z{k} - a{k}",
                     f"{self.at(f'z{k}')} = a{k} + gone * decay",
                     f"a{k} = a{k} + gone * share * (1.0 - decay)",
                 ]
-            body += [f"u{c} = {self.system.text(d.value)}", f"{self.at(f'u{c}')} = u{c}"]
+            body += [f"u{c} = {d.value}", f"{self.at(f'u{c}')} = u{c}"]
             out += self.loop(body)
         return out
 
@@ -399,18 +399,12 @@ class _Kernel:
             [
                 f'"""Generated: {self.mode} kernel of a network of {self.k} states. Changes here are lost."""',
                 "",
-                "from math import log",
-                "",
-                "import numba as nb",
-                "import numpy as np",
-                "",
                 f"LANES = {n}",
                 f"SLOTS = {SLOTS}",
                 f"NEVER = {NEVER!r}",
                 f"STEP_LIMIT = {self.integrator.limit!r}",
                 f"PER_STEP = {1.0 / self.integrator.limit!r}",
                 f"LONGEST = {MOST_STEPS * self.integrator.limit!r}",
-                "FAST = {'contract', 'nsz', 'arcp'}",
                 "",
                 functions,
                 self.delays.functions if self.delays else "",

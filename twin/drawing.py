@@ -28,6 +28,13 @@ _WIDE, _HIGH = 1.9, 0.62
 
 def draw(network: Network, path: str | Path) -> Path:
     """Draw a network into a file; its ending says which format (svg, png, pdf)."""
+    import matplotlib
+
+    with matplotlib.rc_context({"text.parse_math": False}):  # a $ in a title is a $
+        return _drawn(network, Path(path))
+
+
+def _drawn(network: Network, path: Path) -> Path:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -49,7 +56,6 @@ def draw(network: Network, path: str | Path) -> Path:
         _volume(axes, network, node, point)
         _beside(axes, point, _outward(point, centre), outside.get(node, []))
     _legend(axes, network)
-    path = Path(path)
     figure.savefig(path, dpi=150)
     return path
 

@@ -8,12 +8,12 @@ remember: it keeps every piece of water that ever went into a pipe.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.assembly import System, python_source, remembering_source
+from twin.generated_code import functions, value
 from twin.kernel import clean_time, held
 from twin.network import Array, Network, TwinFileError
 
@@ -22,9 +22,8 @@ Rhs = Callable[[Array, Array, Array], list[float]]
 
 def right_side(network: Network) -> Rhs:
     """``rhs(T (k,), u (c,), p (full vector)) -> dT/dt`` in K/s, as plain Python."""
-    scope: dict[str, Rhs] = {}
-    exec(compile(python_source(network), f"<right side of {network.name}>", "exec"), scope)
-    return scope["rhs"]
+    rhs: Rhs = functions(python_source(network), f"<right side of {network.name}>")["rhs"]
+    return rhs
 
 
 def simulate_exact(
@@ -80,15 +79,14 @@ def simulate_finely(network: Network, time: ArrayLike, inputs: ArrayLike, state:
     system = System(network, ())
     if system.drives:
         raise TwinFileError(f"twin {network.name!r} has actuators, which the slow simulation does not know")
-    scope: dict[str, Any] = {}
-    exec(compile(remembering_source(system), f"<{network.name}, remembering>", "exec"), scope)
+    scope = functions(remembering_source(system), f"<{network.name}, remembering>")
     t, u, p = clean_time(time), held(network, inputs), network.values.tolist()
     x = np.concatenate([np.asarray(state, dtype=np.float64), np.empty(len(system.states) - len(network.nodes))])
     at_rest = {f"x{j}": float(v) for j, v in enumerate(x)}
-    rest = [eval(text, dict(at_rest)) for text in system.starts]
+    rest = [value(text, at_rest) for text in system.starts]
     x[len(network.nodes) :] = rest[: len(x) - len(network.nodes)]
     lagged = np.array(rest[len(x) - len(network.nodes) :])
-    pipes = [_Pipe(eval(d.start, dict(at_rest))) for d in system.delays]
+    pipes = [_Pipe(value(d.start, at_rest)) for d in system.delays]
     out = [scope["read"](x.tolist(), lagged.tolist(), p, float(t[0]))]
     for i in range(t.size - 1):
         now, h = u[i].tolist(), float(t[i + 1] - t[i]) / pieces

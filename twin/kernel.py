@@ -1,30 +1,16 @@
-"""Compiled simulation of one network: build once, cache on disk, call with arrays.
-
-Generated source is written to the user's cache folder and compiled by numba there, so that a second process
-loads machine code in a fraction of a second. Writers hold a file lock and replace files atomically.
-"""
+"""Compiled simulation of one network: build once, cache on disk (`twin.kernel_cache`), call with arrays."""
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
-import functools
-import hashlib
-import importlib.util
-import os
-import shutil
-import stat
-import sys
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.codegen import LANES, Mode, kernel_source
+from twin.kernel_cache import compiled
 from twin.memory import Memory
 from twin.network import Array, Network, TwinFileError
 
@@ -289,85 +275,3 @@ def _laid_out(rows: Array, count: int, lanes: int) -> Array:
     last = min(count, rows.shape[-2]) - 1
     take = np.minimum(np.arange(-(-count // lanes) * lanes), last).reshape(-1, lanes)
     return np.array(np.moveaxis(rows[..., take, :], -1, -2), order="C")
-
-
-@functools.lru_cache(maxsize=64)
-def compiled(source: str) -> Callable[..., None]:
-    """Machine code for a generated source, from the disk cache where possible.
-
-    A cache that cannot be read is thrown away and rebuilt; without any writable folder the source is compiled
-    in a temporary one.
-    """
-    import numba
-
-    key = hashlib.sha256(f"{numba.__version__}\n{sys.version}\n{source}".encode()).hexdigest()[:24]
-    root = _cache_root()
-    if root is None:
-        with tempfile.TemporaryDirectory(prefix="hil-twin-") as temporary:
-            return _import(Path(temporary), key, source)
-    folder = root / key
-    with _locked(root / f"{key}.lock"):
-        try:
-            return _import(folder, key, source)
-        except Exception:
-            # Truncated or foreign cache files raise whatever unpickling raises; a rebuild tells a broken
-            # cache from broken source.
-            shutil.rmtree(folder, ignore_errors=True)
-            return _import(folder, key, source)
-
-
-def _import(folder: Path, key: str, source: str) -> Callable[..., None]:
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"kernel_{key}.py"
-    # numba compares the stamp of the source with that in its index, so an existing file stays untouched.
-    if not path.exists() or path.read_text(encoding="utf-8") != source:
-        with tempfile.NamedTemporaryFile("w", dir=folder, suffix=".tmp", delete=False, encoding="utf-8") as f:
-            f.write(source)
-        os.replace(f.name, path)
-    spec = importlib.util.spec_from_file_location(f"hil_twin_kernel_{key}", path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"cannot import {path}")
-    module: Any = importlib.util.module_from_spec(spec)
-    # numba's cached code refers to its module by name while it is being loaded.
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    kernel: Callable[..., None] = module.kernel
-    return kernel
-
-
-def _cache_root() -> Path | None:
-    """A folder of this user's own, or None. Nobody else may write there: numba executes what it finds."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    candidates = [Path(base) / "hil-twin"] if base else []
-    with contextlib.suppress(RuntimeError):
-        candidates.append(Path.home() / ".cache" / "hil-twin")
-    candidates.append(Path(tempfile.gettempdir()) / f"hil-twin-{os.getuid()}")
-    for folder in candidates:
-        try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            status = folder.stat()
-        except OSError:
-            continue
-        private = status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-        if private and os.access(folder, os.W_OK):
-            return folder
-    return None
-
-
-def cache_folder(name: str) -> Path | None:
-    """A folder of that name in the cache, beside the kernels, or None where nothing can be kept."""
-    root = _cache_root()
-    if root is None:
-        return None
-    try:
-        (root / name).mkdir(exist_ok=True, mode=0o700)
-    except OSError:
-        return None
-    return root / name
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    with path.open("w") as handle:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield

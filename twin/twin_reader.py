@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, replace
 from typing import Any, NoReturn
@@ -11,6 +12,7 @@ from typing import Any, NoReturn
 from twin.assembly import System
 from twin.elements import KINDS, Element, Parameter, ParameterSpec
 from twin.elements.base import STATUSES
+from twin.identifiers import LONGEST_SHOWN, refusal
 from twin.network import (
     InputSpec,
     Network,
@@ -39,7 +41,8 @@ class Reader:
     def fail(self, keys: tuple[str, ...], sentence: str) -> NoReturn:
         line = _line_of(self.text, keys)
         where = f"{self.file}, line {line}" if line else self.file
-        raise TwinFileError(f"{where}: {'.'.join(keys)}: {sentence}" if keys else f"{where}: {sentence}")
+        path = ".".join(key if not refusal(key) else repr(key[:LONGEST_SHOWN]) for key in keys)
+        raise TwinFileError(f"{where}: {path}: {sentence}" if keys else f"{where}: {sentence}")
 
     def known(self, table: Mapping[str, Any], allowed: Iterable[str], keys: tuple[str, ...]) -> None:
         allowed = tuple(allowed)
@@ -47,6 +50,13 @@ class Reader:
             if key not in allowed:
                 hint = did_you_mean(key, allowed) or f"; known keys: {', '.join(allowed)}"
                 self.fail((*keys, key), f"unknown key{hint}")
+
+    def name(self, name: str, keys: tuple[str, ...]) -> str:
+        """The name, which must be a plain identifier."""
+        reason = refusal(name)
+        if reason:
+            self.fail(keys, reason)
+        return name
 
     def table(self, value: Any, keys: tuple[str, ...]) -> dict[str, Any]:
         if not isinstance(value, dict):
@@ -118,7 +128,7 @@ class Reader:
         return network
 
     def input(self, column: str, spec: Any) -> InputSpec:
-        keys = ("inputs", column)
+        keys = ("inputs", self.name(column, ("inputs", column)))
         table = self.table(spec, keys)
         self.known(table, ("nominal", "lower", "upper", "unit", "source"), keys)
         values = {}
@@ -138,8 +148,7 @@ class Reader:
         self, name: str, table: dict[str, Any], inputs: Mapping[str, InputSpec]
     ) -> tuple[Element, list[Parameter]]:
         keys = ("elements", name)
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-            self.fail(keys, "a name must be letters, digits and underscores, starting with a letter")
+        self.name(name, keys)
         kind = table.get("kind")
         if not isinstance(kind, str) or kind not in KINDS:
             hint = did_you_mean(str(kind), KINDS) or f"; known kinds: {', '.join(sorted(KINDS))}"
@@ -168,7 +177,7 @@ class Reader:
         if meta["role"] in ("nodes", "columns"):
             if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
                 self.fail(keys, f"must be a list of names: {meta['about']}")
-            return tuple(value)
+            return tuple(self.name(v, keys) for v in value)
         text = self.string(value, keys)
         if meta["role"] == "input" and text not in inputs:
             hint = did_you_mean(text, inputs) or "; declare it under inputs"
@@ -240,7 +249,7 @@ class Reader:
         return parameters
 
     def tunable_set(self, name: str, table: dict[str, Any], parameters: Mapping[str, Parameter]) -> TunableSet:
-        keys = ("sets", name)
+        keys = ("sets", self.name(name, ("sets", name)))
         self.known(table, ("members", "bounds", "source"), keys)
         members = table.get("members")
         if not isinstance(members, list) or not members:
@@ -307,22 +316,42 @@ def _has_default(field: Any) -> bool:
     return field.default is not MISSING
 
 
+_KEY = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\]|\\.)*"|'[^']*')"""
+_KEYS = rf"{_KEY}(?:\s*\.\s*{_KEY})*"
+_HEADER = re.compile(rf"\s*\[+\s*({_KEYS})\s*\]+\s*(#.*)?$")
+_PAIR = re.compile(rf"\s*({_KEYS})\s*=")
+
+
 def _line_of(text: str, keys: tuple[str, ...]) -> int | None:
     """Line (from 1) of the deepest of `keys` that can be found, or None. A guess good enough to point at."""
     best: int | None = None
     table: tuple[str, ...] = ()
     for number, line in enumerate(text.splitlines(), start=1):
-        header = re.match(r"\s*\[+\s*([^\]]+?)\s*\]+\s*(#.*)?$", line)
+        header = _HEADER.match(line)
         if header:
-            table = tuple(part.strip().strip("\"'") for part in header.group(1).split("."))
-            path = table
+            path = table = _parts(header.group(1))
         else:
-            pair = re.match(r"\s*([A-Za-z0-9_.\"'-]+)\s*=", line)
+            pair = _PAIR.match(line)
             if not pair:
                 continue
-            path = (*table, *(part.strip("\"'") for part in pair.group(1).split(".")))
+            path = (*table, *_parts(pair.group(1)))
         if path == keys:
             return number
         if path == keys[: len(path)] and len(path) == len(keys) - 1:
             best = number
     return best
+
+
+def _parts(dotted: str) -> tuple[str, ...]:
+    """The keys in a dotted key as TOML writes it."""
+    if '"' not in dotted and "'" not in dotted:
+        return tuple(part.strip() for part in dotted.split("."))
+    found: list[str] = []
+    try:
+        rest = tomllib.loads(f"{dotted} = 0")
+    except tomllib.TOMLDecodeError:
+        return (dotted,)
+    while isinstance(rest, dict):
+        key, rest = next(iter(rest.items()))
+        found.append(key)
+    return tuple(found)

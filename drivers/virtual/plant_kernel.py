@@ -8,9 +8,11 @@ smeared by about 1 s after 16 cells). All conductances are far below the explici
 import numpy as np
 from numba import njit
 
+from drivers.virtual.compiled_cache import may_cache
 from drivers.virtual.geometry import MAX_HEATER_W, Array, Cells
 from drivers.virtual.water import density_of, temperature_of, viscosity_of
 
+CACHE = may_cache()
 SUBSTEP_S = 0.1
 
 # The compiled cache is keyed on this file: constants that the kernel reads stand here, not in `geometry`.
@@ -78,7 +80,7 @@ INPUTS = 16
 _HEATER, _MODULES, _RADIATOR, _TANK = 1, 3, 5, 7
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def advance(
     cells: Cells,
     lag: Array,
@@ -213,7 +215,7 @@ def advance(
     slow[HOTTEST] = hottest
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def _air_side(
     inputs: Array, fan: float, ambient: float, recirculation: float, solid: Array, first: int, count: int
 ) -> tuple[float, float]:

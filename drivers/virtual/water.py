@@ -8,6 +8,9 @@ depends on temperature. Coefficients: least-squares fits to tabulated values of 
 import numpy as np
 from numba import njit
 
+from drivers.virtual.compiled_cache import may_cache
+
+CACHE = may_cache()
 HEAT_REFERENCE = 4180.0
 """J/(kg K): makes the enthalpy variable ``enthalpy / HEAT_REFERENCE`` nearly a temperature in degC."""
 
@@ -17,7 +20,7 @@ _A3 = -3.4360858e-6
 _A4 = 1.26683e-8
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def temperature_of(enthalpy: float) -> float:
     """Temperature in degC of water with specific enthalpy in J/kg (zero at 0 degC).
 
@@ -28,7 +31,7 @@ def temperature_of(enthalpy: float) -> float:
     return x * (_A1 + x * (_A2 + x * (_A3 + x * _A4)))
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def enthalpy_of(temperature: float) -> float:
     """Specific enthalpy in J/kg of water at a temperature in degC: Newton's inverse of `temperature_of`."""
     x = temperature
@@ -38,14 +41,14 @@ def enthalpy_of(temperature: float) -> float:
     return x * HEAT_REFERENCE
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def density_of(temperature: float) -> float:
     """Density in kg/m3 at a temperature in degC, about a parabola around 4 degC."""
     d = temperature - 4.0
     return 1000.0 - d * d * (6.7910e-3 - 2.4754e-5 * d)
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def viscosity_of(temperature: float) -> float:
     """Dynamic viscosity in Pa s at a temperature in degC (Vogel's equation, constants for 0 to 100 degC)."""
     return 2.414e-5 * np.power(10.0, 247.8 / (temperature + 133.15))

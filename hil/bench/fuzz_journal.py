@@ -27,8 +27,12 @@ def sound_journal(path: Path) -> None:
         writer.sample(tick, float(tick), 1e9 + tick, 0.01, (1.0, 20.0 + tick), (0, 0), (float(tick), float(tick)))
     writer.twin_outputs("live", (0, 1), (0.0, 1.0), np.ones((2, 1)))
     writer.calibration("least_squares", 0.0, 4.0, {"rmse": 0.1})
-    writer.proposal("least_squares", 4.0, {"values": [1.0]})
-    writer.band("live", 0.0, 4.0, {"mean": [0.0]})
+    writer.proposal(
+        "least_squares",
+        4.0,
+        {"values": {"tank.hA": 1.0}, "standard_errors": {"tank.hA": 0.1}, "held": {}, "reasons": []},
+    )
+    writer.band("live", 0.0, 4.0, {"mean_K": {"T_wall": 0.0}, "half_width_K": {"T_wall": 0.1}})
     writer.write(1, 1.0, "heater", 5.0, "profile")
     writer.state(0, 0.0, 0.0, "idle", "start", "running", "")
     writer.segment(SegmentRow(1, 3, 3.0, 1e9, 2.0, 3.0, 3, "cut"))

@@ -252,7 +252,8 @@ VAL_ 300 Mode 0 "off" 1 "on" ;
 """
 RUN = {
     "uid": "a", "format": 1, "exit_status": "done", "files": {"rig": {"path": "rig.toml", "sha256": "00"}},
-    "segments": [{"tick": 0, "reason": ""}], "settings": {"speed": 1.0, "seed": 3},
+    "segments": [{"number": 2, "from_s": 9.0, "gap_s": 3.0, "profile_s": 9.0, "why": "cut", "exit_status": "done"}],
+    "settings": {"speed": 1.0, "seed": 3},
 }  # fmt: skip
 CARD = {
     "format": 3, "name": "loop", "members": {"a.safetensors": "00", "b.safetensors": "11"},

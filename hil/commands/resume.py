@@ -68,7 +68,7 @@ def command(
       hil resume runs/20260520T120000Z-battle_40h --band 2 --timeout 14400
     """
     from hil.gap_evidence import duration_s
-    from hil.resuming import request_of
+    from hil.resuming import named, request_of
     from hil.run_folder import RunFolder
     from hil.session import resume_session
     from hil.soaking import SoakRule
@@ -87,9 +87,13 @@ def command(
             guardian=not no_guardian,
         )  # fmt: skip
 
+    def name_rig(asked: RunRequest) -> None:
+        for sentence in named(asked):
+            click.echo(sentence, err=True)  # with --json too
+
     with LiveRun(quiet=as_json) as live:
         rule = SoakRule(band_K, timeout_s)
-        result = asyncio.run(resume_session(folder, request, rule, live.update, live.announce, gap_s))
+        result = asyncio.run(resume_session(folder, request, rule, live.update, live.announce, gap_s, name_rig))
     if as_json:
         click.echo(json.dumps(as_json_document(result), indent=1))
     else:

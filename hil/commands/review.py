@@ -33,11 +33,13 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
       hil review runs/20260520T120000Z-battle_40h --screenshot picture.png
     """
     from hil.diagnosis_store import REVIEW, has_diagnosis
+    from hil.folder_check import require_plain
     from hil.review import has_display, write_review
-    from hil.run_folder import RunFolder
+    from hil.run_folder import RunFolder, RunFolderError
 
     folder = RunFolder(run)
     if not folder.manifest.is_file() and has_diagnosis(run):
+        require_plain(run, RunFolderError)
         from hil.review import write_findings_review
 
         write_findings_review(run, run / REVIEW)

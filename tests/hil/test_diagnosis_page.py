@@ -129,7 +129,7 @@ def test_the_next_experiment_is_told_step_by_step():
     diagnosis = dataclasses.replace(made("ambiguous"), next_experiment=plan)
     text = page(Findings(diagnosis.document(), curves_of(diagnosis, SENSORS)))
     assert "a long soak tells a loss from a source" in text
-    assert "1 h 30 min" in text and "<th class=n>heater_power_W</th>" in text
+    assert "1 h 30 min" in text and '<th class="n">heater_power_W</th>' in text
 
 
 def test_a_diagnosis_that_shows_little_still_makes_a_page():

@@ -6,7 +6,7 @@ import datetime
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -362,7 +362,7 @@ def test_quality_survives_a_csv_copy(tmp_path: Path) -> None:
 
 
 def test_a_run_that_never_ticked_exports_an_empty_record(tmp_path: Path) -> None:
-    header = Header(SIGNALS, {}, (), "p", 0.0, 1.0, {})
+    header = Header(SIGNALS, {}, (), "p", 60.0, 1.0, {})
     JournalWriter(tmp_path / "journal.sqlite", header).close()
     assert export_record(tmp_path / "journal.sqlite", tmp_path / "record.parquet").rows == 0
     with pytest.raises(RecordError, match="holds no samples"):
@@ -373,8 +373,8 @@ def test_a_failed_export_leaves_the_old_record(tmp_path: Path, monkeypatch: pyte
     _journal(tmp_path / "journal.sqlite", 10)
     (tmp_path / "record.parquet").write_bytes(b"old")
 
-    def full_disk(table: pa.Table, where: Path, **options: Any) -> None:
-        where.write_bytes(b"half")
+    def full_disk(table: pa.Table, where: BinaryIO, **options: Any) -> None:
+        where.write(b"half")
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("pyarrow.parquet.write_table", full_disk)

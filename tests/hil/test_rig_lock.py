@@ -381,7 +381,7 @@ def test_a_profile_that_is_over_is_no_good_end_where_the_heater_still_heats(read
 )
 def test_the_exit_code_is_1_unless_the_rig_was_seen_safe(tmp_path, monkeypatch, status, safe, away, code):
     folder = RunFolder(tmp_path)
-    folder.write_manifest({})
+    folder.write_manifest({"exit_status": status})
     (tmp_path / "load.csv").write_text(LOAD.format(end=700), encoding="utf-8")
 
     async def over(*_: object) -> object:

@@ -126,7 +126,7 @@ def test_a_dbc_is_data_whatever_its_name_promises(tmp_path):
     )
     done = subprocess.run([*HIL, "check", path], capture_output=True, text=True, cwd=PROJECT, timeout=60, check=False)
     assert done.returncode == 2
-    assert "evil.py: is not a DBC file" in done.stderr + done.stdout
+    assert "evil.py, line 1: is not a DBC file" in done.stderr + done.stdout
     assert not trace.exists()
 
 

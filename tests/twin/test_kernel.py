@@ -10,8 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.twin.conftest import LOOP, START, drive
-from twin import kernel as kernel_module
-from twin.codegen import LANES, kernel_source
+from twin.codegen import LANES
 from twin.exact import right_side, simulate_exact
 from twin.kernel import Kernel, clean_time, held, masked, simulate
 from twin.network import Network, TwinFileError
@@ -168,24 +167,6 @@ def test_two_processes_compile_at_once_and_a_third_finds_the_cache(tmp_path: Pat
     answers.add(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout)
     assert len(answers) == 1
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.nbc")} == machine_code
-
-
-def test_a_broken_cache_is_rebuilt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loop: Network) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    source = kernel_source(loop, "trace", ()) + "# a kernel of this test's own\n"
-    kernel_module.compiled(source)
-    for path in tmp_path.rglob("*.nbi"):
-        path.write_bytes(path.read_bytes()[:40])
-    kernel_module.compiled.cache_clear()
-    assert callable(kernel_module.compiled(source))
-
-
-def test_a_cache_that_others_may_write_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "hil-twin"
-    folder.mkdir()
-    folder.chmod(0o777)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert kernel_module._cache_root() != folder
 
 
 RADIATION = '\n[elements.glow]\nkind = "radiation"\nnode = "tank"\nambient = "T_ambient_C"\narea = 1.5\n'

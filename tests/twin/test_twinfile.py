@@ -33,7 +33,7 @@ BAD = {
     "top": ("[windows]", "[window]", "did you mean 'windows'"),
     "nominal": ("nominal = 700.0, ", "", "nominal is missing"),
     "toml": ("[inputs]", "[inputs", "is not valid TOML"),
-    "name": ("[elements.tank_loss]", '[elements."tank loss"]', "letters, digits and underscores"),
+    "name": ("[elements.tank_loss]", '[elements."tank loss"]', "digits and underscores"),
 }
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from twin.kernel_cache import numba_may_cache
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+
+@njit(cache=numba_may_cache())  # type: ignore[untyped-decorator, unused-ignore]
 def assimilate(
     jacobian: np.ndarray,
     predicted: np.ndarray,

@@ -14,7 +14,7 @@ __all__ = ["KINDS", "Element", "Fragment", "Names", "Parameter", "ParameterSpec"
 def _discover() -> dict[str, type[Element]]:
     kinds: dict[str, type[Element]] = {}
     for info in pkgutil.iter_modules(__path__):
-        if info.name == "base":
+        if info.name in ("base", "symbols"):
             continue
         module = importlib.import_module(f"{__name__}.{info.name}")
         for _, cls in inspect.getmembers(module, inspect.isclass):

@@ -1,8 +1,9 @@
 """The contract of an element, and the names under which its formulas see the network.
 
 An element turns its parameters, the inputs of the current sample interval and the temperatures of its nodes
-into heat flows. It does so as text: short arithmetic expressions that the kernel generator pastes into one
-fused loop over lanes. Text rather than calls, because only then does one loop hold the whole network.
+into heat flows. It does so by short arithmetic expressions, which the kernel generator puts into one fused loop over
+lanes. Expressions rather than calls, because only then does one loop hold the whole network. They are written in the
+generated identifiers of `twin.elements.symbols`: no name from a file is ever part of one.
 
 The levels of an expression, cheapest first:
 
@@ -27,6 +28,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
+
+from twin.elements.symbols import Names
 
 Status = Literal["fixed", "boundary", "tunable"]
 STATUSES: tuple[Status, ...] = ("fixed", "boundary", "tunable")
@@ -70,7 +73,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class State:
-    """A temperature of the element's own, integrated like a node's; `Names.state` is its placeholder.
+    """A temperature of the element's own, integrated like a node's; `Names.state` is its identifier.
 
     Attributes:
         name: within the element. rate: dT/dt, K/s. start: temperature at rest, in node temperatures.
@@ -88,7 +91,7 @@ class Lag:
     """A first-order follower, constant * dz/dt = of - z, that nothing but a reading depends on.
 
     Attributes:
-        name: within the element; `Names.lagged` is the placeholder of z.
+        name: within the element; `Names.lagged` is the identifier of z.
         of: weighted mean of temperatures. constant: time constant in s, free of temperatures, 0 allowed.
     """
 
@@ -157,6 +160,15 @@ class Fragment:
     lags: tuple[Lag, ...] = ()
     delay: Delay | None = None
     drive: Drive | None = None
+
+    def remembered(self, element: str) -> dict[str, tuple[str, ...]]:
+        """Return the names of what the element remembers, by the first letter of their identifiers."""
+        return {
+            "x": tuple(f"{element}.{s.name}" for s in self.states),
+            "f": tuple(f"{element}.{lag.name}" for lag in self.lags),
+            "D": (element,) if self.delay else (),
+            "a": (element,) if self.drive else (),
+        }
 
 
 SHAPES = ("step", "ramp", "saturating")
@@ -240,64 +252,6 @@ class Sites:
     def having(self, kind: str) -> tuple[Any, ...]:
         """The network's elements of a kind."""
         return tuple(e for e in self.elements if e.kind == kind)
-
-
-@dataclass(frozen=True)
-class Stream:
-    """Which flow feeds a node: the flow's name, the node before it ("" at an inlet) and the pipe between ("")."""
-
-    flow: str
-    before: str
-    pipe: str
-
-
-@dataclass(frozen=True)
-class Names:
-    """Names that an element's expressions may use: its parameters, node temperatures, inputs, own locals."""
-
-    element: str
-    constants: Mapping[str, float] = field(default_factory=dict)
-    streams: Mapping[str, Stream] = field(default_factory=dict)
-
-    def constant(self, name: str) -> float | None:
-        """Value of an own parameter that this kernel may take for granted (exactly 0 or 1), or None."""
-        return self.constants.get(name)
-
-    def par(self, name: str) -> str:
-        """The element's own parameter `name`."""
-        return f"<P:{self.element}.{name}>"
-
-    def temperature(self, node: str) -> str:
-        """Temperature of a node in the current stage, degC."""
-        return f"<T:{node}>"
-
-    def input(self, column: str) -> str:
-        """Input column, held from one sample to the next (zero-order hold)."""
-        return f"<U:{column}>"
-
-    def local(self, name: str, element: str = "") -> str:
-        """A name of the element's own (or of another's) for a `uniform`, `sample` or `stage` expression."""
-        return f"<L:{element or self.element}.{name}>"
-
-    def state(self, name: str) -> str:
-        """Temperature of the element's own `State`, degC."""
-        return f"<T:{self.element}.{name}>"
-
-    def lagged(self, name: str) -> str:
-        """Value of the element's own `Lag`, degC."""
-        return f"<F:{self.element}.{name}>"
-
-    def outlet(self) -> str:
-        """What the element's own `Delay` lets out, degC."""
-        return f"<D:{self.element}>"
-
-    def arrived(self) -> str:
-        """The command that has come through the element's own `Drive`, in the column's unit."""
-        return f"<A:{self.element}>"
-
-    def time(self) -> str:
-        """Stamp of the sample, s; for readings only."""
-        return "<S:time>"
 
 
 def place(role: Literal["node", "nodes", "input", "columns", "choice"], about: str, **extra: Any) -> Any:

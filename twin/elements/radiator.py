@@ -116,7 +116,7 @@ class Radiator(Element):
         room, here = n.input(self.ambient), n.temperature(self.node)
         law = f"{n.par('UA_100')} * exp({n.par('fan_exponent')} * {fan} + {n.par('flow_exponent')} * {pump})"
         if self.node in n.streams and n.constant("flow_exponent") != 0.0:
-            law += f" * exp({n.par('flow_exponent')} * log({Names(n.streams[self.node].flow).par('factor')}))"
+            law += f" * exp({n.par('flow_exponent')} * log({n.of(n.streams[self.node].flow).par('factor')}))"
         recirculation, bare = n.par("recirculation"), n.local("bare")
 
         def behind_itself(conductance: str) -> str:
@@ -133,7 +133,7 @@ class Radiator(Element):
                 heat={self.node: f"{ua} * ({room} - {here})"},
                 conductance={self.node: ua},
             )
-        flow = Names(n.streams[self.node].flow)
+        flow = n.of(n.streams[self.node].flow)
         air, air_100 = n.local("air"), n.par("air_100")
         blown = f"{n.par('air_0')} + ({air_100} - {n.par('air_0')}) * max({n.input(self.fan)}, 0.0) * 0.01"
         rate, arriving = n.local("rate"), n.local("arriving")

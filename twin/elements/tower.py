@@ -86,7 +86,7 @@ class Tower(Element):
         return (number, ratio, *powers)
 
     def emit(self, n: Names) -> Fragment:
-        flow = Names(n.streams[self.node].flow)
+        flow = n.of(n.streams[self.node].flow)
         fan, log_pump, water, air = n.local("fan"), n.local("log_pump"), n.local("water"), n.local("air")
         full, ntu, outside, rate = n.local("full"), n.local("ntu"), n.local("outside"), n.local("rate")
         vapour, here, arriving = n.local("vapour"), n.temperature(self.node), n.local("arriving")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from twin.codegen import python_source
+from twin.generated_code import functions
 from twin.network import Array, Network
 
 Rhs = Callable[[Any, Any, Any], list[Any]]
@@ -15,10 +16,8 @@ Rhs = Callable[[Any, Any, Any], list[Any]]
 
 def right_side_of(network: Network, exp: Callable[..., Any], log: Callable[..., Any], largest: Any) -> Rhs:
     """``rhs(T, u, p) -> dT/dt`` with the given functions in place of math's, for arrays, tensors and tracers."""
-    scope: dict[str, Any] = {"exp": exp, "log": log, "max": largest}
-    text = "\n".join(line for line in python_source(network).splitlines() if not line.startswith("from math"))
-    exec(compile(text, f"<right side of {network.name}>", "exec"), scope)
-    rhs: Rhs = scope["rhs"]
+    given = {"exp": exp, "log": log, "max": largest}
+    rhs: Rhs = functions(python_source(network), f"<right side of {network.name}>", given)["rhs"]
     return rhs
 
 

@@ -6,13 +6,15 @@ what an effect would do can be told without simulating it: the power that it add
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.signal import lfilter
 
 from twin.assembly import System, python_source
+from twin.generated_code import functions, value
 from twin.network import Array, Network
+
+ARRAYS = {"exp": np.exp, "log": np.log, "max": np.maximum, "min": np.minimum}
+"""Functions of arrays in place of those of numbers."""
 
 
 class Formulas:
@@ -21,10 +23,7 @@ class Formulas:
     def __init__(self, network: Network) -> None:
         self.network = network
         # Whatever counts as neutral for the kernels must be in the text, since sizes are what is asked for.
-        source = python_source(network).replace("from math import exp, log", "")
-        scope: dict[str, Any] = {"exp": np.exp, "log": np.log, "max": np.maximum, "min": np.minimum}
-        exec(compile(source, f"<heats of {network.name}>", "exec"), scope)
-        self._rhs = scope["rhs"]
+        self._rhs = functions(python_source(network), f"<heats of {network.name}>", ARRAYS)["rhs"]
         self._capacity = network.index([f"{node}.capacitance" for node in network.nodes])
         remembering = tuple(
             p.id for p in network.parameters.values() if p.status != "fixed" or p.value not in (0.0, 1.0)
@@ -56,10 +55,10 @@ class Formulas:
                 continue
             p = {f"p{k}": v for k, v in enumerate(parameters)}
             if drive.dead_time:
-                late = round(eval(self.system.text(drive.dead_time), {}, p) / step_s)
+                late = round(value(drive.dead_time, p) / step_s)
                 values = np.concatenate([np.full(late, values[0]), values[: len(values) - late]])
             if drive.lag:
-                values = follow(values, float(eval(self.system.text(drive.lag), {}, p)), step_s)
+                values = follow(values, value(drive.lag, p), step_s)
         return values
 
     def _remembered(self, columns: list[Array], u: list[Array], parameters: Array, step_s: float) -> list[Array]:

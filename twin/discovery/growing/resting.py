@@ -6,11 +6,11 @@ Newton steps on the right side, evaluated by numpy over all of them together; wh
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from twin.assembly import python_source
+from twin.discovery.effects.formulas import ARRAYS
+from twin.generated_code import functions
 from twin.kernel import Kernel
 from twin.network import Array, Network, TwinFileError
 
@@ -25,10 +25,7 @@ class Resting:
 
     def __init__(self, network: Network, kernel: Kernel) -> None:
         self.network, self._kernel = network, kernel
-        scope: dict[str, Any] = {"exp": np.exp, "log": np.log, "max": np.maximum, "min": np.minimum}
-        source = python_source(network).replace("from math import exp, log", "")
-        exec(compile(source, f"<{network.name} at rest>", "exec"), scope)
-        self._rhs = scope["rhs"]
+        self._rhs = functions(python_source(network), f"<{network.name} at rest>", ARRAYS)["rhs"]
 
     def readings(self, inputs: Array, parameters: Array) -> Array:
         """What the sensors show (P, n, m), degC.

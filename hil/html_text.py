@@ -1,0 +1,114 @@
+"""The one place where text becomes HTML: every string is escaped, and only this module makes `Html`.
+
+Run folders, records and diagnoses are data from anywhere. So a page is put together from `element` and `joined`, which
+take plain text and `Html`; there is no way to hand in ready markup. A page loads nothing and runs nothing: its
+Content-Security-Policy admits its own style and pictures that it holds itself.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import re
+from collections.abc import Iterable
+
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
+"""Content-Security-Policy: no script, no frame, no form, and nothing from anywhere else."""
+_NAME = re.compile(r"[a-z][a-z0-9-]*")
+_VOID = frozenset(("img", "br", "hr", "meta"))
+_ACTIVE = frozenset(("script", "iframe", "object", "embed", "link", "style", "base", "form", "meta"))
+_ATTRIBUTES = frozenset(("id", "class", "alt", "lang", "title"))
+_SECRET = object()
+
+
+class Html:
+    """Markup that was escaped where it was made. It is no str, so that it cannot be mixed with text by accident."""
+
+    __slots__ = ("_markup",)
+
+    def __init__(self, markup: str, made_here: object = None) -> None:
+        if made_here is not _SECRET:
+            raise TypeError("Html is made by element, joined and image only; hand in plain text")
+        self._markup = markup
+
+    def __str__(self) -> str:
+        raise TypeError("Html is no text; put it together with element and joined, and write it with document")
+
+    def __bool__(self) -> bool:
+        return bool(self._markup)
+
+
+Part = Html | str
+"""A piece of a page: markup from this module, or any text, which is escaped."""
+
+
+def joined(parts: Iterable[Part]) -> Html:
+    """Return parts one after the other, text escaped."""
+    return Html("".join(_markup(part) for part in parts), _SECRET)
+
+
+def element(name: str, *content: Part, **attributes: str) -> Html:
+    """Return an element with its content and attributes, all text escaped.
+
+    Args:
+        name: a tag that can run nothing. attributes: id, class (as ``class_``), alt, lang or title; those of an empty
+            value are left out.
+
+    Raises:
+        ValueError: another tag or attribute; these come from this project's code alone.
+    """
+    if not _NAME.fullmatch(name) or name in _ACTIVE:
+        raise ValueError(f"no page has an element {name!r}")
+    head = name + "".join(_attribute(key.rstrip("_"), value) for key, value in attributes.items() if value)
+    inner = "".join(_markup(part) for part in content)
+    return Html(f"<{head}>" if name in _VOID else f"<{head}>{inner}</{name}>", _SECRET)
+
+
+def image(kind: str, data: bytes, alt: str = "", id: str = "") -> Html:
+    """Return a picture that the page itself holds; `kind` is png or svg+xml.
+
+    A browser runs nothing that an SVG in an `img` holds.
+    """
+    if kind not in ("png", "svg+xml"):
+        raise ValueError(f"no page has a picture of kind {kind!r}")
+    source = f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+    head = _attribute("id", id) if id else ""
+    return Html(f'<img{head}{_attribute("alt", alt)} src="{source}">', _SECRET)
+
+
+def table(head: Iterable[Part], rows: Iterable[Iterable[Part]], **attributes: str) -> Html:
+    """Return a table of one header row and further rows of cells."""
+    top = element("tr", *(element("th", cell) for cell in head))
+    lines = (element("tr", *(element("td", cell) for cell in row)) for row in rows)
+    return element("table", top, *lines, **attributes)
+
+
+def document(title: str, style: str, body: Iterable[Part]) -> str:
+    """Return a whole page.
+
+    Args:
+        title: any text. style: CSS of this project's own; it may not end its element.
+    """
+    if "<" in style:
+        raise ValueError("a style with < in it could end its own element")
+    head = (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+        f"<title>{_escaped(title)}</title><style>{style}</style></head><body>"
+    )
+    return head + "\n".join(_markup(part) for part in body if part) + "</body></html>\n"
+
+
+def _attribute(name: str, value: str) -> str:
+    if name not in _ATTRIBUTES:
+        raise ValueError(f"no element of a page has the attribute {name!r}")
+    return f' {name}="{_escaped(value)}"'
+
+
+def _markup(part: Part) -> str:
+    return part._markup if isinstance(part, Html) else _escaped(part)
+
+
+def _escaped(text: object) -> str:
+    """Text without markup; what is no text in a forged file is shown as Python writes it. UTF-8 can hold the result."""
+    return html.escape(str(text)).encode("utf-8", "replace").decode("utf-8").replace("\0", "\N{REPLACEMENT CHARACTER}")
