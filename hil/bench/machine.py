@@ -24,7 +24,7 @@ LEAST_CALL_S = 2e-3
 
 
 def manifest(command: str, seed: int) -> dict[str, Any]:
-    """Command, seed, versions, machine and date."""
+    """Return command, seed, commit, versions, machine and date of a measurement."""
     versions = {"hil": __version__, "python": sys.version.split()[0]}
     for name in LIBRARIES:
         try:
@@ -35,10 +35,25 @@ def manifest(command: str, seed: int) -> dict[str, Any]:
         "command": command,
         "seed": seed,
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "commit": commit(),
         "versions": versions,
         "machine": {"cpu": cpu_model(), "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}"},
         "load_average": [round(x, 2) for x in os.getloadavg()],
     }
+
+
+def commit() -> str | None:
+    """Return the commit of the code that is measured, with "+ changes" where its tree is not clean; None without git."""
+    here = Path(__file__).resolve().parent
+
+    def git(*arguments: str) -> str:
+        return subprocess.run(["git", *arguments], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        changed = git("status", "--porcelain", "--untracked-files=no", ":/")
+        return git("rev-parse", "--short=12", "HEAD") + (" + changes" if changed else "")
+    except (OSError, subprocess.CalledProcessError):
+        return None
 
 
 def cpu_model() -> str:

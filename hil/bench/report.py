@@ -120,7 +120,8 @@ def as_markdown(report: Report) -> str:
     """The tables as a person reads them, for `docs/results`."""
     machine, manifest = report.manifest["machine"], report.manifest
     lines = [f"# hil bench {report.name}", "", f"`{manifest['command']}`", ""]
-    lines += [f"{machine['cpu']}, {machine['cores']} cores, {manifest['date']}, seed {manifest['seed']}.", ""]
+    of = f", commit {manifest['commit']}" if manifest.get("commit") else ""
+    lines += [f"{machine['cpu']}, {machine['cores']} cores, {manifest['date']}, seed {manifest['seed']}{of}.", ""]
     for table in report.tables:
         lines += [f"## {table.title}", "", "| " + " | ".join(table.columns) + " |"]
         lines += ["|" + "|".join("---" if _is_prose(table, k) else "---:" for k in range(len(table.columns))) + "|"]
