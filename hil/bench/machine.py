@@ -43,7 +43,7 @@ def manifest(command: str, seed: int) -> dict[str, Any]:
 
 
 def commit() -> str | None:
-    """Return the commit of the code that is measured, with "+ changes" where its tree is not clean; None without git."""
+    """Return the commit of the measured code, with "+ changes" where its tree is not clean; None without git."""
     here = Path(__file__).resolve().parent
 
     def git(*arguments: str) -> str:
