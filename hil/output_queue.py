@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -98,8 +99,19 @@ def queued_output(
     handler = QueuedLog(output, announce)
     root = logging.getLogger()
     root.addHandler(handler)
+    hooks = threading.excepthook, sys.unraisablehook
+    # Errors of other threads and of destructors are printed on the terminal as well, by whoever meets them.
+    threading.excepthook = lambda error: say(
+        f"{_name(error.thread)} ended: {error.exc_type.__name__}: {error.exc_value}"
+    )
+    sys.unraisablehook = lambda error: say(f"{error.err_msg or 'ignored'}: {error.exc_value}")
     try:
         yield None if observer is None else output.wrapped(observer), say
     finally:
+        threading.excepthook, sys.unraisablehook = hooks
         output.close(LAST_WORDS_S)
         root.removeHandler(handler)
+
+
+def _name(thread: threading.Thread | None) -> str:
+    return "a thread" if thread is None else f"the thread {thread.name}"

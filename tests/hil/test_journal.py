@@ -1,0 +1,133 @@
+"""The journal: appending never waits, a bad row takes no other along, a lost file is noticed within a second."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import time
+
+import pytest
+
+from drivers.points import Signal
+from hil.journal import Header, JournalError, JournalReader, JournalWriter
+
+HEADER = Header((Signal("T_tank", "degC"),), {}, (), "load", 10.0, 0.1, {})
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "journal.sqlite"
+
+
+def sample(journal: JournalWriter, tick: int, value: float = 20.0) -> None:
+    journal.sample(tick, 0.1 * tick, 0.0, 0.0, [value], [0], [0.1 * tick])
+
+
+def read(path) -> tuple[list[int], list[str]]:
+    reader = JournalReader(path)
+    found = reader.samples().tick.tolist(), [row.text for row in reader.events()]
+    reader.close()
+    return found
+
+
+def test_another_programs_lock_delays_no_append_and_loses_no_row(path):
+    journal = JournalWriter(path, HEADER)
+    other = sqlite3.connect(path, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    slowest = 0.0
+    for tick in range(30):
+        began = time.monotonic()
+        sample(journal, tick)
+        journal.event(tick, 0.1 * tick, "INFO", f"event {tick}")
+        journal.check()
+        slowest = max(slowest, time.monotonic() - began)
+        time.sleep(0.05)
+    assert slowest < 0.05
+    assert journal.behind_s > 0.5
+    assert journal.backlog == 60
+    assert read(path)[0] == []
+    other.execute("ROLLBACK")
+    other.close()
+    journal.commit()
+    assert journal.behind_s == 0.0
+    assert read(path)[0] == list(range(30))
+    journal.close()
+
+
+def test_a_lock_that_stays_is_a_failure_that_names_the_file(path, monkeypatch):
+    monkeypatch.setattr("hil.journal.LOCKED_AT_MOST_S", 0.3)
+    journal = JournalWriter(path, HEADER)
+    other = sqlite3.connect(path, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    sample(journal, 0)
+    with pytest.raises(JournalError, match="has been held by another program"):
+        journal.commit()
+    with pytest.raises(JournalError, match=r"journal\.sqlite"):
+        journal.check()
+    other.execute("ROLLBACK")
+    other.close()
+    time.sleep(0.6)
+    journal.check()  # it has let go, and nothing was lost
+    journal.close()
+    assert read(path)[0] == [0]
+
+
+def test_a_row_that_no_database_can_hold_is_dropped_with_its_reason_and_takes_no_other_along(path):
+    journal = JournalWriter(path, HEADER)
+    sample(journal, 0)
+    journal.sample(2**70, 0.1, 0.0, 0.0, [20.0], [0], [0.1])
+    journal.write(1, 0.1, "heater\udcff", 5.0, "profile")
+    sample(journal, 1)
+    sample(journal, 1)  # a tick comes once
+    sample(journal, 2)
+    journal.commit()
+    ticks, events = read(path)
+    assert ticks == [0, 1, 2]
+    assert len(events) == 3
+    assert all("could not be journaled" in text and "is left out" in text for text in events)
+    journal.close()
+
+
+def test_an_operators_bytes_are_kept_as_they_can_be_shown(path):
+    journal = JournalWriter(path, HEADER)
+    journal.event(0, 0.0, "INFO", "K\udcfchlung")
+    journal.state(0, 0.0, 0.0, "running", "abort", "finishing", "K\udcfchlung")
+    journal.commit()
+    assert read(path)[1] == ["K\\xfchlung"]
+    journal.close()
+
+
+@pytest.mark.parametrize("how", ["deleted", "moved", "replaced"])
+def test_a_file_that_is_lost_is_noticed_within_a_second(how, path, tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    journal = JournalWriter(folder / "journal.sqlite", HEADER)
+    sample(journal, 0)
+    journal.commit()
+    if how == "deleted":
+        shutil.rmtree(folder)
+    elif how == "moved":
+        folder.rename(tmp_path / "elsewhere")
+    else:
+        (folder / "journal.sqlite").rename(folder / "old.sqlite")
+        (folder / "journal.sqlite").write_bytes(b"")
+    end = time.monotonic() + 1.0
+    while journal.failure is None and time.monotonic() < end:
+        time.sleep(0.02)
+    with pytest.raises(JournalError, match="while the run goes on"):
+        journal.check()
+    journal.close()
+
+
+def test_events_are_durable_at_once_and_samples_within_half_a_second(path):
+    journal = JournalWriter(path, HEADER)
+    sample(journal, 0)
+    journal.event(0, 0.0, "WARN", "seen")
+    end = time.monotonic() + 0.4
+    while read(path) != ([0], ["seen"]) and time.monotonic() < end:
+        time.sleep(0.01)
+    assert read(path) == ([0], ["seen"])
+    sample(journal, 1)
+    time.sleep(0.9)
+    assert read(path)[0] == [0, 1]
+    journal.close()
