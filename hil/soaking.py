@@ -150,8 +150,8 @@ class Soak:
         wider = "a wider --band" if enough_K is None or enough_K <= self.rule.band_K else f"--band {enough_K:g}"
         return (
             f"not resumed: after {self.rule.timeout_s:g} s of soaking {self.said}, and not all temperatures stayed "
-            f"within the band of {self.rule.band_K:g} K for {SETTLE_S:g} s; `hil resume` again with a longer --timeout or "
-            f"{wider}"
+            f"within the band of {self.rule.band_K:g} K for {SETTLE_S:g} s; `hil resume` again with a longer --timeout "
+            f"or {wider}"
         )
 
     def targets(self) -> dict[str, float]:
