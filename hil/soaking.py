@@ -108,7 +108,7 @@ class Soak:
         outputs = [(found[name] - low) / (high - low) for name, low, high, _ in self._leads if high > low]
         colder, warmer = self._at_limits()
         full = (mean > 0.0 and colder) or (mean < 0.0 and warmer)
-        self._limits.take(now_s, list(self._off.values()), outputs, full=full)
+        self._limits.take(now_s, list(self._off.values()), outputs, self.rule.timeout_s - self.elapsed_s, full=full)
 
     def _at_limits(self) -> tuple[bool, bool]:
         """Whether everything that leads cools, or warms, as much as it may."""
@@ -125,7 +125,14 @@ class Soak:
 
     @property
     def said(self) -> str:
-        """How far the rig is, as a sentence."""
+        """Deviation that is the largest, as a sentence, and the band that would do where this one does not in time."""
+        if self._limits.in_time or self._limits.enough_K is None:
+            return self._furthest
+        return f"{self._furthest}; too slow for the timeout, --band {self._limits.enough_K:g} would do now"
+
+    @property
+    def _furthest(self) -> str:
+        """Deviation that is the largest, as a sentence."""
         lost = [name for name in self._index if name not in self._off]
         if lost:
             return f"{lost[0]} is not known, so nobody can tell whether the rig is where it was"
@@ -149,7 +156,7 @@ class Soak:
         enough_K = self._limits.enough_K
         wider = "a wider --band" if enough_K is None or enough_K <= self.rule.band_K else f"--band {enough_K:g}"
         return (
-            f"not resumed: after {self.rule.timeout_s:g} s of soaking {self.said}, and not all temperatures stayed "
+            f"not resumed: after {self.rule.timeout_s:g} s of soaking {self._furthest}, and not all temperatures stayed "
             f"within the band of {self.rule.band_K:g} K for {SETTLE_S:g} s; `hil resume` again with a longer --timeout "
             f"or {wider}"
         )

@@ -28,11 +28,12 @@ SURE = 3.0
 class ThermalLimits:
     """Deviations of the last `REST_S`, and why they cannot stay within `band_K` for `settle_s` within `timeout_s`.
 
-    `why` is None where they may. `enough_K` is a band that they would be within now.
+    `why` is None where they may; `in_time` is False where they do not at their present rate. `enough_K` is a band that they would be within now.
     """
 
     def __init__(self, names: Sequence[str], band_K: float, settle_s: float, timeout_s: float) -> None:
         self.why: str | None = None
+        self.in_time = True
         self.enough_K: float | None = None
         self._names, self._band_K, self._settle_s, self._timeout_s = tuple(names), band_K, settle_s, timeout_s
         self._rows: deque[tuple[float, list[float], list[float]]] = deque()
@@ -42,9 +43,12 @@ class ThermalLimits:
         """Forget what was seen: another has moved the plant."""
         self._rows.clear()
         self.why = self.enough_K = None
+        self.in_time = True
 
-    def take(self, now_s: float, off_K: Sequence[float], outputs: Sequence[float], *, full: bool) -> None:
-        """Take in one tick: deviations, K, and outputs as shares of their ranges.
+    def take(
+        self, now_s: float, off_K: Sequence[float], outputs: Sequence[float], left_s: float, *, full: bool
+    ) -> None:
+        """Take in one tick: deviations, K, and outputs as shares of their ranges; `left_s` remain.
 
         `full` says that the outputs can do no more about the mean deviation.
         """
@@ -61,7 +65,7 @@ class ThermalLimits:
         design = np.stack([np.ones_like(t), t], axis=1)
         (level, rate), *_ = np.linalg.lstsq(design, off, rcond=None)
         self.enough_K = _above(float((np.abs(level) + SIGMAS * noise).max()))
-        self.why = None
+        self.why, self.in_time = None, True
         if not self._may_settle(np.zeros_like(noise), noise, period_s):
             j = int(np.argmax(noise))
             self.why = (
@@ -73,8 +77,11 @@ class ThermalLimits:
             kept = np.abs(level) if full else np.minimum(np.abs(level), np.abs(level - level.mean()))
             errors = SURE * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
             # A stable plant under constant inputs slows down: no temperature goes further than at the fastest rate now.
-            reach = float((np.abs(rate) + errors[1] * noise).max()) * self._timeout_s
-            if not self._may_settle(np.maximum(kept - errors[0] * noise - reach, 0.0), noise, period_s):
+            fastest = float((np.abs(rate) + errors[1] * noise).max())
+            least = kept - errors[0] * noise
+            self.in_time = self._may_settle(np.maximum(least - fastest * max(left_s, 0.0), 0.0), noise, period_s)
+            # Refused is only what another whole time-out would not bring: a slow plant is waited for.
+            if not self._may_settle(np.maximum(least - fastest * self._timeout_s, 0.0), noise, period_s):
                 j = int(np.argmax(kept + SIGMAS * noise))
                 self.why = (
                     f"{self._names[j]} stays {abs(level[j]):.2g} K {'above' if level[j] > 0.0 else 'below'} the "

@@ -59,6 +59,7 @@ class Course:
     said: str | None
     elapsed_s: float
     power_W: list[float]
+    shown: list[str]
 
     @property
     def reversals(self) -> int:
@@ -86,7 +87,7 @@ def led_back(
     rule = SoakRule(band_K, timeout_s)
     soak = Soak(RIG, POINTS, Profile("cut", np.array([0.0, 100.0, 200.0]), columns, values), 100.0, aim, rule)
     at = [[point.name for point in POINTS].index(name) for name in SENSORS]
-    power, powers = 0.0, []
+    power, powers, shown = 0.0, [], []
     for second in range(int(timeout_s) + 2):
         readings = [30.0] * len(POINTS)
         for i, value in zip(at, plant.temperatures, strict=True):
@@ -94,8 +95,9 @@ def led_back(
         good = [int(Quality.GOOD)] * len(POINTS)
         soak.look(Snapshot(readings, good, [float(second)] * len(POINTS), []), float(second))
         if soak.reached or soak.failure is not None:
-            return Course(soak.reached, soak.failure, soak.elapsed_s, powers)
+            return Course(soak.reached, soak.failure, soak.elapsed_s, powers, shown)
         wanted = soak.targets()["heater_power_set"]
+        shown.append(soak.said)
         power += min(max(wanted - power, -RATE_W_PER_S), RATE_W_PER_S)
         powers.append(power)
         plant.room = 20.0 + sway_K * math.sin(2.0 * math.pi * second / 14_400.0)
@@ -173,3 +175,10 @@ def test_timeout_proposes_a_band():
     assert not course.reached
     assert "after 400 s of soaking" in course.said
     assert proposed_K(course.said) > 0.05
+
+
+def test_plant_too_slow_for_the_timeout_is_announced_while_it_is_waited_for():
+    course = led_back(after_a_step(6000.0), 0.1, 0.02, gap_s=3000, timeout_s=4000.0)
+    assert "after 4000 s of soaking" in course.said
+    announced = [second for second, text in enumerate(course.shown) if "too slow for the timeout" in text]
+    assert 600 <= announced[0] < 3900
