@@ -54,14 +54,14 @@ def overloads(rig: Rig, polled: Sequence[Polling]) -> list[tuple[tuple[str, ...]
             continue
         sharing = [other for other in polled if wire.get(other.bus) == wire[one.bus]]
         line_s = sum(other.line_s or 0.0 for other in sharing)
-        if line_s > rig.period_s:
+        if line_s > rig.period_s / rig.time_scale:
             others = ", ".join(other.bus for other in sharing if other is not one)
             found.append(
                 (
                     ("bus", one.bus, "serial_baud"),
                     f"bus {one.bus}{f' (with {others})' if others else ''}: a tick's reads take {line_s:.2f} s of a "
-                    f"line at {bus.serial_baud} bit/s and the period is {rig.period_s:g} s; poll fewer points, raise "
-                    "period_s or the speed of the line",
+                    f"line at {bus.serial_baud} bit/s and the period is {rig.period_s / rig.time_scale:g} s; poll "
+                    "fewer points, raise period_s or the speed of the line",
                 )
             )
     return found

@@ -218,11 +218,15 @@ class Rig(Section):
 
     A run that an alarm has tripped waits `acknowledge_within_s` at safe values for an operator; 0 ends it at once. One
     that a warning suspends waits `suspend_at_most_s` for it to go away; 0 is for as long as it takes.
+
+    The clock of the rig runs `time_scale` times real time, as that of a simulated device may. Every time in the file is
+    in the rig's time but those of a bus, which are of the wire.
     """
 
     name: str
     description: str = ""
     period_s: Annotated[float, Field(gt=0, le=3600)] = 1.0
+    time_scale: Annotated[float, Field(gt=0, le=100)] = 1.0
     abort_after_s: Annotated[float, Field(gt=0)] = 5.0
     acknowledge_within_s: Annotated[float, Field(ge=0)] = 0.0
     suspend_at_most_s: Annotated[float, Field(ge=0)] = 0.0

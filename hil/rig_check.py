@@ -47,6 +47,9 @@ def show(file: Path, out: Console) -> None:
         out.print(_interlocks(rig))
     for name, bus in rig.bus.items():
         out.print(_frames(receivers[name], bus) if isinstance(bus, CanBus) else _reads(rig, name, polled[name]))
+    if rig.time_scale != 1.0:
+        tick_s = rig.period_s / rig.time_scale
+        out.print(f"the rig's clock runs {rig.time_scale:g} times real time: a tick every {tick_s:g} s of real time")
     if rig.watchdog_s is not None:
         out.print(f"the rig's own watchdog is set to {rig.watchdog_s:g} s when it is armed, and read back")
     for note in (*notices(rig, file), *unsaid(rig)):
@@ -149,7 +152,8 @@ def as_json(file: Path) -> str:
     cycles = {name: receiver.cycle_s for name, receiver in receivers.items()}
     frames = {name: {m.name: str(m.match) for m in receiver.messages} for name, receiver in receivers.items()}
     found = {
-        "rig": rig.name, "period_s": rig.period_s, "modbus": plan, "can_cycle_s": cycles, "can_frames": frames,
+        "rig": rig.name, "period_s": rig.period_s, "time_scale": rig.time_scale, "modbus": plan, "can_cycle_s": cycles,
+        "can_frames": frames,
         "notes": [*notices(rig, file), *unsaid(rig)],
     }  # fmt: skip
     return json.dumps(found, indent=2)

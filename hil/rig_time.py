@@ -25,7 +25,7 @@ async def rig_and_clock(
         yield rig, lockstep
         return
     if not request.virtual:
-        yield rig, MonotonicClock(rig.period_s)
+        yield rig, MonotonicClock(rig.period_s, speed_of(request, rig))
         return
     from drivers.virtual.rig import start_virtual_rig
 
@@ -50,9 +50,16 @@ async def rig_and_clock(
             yield rig.with_ports(ports), lockstep
         else:
             patient = _patient(rig, request.speed) if request.mode == "scaled" else rig
-            yield patient.with_ports(ports), MonotonicClock(rig.period_s, request.speed)
+            yield patient.with_ports(ports), MonotonicClock(rig.period_s, speed_of(request, rig))
     finally:
         await virtual.stop()
+
+
+def speed_of(request: RunRequest, rig: Rig) -> float:
+    """Return how many times real time the rig's clock runs: a virtual rig's as asked, a real one's as its file says."""
+    if request.mode == "scaled":
+        return request.speed
+    return 1.0 if request.virtual or request.control is not None else rig.time_scale
 
 
 def _patient(rig: Rig, speed: float) -> Rig:

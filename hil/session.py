@@ -27,7 +27,7 @@ from hil.recording import Publisher
 from hil.restoring import restore
 from hil.resuming import questioned
 from hil.rig_lock import RigClaim, claimed
-from hil.rig_time import rig_and_clock
+from hil.rig_time import rig_and_clock, speed_of
 from hil.run_folder import RunFolder, create_run_folder, new_manifest, require_room
 from hil.run_request import Prepared, RunRequest, prepare, tracking_config
 from hil.segments import Resumption
@@ -132,7 +132,7 @@ async def resume_session(
         announce(f"{reason} at {hours(was.profile_s)} of {hours(ready.profile.duration_s)} of the profile")
         if was.aim and (why := unled(ready.rig, bind(ready.rig, ready.profile.columns))) is not None:
             announce(why)
-        resumption = Resumption(was, rule, reason, request.speed if request.mode == "scaled" else 1.0)
+        resumption = Resumption(was, rule, reason, speed_of(request, ready.rig))
         manifest |= {"exit_status": "running", "reason": "", "ended": None}
         folder.write_manifest(manifest)
         return await _guarded(_Run(folder, manifest, request, ready, claim, tracking, observer, announce, resumption))

@@ -2,9 +2,9 @@
 
 At safe values a rig only cools, so waiting there never ends; held at the load of the cut, it creeps towards the steady
 state of that load, which after a step is not where it was. So heater and fan lead it: a rig that is colder than it was
-gets more heat and less cooling than the profile asks for, a hotter one less and more, by how far it is and for how long
-it has been so, and never more of either than the profile itself asks for somewhere. All else stands as the profile had
-it. See decision 0012.
+gets more heat and less cooling than the profile asks for, a hotter one less and more, by a proportional-integral
+correction of the mean deviation, and never more of either than the profile itself asks for somewhere. All else stands
+as the profile had it. See decision 0012.
 """
 
 from __future__ import annotations
@@ -18,17 +18,18 @@ from drivers.rig_model import Point, Rig
 from drivers.roles import FAN, HEATER, ROOM
 from hil.profile import Profile
 from hil.setpoints import bind
+from hil.thermal_control import ThermalController
+from hil.thermal_limits import ThermalLimits
 
 BAND_K = 1.0
 TIMEOUT_S = 7200.0
 SETTLE_S = 60.0
 """So long all temperatures must stay within the band."""
 FULL_AT_BANDS = 2.0
-"""Mean distance, in bands, from which on heater and fan lead with all they have."""
-PATIENCE_S = 600.0
-"""Time in which a mean distance that stays moves heater and fan by as much again as it does at once."""
+"""Mean deviation, in bands, from which on heater and fan lead with all they have; of a band narrower than `BAND_K` in
+multiples of that, since a plant does not get faster because its band is narrow."""
 STEPS = 100
-"""Parts of its range in which a set-point leads, so that noise does not move it on every tick."""
+"""Parts of its range in which a set-point leads: a correction this small is none."""
 _WARMS: dict[str | None, int] = {HEATER: 1, FAN: -1}
 """Roles of set-points that lead, and whether more of them warms the rig or cools it."""
 
@@ -74,7 +75,8 @@ class Soak:
         self._inside_since: float | None = None
         self._now = math.nan
         self._off: dict[str, float] = {}
-        self._stayed = 0.0
+        self._control = ThermalController(FULL_AT_BANDS * max(rule.band_K, BAND_K))
+        self._limits = ThermalLimits(tuple(self._index), rule.band_K, SETTLE_S, rule.timeout_s)
 
     def look(self, snapshot: Snapshot, now_s: float, *, stands: bool = False) -> None:
         """Take in one tick, rig time in s. While an operator has stopped the soak its clock `stands`."""
@@ -86,21 +88,35 @@ class Soak:
             for name, i in self._index.items()
             if snapshot.quality[i] == Quality.GOOD
         }
-        if not stands and math.isfinite(passed := now_s - before):
-            # What has come to the other side has no past.
-            stayed = self._stayed if self._stayed * self._lead > 0.0 else 0.0
-            self._stayed = min(max(stayed + self._lead * passed / PATIENCE_S, -1.0), 1.0)
+        mean = sum(self._off.values()) / len(self._off) if self._off else 0.0
+        passed = now_s - before if math.isfinite(before) else 0.0
+        low, high = self._at_limits()
+        self._control.step(mean, passed, held=stands, low=low, high=high)
+        self._judge(now_s, mean, stands=stands)
         inside = len(self._off) == len(self._index) and all(abs(k) <= self.rule.band_K for k in self._off.values())
         if not inside or stands:
             self._inside_since = None
         elif self._inside_since is None:
             self._inside_since = now_s
 
-    @property
-    def _lead(self) -> float:
-        """How far off the rig is on the mean, as a share of what asks for all of heater and fan; positive if cold."""
-        mean = sum(self._off.values()) / len(self._off) if self._off else 0.0
-        return min(max(-mean / (FULL_AT_BANDS * self.rule.band_K), -1.0), 1.0)
+    def _judge(self, now_s: float, mean: float, *, stands: bool) -> None:
+        """Estimate whether the temperatures can come within the band; what was lost or stopped begins anew."""
+        if stands or not self._off or len(self._off) < len(self._index):
+            self._limits.clear()
+            return
+        found = self.targets()
+        outputs = [(found[name] - low) / (high - low) for name, low, high, _ in self._leads if high > low]
+        colder, warmer = self._at_limits()
+        full = (mean > 0.0 and colder) or (mean < 0.0 and warmer)
+        self._limits.take(now_s, list(self._off.values()), outputs, self.rule.timeout_s - self.elapsed_s, full=full)
+
+    def _at_limits(self) -> tuple[bool, bool]:
+        """Whether everything that leads cools, or warms, as much as it may."""
+        found = self.targets()
+        ends = [(low, high) if warms > 0 else (high, low) for _, low, high, warms in self._leads]
+        values = [found[name] for name, *_ in self._leads]
+        cools = all(value == end[0] for value, end in zip(values, ends, strict=True))
+        return cools, all(value == end[1] for value, end in zip(values, ends, strict=True))
 
     @property
     def reached(self) -> bool:
@@ -109,7 +125,14 @@ class Soak:
 
     @property
     def said(self) -> str:
-        """How far the rig is, as a sentence."""
+        """Deviation that is the largest, as a sentence, and the band that would do where this one does not in time."""
+        if self._limits.in_time or self._limits.enough_K is None:
+            return self._furthest
+        return f"{self._furthest}; too slow for the timeout, --band {self._limits.enough_K:g} would do now"
+
+    @property
+    def _furthest(self) -> str:
+        """Deviation that is the largest, as a sentence."""
         lost = [name for name in self._index if name not in self._off]
         if lost:
             return f"{lost[0]} is not known, so nobody can tell whether the rig is where it was"
@@ -123,17 +146,24 @@ class Soak:
 
     @property
     def failure(self) -> str | None:
-        """Why there is no going on, once the time is over."""
-        if self.reached or self.elapsed_s <= self.rule.timeout_s:
+        """Why there is no going on: the time is over, or the band is certain to be out of reach."""
+        if self.reached:
             return None
+        if self._limits.why is not None:
+            return f"not resumed: {self._limits.why}"
+        if self.elapsed_s <= self.rule.timeout_s:
+            return None
+        enough_K = self._limits.enough_K
+        wider = "a wider --band" if enough_K is None or enough_K <= self.rule.band_K else f"--band {enough_K:g}"
         return (
-            f"not resumed: after {self.rule.timeout_s:g} s of soaking {self.said}, more than the band of "
-            f"{self.rule.band_K:g} K; `hil resume` again with a longer --timeout or a wider --band"
+            f"not resumed: after {self.rule.timeout_s:g} s of soaking {self._furthest}, and not all temperatures stayed "
+            f"within the band of {self.rule.band_K:g} K for {SETTLE_S:g} s; `hil resume` again with a longer --timeout "
+            f"or {wider}"
         )
 
     def targets(self) -> dict[str, float]:
         """Where the set-points should be now."""
-        lead = min(max(self._lead + self._stayed, -1.0), 1.0)
+        lead = self._control.correction
         found = dict(self._load)
         for name, low, high, warms in self._leads:
             step = (high - low) / STEPS

@@ -87,12 +87,13 @@ def _faults(column: str, name: str, now: Mapping[str, float]) -> list[Candidate]
             Candidate("sensor", column, "constant", "new", {f"{name}.offset": -1.0}, "K", 0.5, -20.0, 20.0,
                 "reads {value} too high"),
         ]  # fmt: skip
-    gain, droop, lag = now["gain"], now["droop"], now["lag_s"]
+    gain, droop = now["gain"], now["droop"]
     return [
         Candidate("actuator", what, "constant", "new", {f"{name}.gain": 1.0}, "1", 0.03, 0.1 - gain, 3.0 - gain,
             "delivers {share} more than its command"),
         Candidate("actuator", what, what, "new", {f"{name}.droop": 1.0}, "1", 0.05, -0.4 - droop, 0.8 - droop,
             "falls short by {share} at full command"),
-        Candidate("actuator", what, "history", "new", {f"{name}.lag_s": 1.0}, "s", 60.0, -lag, 3600.0,
+        # Bounded at zero: an actuator that would act before its command is not late, and the hypothesis is refused.
+        Candidate("actuator", what, "history", "new", {f"{name}.lag_s": 1.0}, "s", 60.0, 0.0, 3600.0,
             "follows its command late by {value}", shapes=("step",), lumped=LUMPED_S),
     ]  # fmt: skip

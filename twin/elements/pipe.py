@@ -70,9 +70,9 @@ class Pipe(Element):
         )  # fmt: skip
 
     def moved(self, sites: Sites) -> tuple[Candidate, ...]:
-        now = sites.values[f"{self.name}.volume"]
         says = "gets its water later, as through a further {value} of pipe"
-        volume = self.moves("volume", "delay", sites.places[self.to], "history", "L", 0.2, -now, 50.0, says)
+        # A delay, bounded at zero: a fit that asks for less of the pipe refuses it.
+        volume = self.moves("volume", "delay", sites.places[self.to], "history", "L", 0.2, 0.0, 50.0, says)
         return (replace(volume, shapes=("step",), lumped=PIPED_S * sites.litres_per_s), *self._walls(sites))
 
     def _walls(self, sites: Sites) -> tuple[Candidate, ...]:

@@ -66,10 +66,11 @@ class Sensor(Element):
     def moved(self, sites: Sites) -> tuple[Candidate, ...]:
         where = self.measured[0] if len(self.measured) == 1 else self.name
         sensor, now = ("sensor", where), {k: sites.values[f"{self.name}.{k}"] for k in ("gain", "lag_s")}
+        # A delay, bounded at zero: a fit that asks for less of one refuses the hypothesis.
         later = [
             replace(
                 self.moves(
-                    "lag_s", *sensor, "rate_of_change", "s", lag, -now["lag_s"], 3600.0, "reads late by {value}"
+                    "lag_s", *sensor, "rate_of_change", "s", lag, 0.0, 3600.0, "reads late by {value}"
                 ),
                 change="new" if now["lag_s"] == 0.0 else "existing", shapes=("step",),
                 lumped=PIPED_S if sites.having("pipe") else LUMPED_S,

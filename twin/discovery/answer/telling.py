@@ -10,6 +10,7 @@ from twin.discovery.answer.case import Case
 from twin.discovery.answer.spells import explained
 from twin.discovery.answer.words import sentence
 from twin.discovery.diagnosis import Alternative, Effect, Verdict
+from twin.discovery.effects.phrases import interval
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.equivalence import instead, remaining
 from twin.discovery.scoring.search import Entry, able_to_begin
@@ -102,7 +103,7 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
         change=entry.change,
         value=entry.size * grown,
         unit=c.unit,
-        interval90=(entry.size * grown - spread, entry.size * grown + spread),
+        interval90=interval(entry.size * grown, spread, (c.lower, c.upper)),
         onset_s=start + entry.shape.onset_s,
         onset_interval90_s=(
             start + max(min(entry.shape.onset_s - onset_spread, first_s), 0.0),

@@ -21,11 +21,13 @@ def said(candidate: Candidate, size: float, spread: float = 0.0, record_s: float
     named = c.kind == "sensor" and c.where.endswith("_C")
     who = c.where if named else f"The {c.where.replace('_', ' ')}"
     says = _plural(c.says) if not named and c.where.endswith("s") else c.says
+    bounds = (c.lower, c.upper)
     for much, little in _OPPOSITES:
         if size < 0.0 and much in says:
-            says, size = says.replace(much, little), -size
+            says, size, bounds = says.replace(much, little), -size, (-c.upper, -c.lower)
     slow = "longer than the record" if c.slow_s > record_s else f"of {lasting(c.slow_s)}"
-    return f"{who} {says.format(value=amount(size, c.unit, spread), share=amount(size, 'W/W', spread), slow=slow)}"
+    value, share = (amount(size, unit, spread, bounds) for unit in (c.unit, "W/W"))
+    return f"{who} {says.format(value=value, share=share, slow=slow)}"
 
 
 def when(shape: Shape, start: float) -> str:
@@ -38,15 +40,20 @@ def _plural(says: str) -> str:
     return f"{verb.get(first, first.removesuffix('s'))} {rest}"
 
 
-def amount(value: float, unit: str, spread: float = 0.0) -> str:
-    """A size as an operator reads it, with its interval where it has a `spread`."""
+def amount(value: float, unit: str, spread: float = 0.0, bounds: tuple[float, float] = (-math.inf, math.inf)) -> str:
+    """Return a size as an operator reads it, with its interval, no wider than `bounds`, where it has a `spread`."""
     part = unit == "W/W" or unit.startswith("of the")
     named = {"1": "", "W/W": " %"}.get(unit, f" % {unit}" if part else f" {unit}")
     factor = 100.0 if part else 1.0
     if unit in ("J/K", "W") and abs(value) >= 10_000.0:
         factor, named = 1e-3, f" k{unit}"
-    low, high = (_digits(factor * (value + side * spread)) for side in (-1.0, 1.0))
+    low, high = (_digits(factor * x) for x in interval(value, spread, bounds))
     return _digits(factor * value) + named + (f" ({low} to {high})" if low != high else "")
+
+
+def interval(value: float, spread: float, bounds: tuple[float, float]) -> tuple[float, float]:
+    """Return `value` minus and plus `spread`, cut where no size is possible; it always holds `value`."""
+    return min(max(value - spread, bounds[0]), value), max(min(value + spread, bounds[1]), value)
 
 
 def _digits(value: float) -> str:

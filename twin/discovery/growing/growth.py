@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.discovery.diagnosis import Fold
+from twin.discovery.effects.phrases import interval
 from twin.discovery.growing.beam import BEAM, Beam, FittedSet, Label, by_score
 from twin.discovery.growing.merit import Merit, Refused
 from twin.discovery.growing.unaided import Fit, Problem, Samples
@@ -240,10 +241,10 @@ def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[Rung, ...]:
         better, share = merit.foretold(without, best)
         elsewhere = merit.elsewhere(without) - merit.elsewhere(best)
         needed, chance = without.fit.cost - best.fit.cost, merit.chance(without)
-        spread = SE90 * entry.sd
+        c = entry.candidate
         added = Added(
-            *entry.label, entry.size, (entry.size - spread, entry.size + spread), entry.candidate.unit,
-            entry.candidate.says, now.fit.cost - new.fit.cost, needed, elsewhere, better, share,
+            *entry.label, entry.size, interval(entry.size, SE90 * entry.sd, (c.lower, c.upper)), c.unit, c.says,
+            now.fit.cost - new.fit.cost, needed, elsewhere, better, share,
             _others(beam, merit, best, without), chance.of(needed + elsewhere), chance.limit, entry,
         )  # fmt: skip
         rungs.append(_rung(beam, new, added))

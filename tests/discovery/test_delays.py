@@ -1,0 +1,63 @@
+"""A delay is never negative: a reading that comes earlier than the twin expects refuses the hypothesis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.discovery.conftest import Bench
+from twin.discovery.effects.catalogue import catalogue
+from twin.discovery.effects.phrases import said
+from twin.discovery.engine import diagnose
+from twin.elements.base import Candidate
+from twin.network import Network
+from twin.revisions import with_elements
+from twin.twinfile import load
+
+TWINS = Path(__file__).resolve().parents[2] / "profiles" / "twins"
+HEATER = {"kind": "actuator", "column": "heater_power_W", "lag_s": {"value": 60.0}}
+PIPE = {"kind": "pipe", "to": "tank", "ambient": "T_ambient_C", "volume": {"value": 2.0}}
+
+
+def delays(network: Network) -> list[Candidate]:
+    return [c for c in catalogue(network) if "late" in c.says]
+
+
+@pytest.mark.parametrize("name", ["loop.toml", "loop_six.toml", "tclab.toml"])
+def test_no_delay_of_a_shipped_twin_may_be_negative(name: str) -> None:
+    assert all(c.lower == 0.0 < c.upper for c in delays(load(TWINS / name)))
+
+
+def test_delay_that_a_twin_already_has_may_only_grow(bench: Bench) -> None:
+    lagging = with_elements(bench.with_values(T_radiator_C__lag_s=20.0), {"relay": HEATER, "hose": PIPE})
+    found = {(c.kind, c.where) for c in delays(lagging)}
+    assert {("sensor", "T_radiator_C"), ("actuator", "heater_power"), ("delay", "tank")} <= found
+    assert all(c.lower == 0.0 for c in delays(lagging))
+
+
+def test_thermometer_that_is_earlier_than_its_twin_is_not_called_late(bench: Bench) -> None:
+    twin = Bench(bench.with_values(T_radiator_C__lag_s=60.0))
+    earlier = bench.with_values(T_radiator_C__lag_s=20.0)
+    found = diagnose(twin.network, twin.record(16.0, seed=3, changed=earlier, onset_h=6.0), twin.record(10.0, seed=7))
+    assert "by -" not in found.summary
+    late = [e for e in found.effects if "late" in e.says]
+    assert all(e.value > 0.0 for e in late)
+    assert not [e for e in late if e.where == "T_radiator_C"]
+
+
+def test_thermometer_that_is_later_than_its_twin_still_is(bench: Bench) -> None:
+    twin = Bench(bench.with_values(T_radiator_C__lag_s=20.0))
+    later = bench.with_values(T_radiator_C__lag_s=80.0)
+    found = diagnose(twin.network, twin.record(16.0, seed=3, changed=later, onset_h=6.0), twin.record(10.0, seed=7))
+    (effect,) = found.effects
+    assert (effect.kind, effect.where, effect.driver) == ("sensor", "T_radiator_C", "rate_of_change")
+    assert effect.value == pytest.approx(60.0, rel=0.2)
+
+
+def test_interval_of_a_delay_ends_at_zero(bench: Bench) -> None:
+    late = next(c for c in delays(bench.network) if c.kind == "sensor")
+    assert said(late, 5.0, 12.0).endswith("late by 5 s (0 to 17)")
+    both_ways = replace(late, lower=-100.0)
+    assert said(both_ways, 5.0, 12.0).endswith("late by 5 s (-7 to 17)")
