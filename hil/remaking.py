@@ -58,6 +58,6 @@ def as_it_ended(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
 def has_ended(folder: RunFolder) -> bool:
     """Return whether the run in `folder` went to its end, by `run.json` or its journal; False where neither says so."""
     try:
-        return as_it_ended(folder, folder.read_manifest()).get("exit_status") == "done"
+        return as_it_ended(folder, folder.read_manifest()).get("exit_status", "").startswith("done")
     except (RunFolderError, KeyError):
         return False

@@ -347,7 +347,7 @@ def test_a_j1939_message_that_the_dbc_does_not_call_so_is_noted(tmp_path):
         ("pgn = 0xF004", "pgn = 0xFEEE", 14, "bus c: a frame could be both ET1 (PGN 0xFEEE, source any) and EEC1 (PGN"),
         ('name = "EEC1"', 'name = "EEC2"', 14, "bus c: no point has message = 'EEC2'; correct name"),
         ('name = "EEC1"', 'name = "ET1"', 14, "bus c: message ET1 is there twice"),
-        ("pgn = 0xF004", "pgn = 0xFF000", 15, "less than or equal to 262143, got 1044480"),
+        ("pgn = 0xF004", "pgn = 0xFF000", 15, "must be at most 262143, got 1044480"),
         ("pgn = 0xF004", "id = 0x181", 13, "message EEC1: source and destination go with a pgn"),
         ("pgn = 0xF004", "png = 0xF004", 15, "png: is not a key of this section"),
     ],

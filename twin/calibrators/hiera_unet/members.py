@@ -132,6 +132,8 @@ def load_ensemble(card: Path, identity: Identity) -> Ensemble:
         raise HieraError(f"the card {card} cannot be read ({error}); {AGAIN}") from error
     except KeyError as error:
         raise HieraError(f"the card {card} has no {error}; {AGAIN}") from error
+    except HieraError:
+        raise
     except (ValueError, TypeError, AttributeError, OverflowError) as error:
         said = "its members or its factors are no tables, texts and numbers"
         raise HieraError(f"the card {card} cannot be read: {said}; {AGAIN}") from error
