@@ -13,7 +13,7 @@ import select
 import socket
 import ssl
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import serial
 
@@ -151,22 +151,41 @@ def _serial_port(config: ModbusRtuBus) -> serial.Serial:
     )
 
 
+_Endpoint = tuple[socket.AddressFamily, socket.SocketKind, int, Any]
+_reached: dict[tuple[str, int], _Endpoint] = {}
+"""Where a host was reached last: a name server that is gone must not keep a device that is there from being reached."""
+
+
 async def _connected(host: str, port: int) -> socket.socket:
-    """A connection without Nagle's delay, to the first address of a host that answers."""
-    loop = asyncio.get_running_loop()
-    failure: OSError = OSError(f"{host} has no address")
-    for family, kind, protocol, _, address in await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM):
-        wire = socket.socket(family, kind, protocol)
+    """Return a connection without Nagle's delay: to where the host was reached last, else to the first address of it
+    that answers; raises OSError."""
+    known = _reached.get((host, port))
+    if known is not None:
         try:
-            wire.setblocking(False)
-            wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            await loop.sock_connect(wire, address)
+            return await _to(known)
+        except OSError:
+            pass  # it may have moved
+    failure: OSError = OSError(f"{host} has no address")
+    found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    for family, kind, protocol, _, address in found:
+        try:
+            wire = await _to((family, kind, protocol, address))
         except OSError as error:
-            wire.close()
             failure = error
-        except BaseException:
-            wire.close()
-            raise
         else:
+            _reached[host, port] = family, kind, protocol, address
             return wire
     raise failure
+
+
+async def _to(endpoint: _Endpoint) -> socket.socket:
+    family, kind, protocol, address = endpoint
+    wire = socket.socket(family, kind, protocol)
+    try:
+        wire.setblocking(False)
+        wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        await asyncio.get_running_loop().sock_connect(wire, address)
+    except BaseException:
+        wire.close()
+        raise
+    return wire

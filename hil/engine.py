@@ -9,12 +9,14 @@ this process no longer can.
 
 from __future__ import annotations
 
+import asyncio
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
+from drivers.bus_sections import CanBus
 from drivers.points import DeviceExceptionError, DriverError, Quality, Snapshot
 from drivers.rig import RigConnection
 from drivers.rig_model import Point
@@ -39,6 +41,8 @@ from hil.supervisor import End, Supervisor
 FIRST_SAMPLE_TIMEOUT_S = 10.0
 PAUSED_S = 1.0
 """Ticks that are further apart than this, and than two periods, are reported as a pause of process or machine, s."""
+STOP_WITHIN_S = 0.3
+"""So long a tick may go on after a stop request before it is cancelled, s."""
 _INTERRUPTED_AT_MOST = 100
 """So often making safe is begun again after whatever interrupted it."""
 
@@ -156,6 +160,9 @@ class Engine:
         self._shown = 0.0
         self._guard: Guard = NoGuard() if guard is None else guard
         self._limits = safe_limits(self._rig)
+        timeouts = [bus.timeout_s for bus in self._rig.bus.values() if not isinstance(bus, CanBus)]
+        self._is_quick = sum(timeouts) <= LONGEST_WAIT_S
+        self._patience_s = clock.period_s + LONGEST_WAIT_S + self._rig.abort_after_s + 2.0 * sum(timeouts)
         self._descent = Descent(self._rig, self._limits, clock.period_s)
         self._deviations = Deviations(self._rig)
         self._made_safe: Safed | None = None
@@ -320,9 +327,32 @@ class Engine:
             machine.take(Event.START, f"running {self._profile.name} on {rig.name}")
         await self._clock.start()
         ended = None if self._resumption is None else self._go_on(self._resumption)
+        tick = self._one_tick if self._lockstep else self._interruptible_tick
         while ended is None:
-            ended = await self._one_tick()
+            ended = await tick()
         return ended
+
+    async def _interruptible_tick(self) -> End | None:
+        """Do one tick; a stop request ends one that takes longer than `STOP_WITHIN_S`: it waits for the next tick of a
+        slow rig, or for a device that does not answer."""
+        stopping = self._supervisor.stopping
+        if self._clock.period_s <= LONGEST_WAIT_S and self._is_quick:
+            return await self._one_tick()
+        tick = asyncio.ensure_future(self._one_tick())
+        stop = asyncio.ensure_future(stopping.wait())
+        try:
+            await asyncio.wait({tick, stop}, return_when=asyncio.FIRST_COMPLETED)
+            if not tick.done():
+                await asyncio.wait({tick}, timeout=STOP_WITHIN_S)
+            if tick.done():
+                return tick.result()
+            tick.cancel()
+            await asyncio.gather(tick, return_exceptions=True)
+            return self._supervisor.stop
+        finally:
+            stop.cancel()
+            if not tick.done():
+                tick.cancel()
 
     async def _ask_guard(self) -> None:
         """Have the guardian reach the rig beside this engine; a wire that takes one connection only is reported."""
@@ -410,7 +440,7 @@ class Engine:
 
     def _expect(self) -> None:
         """Tell the guardian how long this engine may be busy: until the next tick, and with devices that are mute."""
-        self._guard.expect(self._clock.period_s + LONGEST_WAIT_S + self._rig.abort_after_s)
+        self._guard.expect(self._patience_s)
 
     async def _advance(self) -> None:
         """Let one period pass, outside the grid."""
@@ -509,10 +539,9 @@ class Engine:
         listed = ", ".join(f"{name} {value:g} {self._rig.get(name).unit}" for name, value in safe.items())
         acted = self._guard.acted
         if not result.written:
-            text = (
-                f"the rig could not be made safe from here ({result.problem}); "
-                "its own watchdog cuts the heater, look at it before you go on"
-            )
+            watchdog = self._rig.heartbeat is not None and self._rig.heartbeat.watchdog is not None
+            rest = "its own watchdog has to cut the heater" if watchdog else "it has no watchdog that is known here"
+            text = f"the rig could not be made safe from here ({result.problem}); {rest}: look at it now"
             self._told.event("ERROR", text)
             outcome.problems.append(text)
         elif result.hot:

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from drivers.points import Quality, Snapshot
 from drivers.rig_model import Point, Rig
 
+OFF_SHARE = 0.05
+"""A heater that takes more of its range than this is on, whatever tolerance its rig file gives."""
+
 
 @dataclass(frozen=True, slots=True)
 class SafeLimit:
@@ -34,13 +37,15 @@ def is_heater(rig: Rig, point: Point) -> bool:
 def safe_limit(rig: Rig, point: Point) -> SafeLimit | None:
     """Return the meter of a heater and its limit; None for another set-point, and for a heater that nothing measures.
 
-    The limit is `safe_below` of the set-point, else its safe value and `readback_tolerance`.
+    The limit is `safe_below` of the set-point, else its safe value and `readback_tolerance`, but no more of its range
+    than `OFF_SHARE`: a tolerance of 1 is nothing in W and everything in kW.
     """
     if point.readback is None or not is_heater(rig, point):
         return None
     at_most = point.safe_below
     if at_most is None:
-        at_most = (point.safe_value or 0.0) + point.readback_tolerance
+        low, high = point.limits or (0.0, math.inf)
+        at_most = (point.safe_value or 0.0) + min(point.readback_tolerance, OFF_SHARE * (high - low))
     return SafeLimit(point.name, point.readback, at_most, point.readback_within_s)
 
 
@@ -57,10 +62,20 @@ def still_hot(rig: Rig, limits: tuple[SafeLimit, ...], readings: Mapping[str, fl
     """
     for limit in limits:
         value = readings.get(limit.meter, math.nan)
-        if value > limit.at_most:
+        if abs(value) > limit.at_most:  # a meter that is connected the wrong way round reads less than nothing
             unit = rig.get(limit.meter).unit
             return f"{limit.meter} still reads {value:.1f} {unit}, safe is {limit.at_most:g} {unit} at most"
     return ""
+
+
+def not_cold(rig: Rig, limits: tuple[SafeLimit, ...], readings: Mapping[str, float]) -> str:
+    """Return what keeps a heater from being known as off, as a sentence: a meter that reads more than is safe, or one
+    that reads nothing; empty where every meter says that its heater is off."""
+    dead = next((limit for limit in limits if math.isnan(readings.get(limit.meter, math.nan))), None)
+    hot = still_hot(rig, limits, readings)
+    if hot or dead is None:
+        return hot
+    return f"{dead.meter} has no good value: whether {dead.heater} is off is not known"
 
 
 DEAD_TIME_S = 1.0
@@ -89,8 +104,9 @@ class Descent:
         """Return which meter does not come down as declared, as a sentence; empty where all do or are there."""
         for limit in self._limits:
             value = readings.get(limit.meter, math.nan)
-            if not value > limit.at_most:
+            if not abs(value) > limit.at_most:
                 continue
+            value = abs(value)
             first, began_s = self._first.setdefault(limit.meter, (value, now_s))
             share = min((now_s - began_s - self._dead_s) / limit.within_s, 1.0)
             if share <= 0.0:

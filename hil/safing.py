@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from drivers.points import DriverError, Snapshot
 from drivers.rig import RigConnection
-from hil.heaters import Descent, good_readings, safe_limits, still_hot
+from hil.heaters import Descent, good_readings, not_cold, safe_limits
 from hil.setpoints import count_tolerance
 
 WRITE_DEADLINE_S = 30.0
@@ -68,7 +68,8 @@ async def make_safe(
             return Safed(False, False, problem)
         await asyncio.sleep(RETRY_EVERY_S)
     waits = [connection.rig.get(name).readback_within_s for name in safe_values]
-    hot, limits = "", safe_limits(connection.rig)
+    limits, held_s = safe_limits(connection.rig), time.monotonic()
+    hot = "no meter was read" if limits else ""
     descent = Descent(connection.rig, limits, period_s)
     for number in range(math.ceil(max(waits, default=0.0) / period_s)):
         progress()
@@ -76,7 +77,7 @@ async def make_safe(
             snapshot = await connection.read()
             problem = _not_followed(connection, snapshot, safe_values)
             readings = good_readings(connection.points, snapshot)
-            hot = still_hot(connection.rig, limits, readings)
+            hot = not_cold(connection.rig, limits, readings)
             problem = hot or problem
             if not problem or hurried():
                 break
@@ -85,28 +86,40 @@ async def make_safe(
             await advance()
         except DriverError as error:
             problem = str(error)
+            if hurried() or time.monotonic() - held_s > max(waits) + WRITE_DEADLINE_S:
+                break
             await asyncio.sleep(RETRY_EVERY_S)
     return Safed(True, not problem, problem, hot)
 
 
 async def write_safe(connection: RigConnection, safe_values: dict[str, float]) -> str:
-    """Write in order and read back, once; what went wrong, or an empty string."""
-    try:
-        last = len(safe_values)
-        held: dict[str, float] = {}
-        for number, (name, value) in enumerate(safe_values.items(), 1):
-            if number < last:
+    """Write in order and read back, once; return what went wrong, or an empty string.
+
+    Each output is tried whatever became of the others: a pump that refuses must not keep the heater on.
+    """
+    refused: dict[str, str] = {}
+    held: dict[str, float] = {}
+    last = len(safe_values)
+    for number, (name, value) in enumerate(safe_values.items(), 1):
+        try:
+            if number < last or refused:
                 await connection.write({name: value})
             else:
                 held = await connection.write_and_read_back({name: value}, tuple(safe_values))
-    except DriverError as error:
-        return str(error)
-    wrong = [
-        f"{name} holds {held[name]:g} instead of {value:g}"
-        for name, value in safe_values.items()
-        if not abs(held[name] - value) <= count_tolerance(connection.rig.get(name))
-    ]
-    return "; ".join(wrong)
+        except DriverError as error:
+            refused[name] = str(error)
+    problems = []
+    for name, value in safe_values.items():
+        try:
+            if name not in held:
+                held |= await connection.read_back((name,))
+        except DriverError as error:
+            problems.append(refused.get(name) or str(error))
+            continue
+        # What is read back counts: a device may refuse to be told what it does already.
+        if not abs(held[name] - value) <= count_tolerance(connection.rig.get(name)):
+            problems.append(refused.get(name) or f"{name} holds {held[name]:g} instead of {value:g}")
+    return "; ".join(dict.fromkeys(problems))
 
 
 def _not_followed(connection: RigConnection, snapshot: Snapshot, safe_values: dict[str, float]) -> str:

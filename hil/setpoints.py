@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from drivers.points import ConfigurationError
 from drivers.rig_model import Point, Rig
 from drivers.units import split_column
+from hil.heaters import is_heater
 
 _FLOAT_ERROR = 1e-6
 """What a float32 register loses of a number, and unit conversion beside it, relative."""
@@ -49,6 +50,7 @@ class Setpoints:
     """Current value of each of the rig's set-points; moves towards targets within limits and slew rates."""
 
     def __init__(self, rig: Rig, start: dict[str, float] | None = None) -> None:
+        self._rig = rig
         self._points = rig.setpoints
         self.values: dict[str, float] = {
             point.name: self._clamped(point, (start or {}).get(point.name, point.safe_value or 0.0))
@@ -83,6 +85,7 @@ class Setpoints:
         self.values.update(self.safe_values())
 
     def safe_values(self) -> dict[str, float]:
-        """Safe value of each set-point, in the order in which they are to be applied."""
-        ordered = sorted(self._points, key=lambda point: point.safe_order)
+        """Return the safe value of each set-point, in the order in which they are to be applied: by `safe_order`, and
+        heaters first where that says nothing."""
+        ordered = sorted(self._points, key=lambda point: (point.safe_order, not is_heater(self._rig, point)))
         return {point.name: point.safe_value or 0.0 for point in ordered}

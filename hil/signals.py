@@ -15,7 +15,15 @@ _REASONS = {
     signal.SIGTERM: "stopped by SIGTERM",
     signal.SIGQUIT: "stopped by the operator (SIGQUIT)",
     signal.SIGHUP: "stopped because the terminal went away (SIGHUP)",
-}
+    # By themselves these would end the process at once, and nothing means them.
+    **{
+        number: f"stopped by {number.name}"
+        for number in (
+            signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF, signal.SIGXCPU,
+            signal.SIGXFSZ, signal.SIGIO, signal.SIGPWR,
+        )
+    },
+}  # fmt: skip
 
 
 @contextlib.contextmanager

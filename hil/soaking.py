@@ -156,9 +156,9 @@ class Soak:
         enough_K = self._limits.enough_K
         wider = "a wider --band" if enough_K is None or enough_K <= self.rule.band_K else f"--band {enough_K:g}"
         return (
-            f"not resumed: after {self.rule.timeout_s:g} s of soaking {self._furthest}, and not all temperatures stayed "
-            f"within the band of {self.rule.band_K:g} K for {SETTLE_S:g} s; `hil resume` again with a longer --timeout "
-            f"or {wider}"
+            f"not resumed: after {self.rule.timeout_s:g} s of soaking {self._furthest}, and not all temperatures "
+            f"stayed within the band of {self.rule.band_K:g} K for {SETTLE_S:g} s; `hil resume` again with a longer "
+            f"--timeout or {wider}"
         )
 
     def targets(self) -> dict[str, float]:

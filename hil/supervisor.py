@@ -40,6 +40,7 @@ class Supervisor:
         self.machine = Machine(log)
         self.interlocks = Interlocks(rig, points)
         self.hurried = False
+        self.stopping = asyncio.Event()
         self.soaks = False  # whether a rig is led back to where a run was cut
         self._waits_s = rig.acknowledge_within_s
         self._suspends_s = rig.suspend_at_most_s
@@ -75,6 +76,7 @@ class Supervisor:
         One that comes within `SECOND_REQUEST_S` is taken for an echo of the first: a terminal and a supervisor may
         both pass on the same Ctrl-C.
         """
+        self.stopping.set()
         if self._stop_reason is None:
             self._stop_reason, self._stop_asked = reason, time.monotonic()
         elif time.monotonic() - self._stop_asked > SECOND_REQUEST_S:

@@ -28,7 +28,8 @@ SURE = 3.0
 class ThermalLimits:
     """Deviations of the last `REST_S`, and why they cannot stay within `band_K` for `settle_s` within `timeout_s`.
 
-    `why` is None where they may; `in_time` is False where they do not at their present rate. `enough_K` is a band that they would be within now.
+    `why` is None where they may; `in_time` is False where they do not at their present rate. `enough_K` is a band that
+    they would be within now.
     """
 
     def __init__(self, names: Sequence[str], band_K: float, settle_s: float, timeout_s: float) -> None:

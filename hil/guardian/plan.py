@@ -10,6 +10,7 @@ from typing import Any
 
 from drivers.bus_sections import CanBus, ModbusBusSection, ModbusRtuBus, ModbusTcpBus, ModbusTlsBus, is_numbered, is_rtu
 from drivers.codec import WIDTH, encoder
+from drivers.host_address import addresses
 from drivers.modbus_pdu import Read, write_request
 from drivers.modbus_writes import Writes
 from drivers.plan import plan_reads
@@ -78,7 +79,8 @@ def wire_of(bus: ModbusBusSection) -> dict[str, Any]:
             "stop_bits": bus.stop_bits,
         }  # fmt: skip
     assert isinstance(bus, ModbusTcpBus)
-    found |= {"kind": "tcp", "host": bus.host, "port": bus.port}
+    # Resolved now: a name server may be gone when it matters.
+    found |= {"kind": "tcp", "host": bus.host, "port": bus.port, "addresses": list(addresses(bus.host))}
     if isinstance(bus, ModbusTlsBus):
         files = {name: str(getattr(bus, name).absolute()) for name in ("ca", "certificate", "key")}
         found |= {"kind": "tls", **files}

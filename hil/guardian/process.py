@@ -38,6 +38,9 @@ KEEP_S = 0.25
 FREE_AFTER_S = 0.4
 """So long a device is tried before the silent engine is ended, whose connection may be the only one admitted, s."""
 GIVE_UP_S = 3600.0
+METER_GIVE_UP_S = 60.0
+"""So long it goes on where the safe values are read back and a meter contradicts them: nothing more can be written."""
+_OF_FAULTS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP)
 _FORMATS = {
     "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f",
     "float64": "d",
@@ -79,7 +82,7 @@ class Keeper(threading.Thread):
         self.safe = False
         self.problem = "not tried yet"
         self.meters: dict[str, float] = {}
-        self.attempts = 0
+        self.held = False
         self.ended = threading.Event()
         self.may_open = threading.Event()
         self._plan = plan
@@ -91,37 +94,43 @@ class Keeper(threading.Thread):
         self.may_open.wait()
         began = now_s()
         while not self.ended.is_set():
-            self.attempts += 1
             try:
                 self.problem = self._attempt(wire)
             except Exception as error:
                 self.problem = str(error) or type(error).__name__
-                if not isinstance(error, WireError):
-                    wire.close()
-                if now_s() - began > FREE_AFTER_S:
-                    self._free(self._plan["place"])
+                wire.close()
+            if not self.held and now_s() - began > FREE_AFTER_S:
+                self._free(self._plan["place"])
             self.safe = not self.problem
             self.ended.wait(KEEP_S if self.safe else RETRY_S)
         wire.close()
 
     def _attempt(self, wire: Wire) -> str:
         """Return what is not safe after writing where that was needed."""
+        wrong: list[str] = []
         if not self.safe:
+            # Each output is tried whatever became of the others; what is read back counts.
             for step in self._plan["writes"]:
-                wire.ask(step["device"], bytes.fromhex(step["pdu"]))
-        wrong = [said for check in self._plan["checks"] if (said := _differs(wire, check))]
+                with contextlib.suppress(WireError):
+                    wire.ask(step["device"], bytes.fromhex(step["pdu"]))
+        for check in self._plan["checks"]:
+            try:
+                wrong += [said for said in [_differs(wire, check)] if said]
+            except WireError as error:
+                wrong.append(str(error))
+        self.held = not wrong
         if wrong:
             self.safe = False
-            return "; ".join(wrong)
+            return "; ".join(dict.fromkeys(wrong))
         return "; ".join(said for meter in self._plan["meters"] if (said := self._reads(wire, meter)))
 
     def _reads(self, wire: Wire, meter: dict[str, Any]) -> str:
         raw = number(_registers(wire, meter), meter)
         value = raw * meter["scale"] + meter["offset"]
         if value != value or raw in meter["invalid"]:
-            return ""
+            return f"{meter['name']} reads nothing that can be trusted"
         self.meters[meter["name"]] = round(value, 3)
-        if value <= meter["limit"]:
+        if abs(value) <= meter["limit"]:
             return ""
         return f"{meter['name']} still reads {value:.1f} {meter['unit']}"
 
@@ -258,8 +267,12 @@ class Guardian:
             acted = {"reason": self._reason, "safe": not problems, "problem": "; ".join(problems), "meters": meters}
             self._say(json.dumps({"acted": acted}, ensure_ascii=True).encode())
         gone = self._engine is None
-        if gone and (not problems or took_s > GIVE_UP_S):
-            self._done = True
+        held = all(keeper.held for keeper in self._keepers)
+        if gone and problems and took_s > (METER_GIVE_UP_S if held else GIVE_UP_S):
+            self._log.write("gave up", problem="; ".join(problems), after_s=took_s)
+        elif not gone or problems:
+            return
+        self._done = True
 
     def free(self, place: str) -> None:
         """End an engine that is there and silent: it may hold the only connection, and must not write any more."""
@@ -308,7 +321,7 @@ class Guardian:
             self._log.write("probe", problems=[why for why in found if why])
             self._say(json.dumps({"probe": found}, ensure_ascii=True).encode())
         elif line == b"done":
-            self._log.write("done", reason="the engine has made the rig safe, or nothing was moved")
+            self._log.write("done", reason="the engine has ended in order")
             self._done = True
         elif line.startswith(b"{"):
             self._plan = json.loads(line)
@@ -325,8 +338,10 @@ class Guardian:
 
 def main(descriptor: int, pid: int) -> None:
     """Run on the socket that the engine handed over; `pid` is the engine's process."""
-    for number_ in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGPIPE, signal.SIGTSTP):
-        signal.signal(number_, signal.SIG_IGN)
+    # Whoever means the engine's process group, or all of Python, must not end the guardian with it.
+    for number_ in signal.valid_signals() - {*_OF_FAULTS, signal.SIGKILL, signal.SIGSTOP, signal.SIGCHLD}:
+        with contextlib.suppress(OSError, ValueError):
+            signal.signal(number_, signal.SIG_IGN)
     try:  # the last to be ended when memory runs out; only a privileged user may ask for it
         with open("/proc/self/oom_score_adj", "w", encoding="ascii") as file:
             file.write("-1000")

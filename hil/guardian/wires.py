@@ -68,7 +68,7 @@ class Wire:
         if plan["kind"] == "serial":
             self._line = _open_line(plan)
             return
-        wire = socket.create_connection((plan["host"], plan["port"]), timeout=CONNECT_S)
+        wire = _connected(plan)
         wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if plan["kind"] == "tls":
             wire = _secured(wire, plan)
@@ -164,6 +164,17 @@ def crc16(data: bytes) -> bytes:
         for _ in range(8):
             value = value >> 1 ^ 0xA001 if value & 1 else value >> 1
     return value.to_bytes(2, "little")
+
+
+def _connected(plan: dict[str, Any]) -> socket.socket:
+    """Return a connection to the first address of the plan that answers; raises OSError."""
+    failure = OSError(f"{plan['host']} has no address")
+    for address in plan["addresses"]:
+        try:
+            return socket.create_connection((address, plan["port"]), timeout=CONNECT_S)
+        except OSError as error:
+            failure = error
+    raise failure
 
 
 def _secured(wire: socket.socket, plan: dict[str, Any]) -> socket.socket:

@@ -21,6 +21,7 @@ class Device:
     def __init__(self, *, single: bool = False, serial: bool = False) -> None:
         self.registers = [0] * 8
         self.obeys = True
+        self.refuses: set[int] = set()
         self.off_s: float | None = None
         self.connections = 0
         self._single = single
@@ -93,6 +94,8 @@ class Device:
 
     def _answer(self, pdu: bytes) -> bytes:
         code, address, value = struct.unpack(">BHH", pdu[:5])
+        if code == 6 and address in self.refuses:
+            return bytes((0x86, 4))
         if code == 6:
             if address != HEATER or self.obeys:
                 self.registers[address] = value
@@ -103,11 +106,15 @@ class Device:
         found = self.registers[address : address + value]
         return struct.pack(f">BB{value}H", code, 2 * value, *found)
 
-    def rig_text(self) -> str:
+    def rig_text(self, *, pump: bool = False) -> str:
         bus = (
             f'transport = "modbus_rtu"\nserial_port = "{self.path}"\nparity = "none"\n'
             if self.path
             else f'transport = "modbus_tcp"\nport = {self.port}\n'
+        )
+        first = (
+            '[[point]]\nname = "pump_set"\nbus = "plc"\ntable = "holding"\naddress = 1\nunit = "%"\naccess = "rw"\n'
+            "limits = [0, 100]\nsafe_value = 100\n"
         )
         return f"""
 [rig]
@@ -116,6 +123,7 @@ period_s = 0.1
 
 [bus.plc]
 {bus}
+{first if pump else ""}
 [[point]]
 name = "heater_set"
 bus = "plc"

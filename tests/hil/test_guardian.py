@@ -60,9 +60,11 @@ asyncio.run(main(*sys.argv[1:]))
 
 
 @contextlib.contextmanager
-def engine(tmp_path: Path, device: Device, how: str = "beats") -> Iterator[subprocess.Popen[str]]:
+def engine(
+    tmp_path: Path, device: Device, how: str = "beats", *, pump: bool = False
+) -> Iterator[subprocess.Popen[str]]:
     """A process that heats and beats."""
-    (tmp_path / "rig.toml").write_text(device.rig_text())
+    (tmp_path / "rig.toml").write_text(device.rig_text(pump=pump))
     command = [sys.executable, "-c", ENGINE, str(tmp_path / "rig.toml"), str(tmp_path / "guardian.log"), how]
     running = subprocess.Popen(command, cwd=PROJECT, stdout=subprocess.PIPE, text=True)
     try:
@@ -197,6 +199,27 @@ def test_the_engine_learns_that_its_guardian_was_killed(tmp_path):
         assert "nobody would make the rig safe" in running.stdout.readline()
         assert running.wait(10) == 0
         assert device.registers[HEATER] == 0
+    device.close()
+
+
+def test_a_pump_that_refuses_does_not_keep_the_heater_on(tmp_path):
+    device = Device()
+    with engine(tmp_path, device, pump=True) as running:
+        started(running)
+        device.refuses = {1}
+        running.send_signal(signal.SIGKILL)
+        assert until(lambda: device.off_s is not None, 3.0)
+    device.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGIO])
+def test_a_signal_to_everybody_ends_no_guardian(number, tmp_path):
+    device = Device()
+    with engine(tmp_path, device) as running:
+        _, pid = started(running)
+        os.kill(pid, number)
+        running.send_signal(signal.SIGKILL)
+        assert until(lambda: device.off_s is not None, 3.0)
     device.close()
 
 

@@ -241,9 +241,7 @@ def test_own_weights_are_asked_where_their_card_is_named(
 
 
 @network_here
-def test_a_run_names_its_network_and_goes_on_with_that_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_names_its_network_and_goes_on_with_that_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     card = Path(shutil.copytree(PROFILES / "trained", tmp_path / "own")) / "loop_small.json"
     (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
     words = ["run", tmp_path / "load.csv", "--virtual", "--lockstep", "--runs", tmp_path / "runs", "--no-viewer"]

@@ -1,0 +1,124 @@
+"""Making safe where parts of the rig refuse, and what counts as off."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+
+import pytest
+
+from drivers.points import DeviceExceptionError, DriverError, Quality
+from drivers.rigfile import load_rig
+from hil.heaters import not_cold, safe_limit, safe_limits
+from hil.safing import write_safe
+from hil.setpoints import Setpoints
+from tests.hil.engine_bench import EngineBench
+from tests.hil.guarded_device import Device
+from tests.hil.simulated_rig import SHIPPED, rig_with
+from tests.hil.test_trips import warm
+
+
+class Refusing:
+    """A rig of which some outputs refuse to be written."""
+
+    def __init__(self, refused: set[str], held: dict[str, float]) -> None:
+        self.rig = SHIPPED
+        self.refused = refused
+        self.held = held
+
+    async def write(self, values: dict[str, float]) -> None:
+        for name, value in values.items():
+            if name in self.refused:
+                raise DeviceExceptionError(f"{name} refused", 4)
+            self.held[name] = value
+
+    async def write_and_read_back(self, values: dict[str, float], names: tuple[str, ...]) -> dict[str, float]:
+        await self.write(values)
+        return await self.read_back(names)
+
+    async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
+        if "mute" in self.refused:
+            raise DriverError("no answer")
+        return {name: self.held[name] for name in names}
+
+
+HOT = {"heater_power_set": 700.0, "pump_speed_set": 60.0, "fan_speed_set": 60.0}
+
+
+@pytest.mark.parametrize("refused", ["heater_power_set", "pump_speed_set", "fan_speed_set"])
+def test_an_output_that_refuses_keeps_no_other_from_being_made_safe(refused):
+    rig = Refusing({refused}, dict(HOT))
+    safe = Setpoints(SHIPPED).safe_values()
+    problem = asyncio.run(write_safe(rig, safe))  # type: ignore[arg-type]
+    assert problem == f"{refused} refused"
+    assert {name for name in safe if rig.held[name] == safe[name]} == set(safe) - {refused}
+
+
+def test_an_output_that_refuses_what_it_does_already_is_safe():
+    rig = Refusing({"pump_speed_set"}, HOT | {"pump_speed_set": 100.0})
+    assert asyncio.run(write_safe(rig, Setpoints(SHIPPED).safe_values())) == ""  # type: ignore[arg-type]
+
+
+def test_the_heater_comes_first_where_the_rig_file_gives_no_order(tmp_path):
+    device = Device()
+    (tmp_path / "rig.toml").write_text(device.rig_text(pump=True))
+    assert list(Setpoints(load_rig(tmp_path / "rig.toml")).safe_values()) == ["heater_set", "pump_set"]
+    device.close()
+
+
+def test_no_tolerance_makes_a_heater_off_that_takes_a_tenth_of_its_range():
+    heater = SHIPPED.get("heater_power_set")
+    for tolerance, at_most in ((10.0, 10.0), (1000.0, 50.0)):
+        changed = heater.model_copy(update={"readback_tolerance": tolerance})
+        limit = safe_limit(SHIPPED, changed)
+        assert limit is not None
+        assert limit.at_most == at_most
+
+
+@pytest.mark.parametrize(("reads_W", "said"), [(3.0, ""), (-400.0, "still reads"), (math.nan, "is not known")])
+def test_a_meter_that_is_dead_or_the_wrong_way_round_shows_no_heater_off(reads_W, said):
+    found = not_cold(SHIPPED, safe_limits(SHIPPED), {"heater_power": reads_W})
+    assert said in found and bool(found) == bool(said)
+
+
+def test_a_run_whose_power_meter_died_does_not_claim_to_be_safe():
+    with EngineBench(rig_with(interlocks=()), duration_s=60.0) as bench:
+        warm(bench)
+        bench.rig.quality["heater_power"] = Quality.SENSOR_FAULT
+        bench.ticks(200)
+        assert not bench.outcome.safe
+        assert "is not known" in bench.outcome.away
+
+
+async def test_a_stop_does_not_wait_for_the_next_tick_of_a_slow_rig(tmp_path):
+    from drivers.rig import RigConnection
+    from hil.clock import MonotonicClock
+    from hil.engine import Engine
+    from hil.journal import Header, JournalWriter
+    from hil.profile import Profile
+
+    device = Device()
+    (tmp_path / "rig.toml").write_text(device.rig_text().replace("period_s = 0.1", "period_s = 30"))
+    rig = load_rig(tmp_path / "rig.toml")
+    clock = MonotonicClock(rig.period_s)
+    connection = RigConnection(rig, clock.now)
+    import numpy as np
+
+    profile = Profile("slow", np.array([0.0, 900.0]), ("heater_W",), np.array([[300.0], [300.0]]))
+    signals = connection.signals + tuple(point.as_signal() for point in rig.setpoints)
+    journal = JournalWriter(tmp_path / "journal.sqlite", Header(signals, {}, (), "slow", 900.0, 30.0, {}))
+    engine = Engine(connection, clock, profile, journal)
+    run = asyncio.create_task(engine.run())
+    while engine.state != "running":
+        await asyncio.sleep(0.05)
+    await asyncio.sleep(0.3)
+    began = time.monotonic()
+    engine.request_stop("the test")
+    while device.off_s is None or device.registers[0] or engine.state == "running":
+        assert time.monotonic() - began < 3.0
+        await asyncio.sleep(0.05)
+    run.cancel()
+    await asyncio.gather(run, return_exceptions=True)
+    journal.close()
+    device.close()
