@@ -26,7 +26,7 @@ _NO_VALUE = re.compile(
 )
 _NO_FAULT = re.compile(
     r"\b(?:no|without|kein\w*|ohne|sans|pas d\w*|aucun\w*|nessun\w*|senza|sin|ning[uú]n\w*|not)\W*"
-    r"(?:active )?(?:err|faul|fail|short|open|break|fehl|st(?:oe|ö)r|kurz|bruch|d[eé]f(?:a|e)|guast|fallo|pann|cour|aver)"
+    r"(?:active )?(?:err|faul|fail|short|open|break|fehl|st(?:oe|ö)r|kurz|bruch|d[eé]f[ae]|guast|fallo|pann|cour|aver)"
     r"|(?:error|fault|fehler) ?(?:free|frei)"
 )
 _CLOSED = re.compile(r"clos|\bshut|\bzu\b|geschl|ferm|chius|cerrad")

@@ -1,4 +1,4 @@
-"""Value tables and multiplexed signals of DBC files: special codes are no readings, and no signal is taken for another."""
+"""Value tables and multiplexed signals of DBC files: special codes are no readings."""
 
 from __future__ import annotations
 
