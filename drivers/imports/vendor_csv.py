@@ -90,6 +90,8 @@ def import_csv(
                 raise ImportFileError(path, line, said)
             if any(cells.values()):
                 draft.buses[0].points.append(collector.point("plc", cells["name"], line, table.keys(line, cells)))
+    if addressing != "modicon":
+        _note_entity_numbers(draft, collector)
     if not draft.buses[0].points:
         raise collector.nothing(head_line, "has a heading and no line below it; there is nothing to import")
     return draft
@@ -169,6 +171,21 @@ def _columns(path: Path, line: int, head: list[str], rows: list[tuple[int, list[
                 path, line, f"has no column for {key}; call one {key} (the first line must be the heading)"
             )
     return found
+
+
+_ENTITY_NUMBERS = {"holding": 40000, "input": 30000, "discrete": 10000}
+
+
+def _note_entity_numbers(draft: Draft, collector: Collector) -> None:
+    """Note the first point of every table whose address looks as if the table were its leading digit."""
+    noted: set[str] = set()
+    for point in draft.buses[0].points:
+        table, address = str(point.keys["table"]), int(point.keys["address"])
+        first = _ENTITY_NUMBERS.get(table)
+        if first is not None and table not in noted and 0 <= address - first < 10000:
+            noted.add(table)
+            said = f"address {address} in table {table} looks like a Modicon number; is the table --addressing modicon?"
+            collector.note(point.line, f"{point.name}: {said}")
 
 
 def _cells_of(columns: _Columns, key: str, rows: list[tuple[int, list[str]]]) -> list[str]:

@@ -386,3 +386,11 @@ def test_a_column_of_swaps_orders_the_bytes_or_leaves_the_point_out(tmp_path, he
     assert points.get("a", {}).get("order") == order
     assert points["b"]["order"] == "ABCD"
     assert [note.endswith("(left out)") for note in notes] == ([True] if order is None else [])
+
+
+def test_an_address_that_looks_like_a_modicon_number_is_noted_once_a_table(tmp_path):
+    text = "name,address,function,type\na,40011,3,uint16\nb,40012,3,uint16\nc,300,4,uint16\n"
+    _, notes = drafted(tmp_path, text)
+    assert [note.split(";")[0] for note in notes] == [
+        "line 2: a: address 40011 in table holding looks like a Modicon number"
+    ]
