@@ -51,9 +51,10 @@ def checked_host(host: str) -> str:
     if with_port is not None:
         name, port = with_port[1].strip("[]"), with_port[2] or "502"
         raise ValueError(f'{host!r} holds a port; write host = "{name}" and port = {port}')
-    if ":" in host or re.fullmatch(r"[\d.]+", host):
+    short = re.fullmatch(r"(?:0|[1-9]\d*)(?:\.(?:0|[1-9]\d*)){0,2}", host)  # 127.1 is 127.0.0.1 to every resolver
+    if ":" in host or (re.fullmatch(r"[\d.]+", host) and short is None):
         try:
-            ipaddress.ip_address(host)
+            ipaddress.ip_address(host[1:-1] if host.startswith("[") and host.endswith("]") else host)
         except ValueError:
             raise ValueError(
                 f"{host!r} is no address: IPv4 has four numbers from 0 to 255 without leading zeros; correct it"

@@ -55,7 +55,7 @@ def test_a_quoted_number_and_a_host_that_is_more_are_refused_with_the_line(tmp_p
         loaded(tmp_path, old, new)
 
 
-@pytest.mark.parametrize("host", ["localhost", "chiller-2.lab.example", "fd00::7", "::1", "192.168.7.20"])
+@pytest.mark.parametrize("host", ["localhost", "chiller-2.lab.example", "fd00::7", "[::1]", "192.168.7.20"])
 def test_names_and_addresses_are_hosts(tmp_path, host):
     assert loaded(tmp_path, "10.0.0.7", host).bus["plc"].host == host
 
