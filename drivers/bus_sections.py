@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from drivers.can_ids import EXTENDED_BITS, HIGHEST_PGN, STANDARD_BITS, IdMatch, by_id, by_pgn, is_pdu1
+from drivers.plain_values import checked_host, refuse_quoted_numbers
 
 
 class Section(BaseModel):
     """One section of a rig file: unknown keys are mistakes, and so are infinite numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_not_quoted(cls, data: Any) -> Any:
+        refuse_quoted_numbers(cls, data)
+        return data
 
 
 Table = Literal["coil", "discrete", "holding", "input"]
@@ -83,6 +90,11 @@ class ModbusTcpBus(ModbusBusSection):
     port: Annotated[int, Field(ge=1, le=65535)] = 502
     transaction: Literal["checked", "zero"] = "checked"
     frame_length: Literal["checked", "ignored"] = "checked"
+
+    @field_validator("host")
+    @classmethod
+    def _is_host(cls, host: str) -> str:
+        return checked_host(host)
 
     @property
     def place(self) -> str:
@@ -212,6 +224,12 @@ class CanBus(Section):
     dbc: Path
     dbc_encoding: str = "utf-8"
     message: tuple[CanMessage, ...] = ()
+
+    @field_validator("host")
+    @classmethod
+    def _is_host(cls, host: str) -> str:
+        return checked_host(host)
+
     timeout_s: Annotated[float, Field(gt=0, le=10)] = 1.0
     uptime: str | None = None
 

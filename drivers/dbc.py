@@ -13,7 +13,14 @@ import cantools.database
 
 from drivers.bus_sections import CanBus
 from drivers.can_ids import IdMatch, by_id, by_j1939, pgn_of
-from drivers.dbc_layout import is_whole, layout_faults, part_of, shared_bits
+from drivers.dbc_layout import (
+    is_whole,
+    layout_faults,
+    multiplexed_together,
+    multiplexing_faults,
+    part_of,
+    shared_bits,
+)
 from drivers.dbc_text import DbcText, usable
 from drivers.encodings import decoded
 from drivers.points import ConfigurationError
@@ -30,7 +37,8 @@ _LONGEST_CYCLE_MS = 1e9
 class DbcSignal:
     """One signal as a DBC file describes it; `minimum` and `maximum` in `unit`, `cycle_s` in s.
 
-    `match` are the frames of its message, `line` is its line in the file.
+    `match` are the frames of its message, `line` is its line in the file. Its value is raw x `scale` + `offset`, and
+    `length` its bits.
     """
 
     message: str
@@ -45,6 +53,11 @@ class DbcSignal:
     multiplexed: bool
     comment: str
     line: int = 1
+    scale: float = 1.0
+    offset: float = 0.0
+    length: int = 8
+    is_signed: bool = False
+    is_float: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +100,16 @@ class Bound:
 
     def decode(self, data: bytes) -> dict[str, float] | None:
         """Values by signal, of those that are in this frame; None where it cannot be decoded."""
-        try:
-            found: dict[str, Any] = {}
-            for part in self.parts or (self.message,):
-                found |= part.decode(data, decode_choices=False, scaling=True)
-            return {name: float(value) for name, value in found.items()}
-        except Exception:  # cantools raises DecodeError, but bad DBCs leak others; a frame is then not used
-            return None
+        found: dict[str, float] = {}
+        decoded_any = False
+        for part in self.parts or (self.message,):
+            try:
+                values = part.decode(data, decode_choices=False, scaling=True)
+                found |= {name: float(value) for name, value in values.items()}
+                decoded_any = True
+            except Exception:  # cantools raises DecodeError, but bad DBCs leak others; the part is then not used
+                continue
+        return found if decoded_any else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,12 +179,11 @@ def read_dbc(path: Path, encoding: str | None = None) -> DbcContents:
             contents.left_out.append((line, f"message {message.name}: {why}"))
             continue
         faults = layout_faults(message)
+        faults = multiplexing_faults(message, text.multiplexing, faults) | faults
         shared = shared_bits(message, faults)
         for signal in message.signals:
             at = text.signals.get((message.name, signal.name), line)
             fault = faults.get(signal.name)
-            if fault is None and (faults or shared) and (signal.is_multiplexer or signal.multiplexer_ids):
-                fault = "is multiplexed, and other signals of its message share bits or do not fit; correct those"
             if fault is not None:
                 contents.left_out.append((at, f"{signal.name}: {fault}"))
                 continue
@@ -196,6 +211,11 @@ def _described(message: Any, signal: Any, line: int) -> DbcSignal:
         bool(signal.multiplexer_ids),
         signal.comment or "",
         line,
+        float(signal.scale),
+        float(signal.offset),
+        signal.length,
+        bool(signal.is_signed),
+        bool(signal.is_float),
     )
 
 
@@ -237,20 +257,27 @@ def _parts(path: Path, bound: Bound) -> list[Any]:
     message = bound.message
     if is_whole(message.signals, message):
         return []
+    faults = layout_faults(message)
+    multiplexed: list[list[Any]] = []
     groups: list[list[Any]] = []
     for name in dict.fromkeys(wanted.name for _, wanted in bound.wanted):
         signal = next(s for s in message.signals if s.name == name)
-        if signal.multiplexer_ids or signal.is_multiplexer or not is_whole([signal], message):
-            raise ConfigurationError(
-                f"{path}: signal {name} of {message.name} shares bits with another or does not fit in "
-                f"{message.length} bytes; correct the DBC, or leave the point out"
-            )
+        if signal.multiplexer_ids:
+            if not any(signal in group for group in multiplexed):
+                multiplexed.append(multiplexed_together(signal, message, faults))
+            continue
         home = next((group for group in groups if is_whole([*group, signal], message)), None)
         if home is None:
             groups.append([signal])
         else:
             home.append(signal)
-    return [part_of(group, message) for group in groups]
+    for group in (*multiplexed, *groups):
+        if not is_whole(group, message):
+            raise ConfigurationError(
+                f"{path}: signal {group[-1].name} of {message.name} shares bits with its multiplexor or does not fit "
+                f"in {message.length} bytes; correct the DBC, or leave the point out"
+            )
+    return [part_of(group, message) for group in (*multiplexed, *groups)]
 
 
 def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
@@ -275,9 +302,12 @@ def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
             raise ConfigurationError(
                 f"{path}: message {message.name} has no signal {point.signal!r} for {point.name}; it has {names}"
             )
-        fault = layout_faults(message).get(signal.name)
+        faults = layout_faults(message)
+        fault = (multiplexing_faults(message, text.multiplexing, faults) | faults).get(signal.name)
         if fault is not None:
-            raise ConfigurationError(f"{path}: signal {signal.name} of point {point.name} {fault}")
+            at = text.signals.get((message.name, signal.name))
+            where = "" if at is None else f", line {at}"
+            raise ConfigurationError(f"{path}{where}: signal {signal.name} of point {point.name} {fault}")
         if signal.unit and canonical_unit(signal.unit) != point.unit:
             raise ConfigurationError(
                 f"{path}: signal {signal.name} is in {signal.unit}, point {point.name} in {point.unit}; correct one"

@@ -36,11 +36,68 @@ def shared_bits(message: Any, faults: Mapping[str, str]) -> dict[str, list[str]]
         return found
     for number, one in enumerate(signals):
         for other in signals[number + 1 :]:
-            apart = one.multiplexer_ids and other.multiplexer_ids
-            if not apart and not is_whole([one, other], message, plain=True):
+            if one.multiplexer_ids and other.multiplexer_ids:
+                pair, plain = [*_chain(one, message), *_chain(other, message)], False
+                pair = [signal for number, signal in enumerate(pair) if signal not in pair[:number]]
+            else:
+                pair, plain = [one, other], True
+            if not is_whole(pair, message, plain=plain):
                 found.setdefault(one.name, []).append(other.name)
                 found.setdefault(other.name, []).append(one.name)
     return found or {signal.name: ["others"] for signal in signals}
+
+
+def multiplexing_faults(
+    message: Any, written: Mapping[tuple[str, str], str], faults: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the signals of a message that cannot be told from frame to frame, and why.
+
+    `written` is what the file has behind a signal's name, by message and name: of a signal with `m2` a frame must say
+    that it is there. `faults` are the signals that cannot be decoded.
+    """
+    by_name = {signal.name: signal for signal in message.signals}
+    found: dict[str, str] = {}
+    for signal in message.signals:
+        token = written.get((message.name, signal.name), "")
+        if token.startswith("m") and not signal.multiplexer_ids:
+            found[signal.name] = (
+                f"is multiplexed ({token}), and the file does not say which signal selects it; mark one signal of "
+                f"{message.name} with M, and give SG_MUL_VAL_ for every multiplexed signal where there are several"
+            )
+    for signal in message.signals:
+        if not signal.multiplexer_ids or signal.name in found or signal.name in faults:
+            continue
+        above = [one.name for one in _chain(signal, message)[:-1]]
+        bad = next((name for name in above if name in found or name in faults), None)
+        if bad is not None or signal.multiplexer_signal not in by_name:
+            found[signal.name] = (
+                f"is multiplexed by {bad or signal.multiplexer_signal}, which cannot be read; correct it"
+            )
+        elif not is_whole(_chain(signal, message), message):
+            found[signal.name] = f"shares bits with {', '.join(above)}, which selects it; correct one"
+    return found
+
+
+def multiplexed_together(signal: Any, message: Any, faults: Mapping[str, str]) -> list[Any]:
+    """Return a multiplexed signal, the signals that select it, and all others that share no bit with these."""
+    group = _chain(signal, message)
+    for other in message.signals:
+        chain = [one for one in _chain(other, message) if one not in group]
+        if other.multiplexer_ids and chain and not any(one.name in faults for one in chain):
+            group = [*chain, *group] if is_whole([*chain, *group], message) else group
+    return group
+
+
+def _chain(signal: Any, message: Any) -> list[Any]:
+    """Return the signals that select a multiplexed signal, the first selector first, and the signal."""
+    by_name = {one.name: one for one in message.signals}
+    chain = [signal]
+    while chain[0].multiplexer_ids:
+        above = by_name.get(chain[0].multiplexer_signal)
+        if above is None or above in chain:
+            break
+        chain.insert(0, above)
+    return chain
 
 
 def is_whole(signals: Sequence[Any], message: Any, *, plain: bool = False) -> bool:

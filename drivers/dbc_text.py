@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _MESSAGE = re.compile(r"\s*BO_\s+(?P<id>\d{1,10})\s+(?P<name>\w+)\s*:\s*(?P<length>\d{1,4})\s+\w+\s*")
 _SIGNAL = re.compile(
-    r"\s*SG_\s+(?P<name>\w+)(?:\s+(?:M|m\d+M?))?\s*:\s*(?P<start>\d{1,5})\s*\|\s*(?P<length>\d{1,5})\s*@\s*[01]\s*[-+]\s*"
+    r"\s*SG_\s+(?P<name>\w+)(?:\s+(?P<multiplexing>M|m\d+M?))?\s*:\s*(?P<start>\d{1,5})\s*\|\s*(?P<length>\d{1,5})\s*@\s*[01]\s*[-+]\s*"
     rf"\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*\)\s*\[\s*{_NUMBER}\s*\|\s*{_NUMBER}\s*\]\s*"
     r'"(?:[^"\\]|\\.)*"(?P<receivers>[\s\w,]*)'
 )
@@ -28,13 +28,15 @@ _LAST_BIT = 8 * 1785
 class DbcText:
     """The text of a DBC file without the lines that cannot be used, which are blank, and where everything else is.
 
-    `left_out` has line and reason of each that was taken out, `messages` and `signals` the lines of the others.
+    `left_out` has line and reason of each that was taken out, `messages` and `signals` the lines of the others;
+    `multiplexing` has what stands behind a signal's name by message and name: M, m2 or m2M.
     """
 
     text: str = ""
     left_out: list[tuple[int, str]] = field(default_factory=list)
     messages: dict[str, int] = field(default_factory=dict)
     signals: dict[tuple[str, str], int] = field(default_factory=dict)
+    multiplexing: dict[tuple[str, str], str] = field(default_factory=dict)
 
 
 def usable(text: str) -> DbcText:
@@ -58,6 +60,9 @@ def usable(text: str) -> DbcText:
                 found.left_out.append((number, why))
             elif message is not None:
                 found.signals[message, _name(line)] = number
+                parts = _SIGNAL.fullmatch(line)
+                if parts is not None and parts["multiplexing"]:
+                    found.multiplexing[message, parts["name"]] = parts["multiplexing"]
         else:
             why = ""
         unused = why or (word == "SG_" and message is None)

@@ -8,15 +8,23 @@ the rig's `abort_after_s`.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from drivers.plain_values import refuse_quoted_numbers
 
 Level = Literal["warning", "alarm"]
 
 
 class _Spec(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_not_quoted(cls, data: Any) -> Any:
+        refuse_quoted_numbers(cls, data)
+        return data
 
     level: Level
     deadband: Annotated[float, Field(ge=0)] = 0.0

@@ -6,8 +6,6 @@ can be read without its rig. Symbols follow UCUM where ASCII allows it, as DBC f
 
 from __future__ import annotations
 
-import difflib
-
 SUFFIX_OF_UNIT: dict[str, str] = {
     "W": "W",
     "kW": "kW",
@@ -112,7 +110,33 @@ _SPELT_OUT = {
     "second": "s",
     "volt": "V",
     "amp": "A",
+    "ampere": "A",
+    "hertz": "Hz",
+    "u/min": "rpm",
+    "1/min": "rpm",
+    "r/min": "rpm",
+    "rev/min": "rpm",
+    "tr/min": "rpm",
+    "min-1": "rpm",
+    "min^-1": "rpm",
+    "min⁻¹": "rpm",
+    "m3/hr": "m3/h",
+    "m^3/h": "m3/h",
+    "l/hr": "L/h",
+    "l/sec": "L/s",
+    "degree": "degC",
+    "degrees c": "degC",
+    "ohms": "ohm",
+    "sec": "s",
+    "msec": "ms",
 }
+"""Other names of a unit, in small letters: each is one of it, so that no value changes."""
+_PREFIXES = {"n": 1e-9, "µ": 1e-6, "μ": 1e-6, "u": 1e-6, "m": 1e-3, "h": 1e2, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
+"""Decimal prefixes of the SI; K is a common misspelling of k. Small and capital letters differ by powers of ten."""
+_BASES = {
+    symbol.lower(): symbol for symbol in ("W", "V", "A", "VA", "var", "Pa", "Hz", "Wh", "ohm", "s", "bar", "K", "m/s")
+} | {"ω": "ohm"}
+_FAHRENHEIT = ("f", "°f", "degf", "deg f", "fahrenheit")
 
 
 def canonical_unit(unit: str) -> str:
@@ -120,10 +144,26 @@ def canonical_unit(unit: str) -> str:
     symbol = _ALIASES.get(unit, unit)
     if symbol in SUFFIX_OF_UNIT:
         return symbol
-    longhand = unit.lower().rstrip("s")
-    near = [_SPELT_OUT[longhand]] if longhand in _SPELT_OUT else difflib.get_close_matches(unit, SUFFIX_OF_UNIT, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"the known ones are {', '.join(SUFFIX_OF_UNIT)}"
-    raise ValueError(f"unit {unit!r} is not known; {hint}")
+    raise ValueError(f"unit {unit!r} is not known; {_hint(unit)}")
+
+
+def _hint(unit: str) -> str:
+    """Return the remedy for a unit that is not known: a symbol of the same size, or the factor to a known one."""
+    bare = unit.strip()
+    longhand = bare.lower().rstrip("s")
+    for spelling in (bare.lower(), longhand):
+        if spelling in _SPELT_OUT:
+            return f"did you mean {_SPELT_OUT[spelling]}?"
+    same = [symbol for symbol in SUFFIX_OF_UNIT if symbol.lower() == bare.lower()]
+    if same and not (bare[0] in "mM" and same[0][0] in "mM" and bare[0] != same[0][0]):  # milli is not mega
+        return f"did you mean {same[0]}?"
+    for prefix, factor in _PREFIXES.items():
+        base = _BASES.get(bare.removeprefix(prefix).lower()) if bare.startswith(prefix) else None
+        if base is not None:
+            return f"1 {bare} is {factor:g} {base}; convert the values and write {base}"
+    if bare.lower() in _FAHRENHEIT:
+        return "convert the values to degC"
+    return f"the known ones are {', '.join(SUFFIX_OF_UNIT)}"
 
 
 def plausible_range(unit: str) -> tuple[float, float]:

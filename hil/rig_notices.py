@@ -20,7 +20,31 @@ def notices(rig: Rig, file: Path) -> list[str]:
                 found.append(f"{file}, line {line_of(text, ('point', index, key))}: {what}")
     if any(has_memory(point.as_signal()) for point in rig.point) and (what := unled(rig, rig.setpoints)) is not None:
         found.append(f"{file}: {what}")
-    return [*found, *unguarded(rig, file)]
+    return [*found, *_entity_numbers(rig, file, text), *unguarded(rig, file)]
+
+
+_ENTITY_NUMBERS = {"holding": 40000, "input": 30000, "discrete": 10000}
+"""First number of a table where manuals have it as leading digit: 40001 is the first holding register, address 0."""
+_NUMBERS_OF_A_TABLE = 10000
+
+
+def _entity_numbers(rig: Rig, file: Path, text: str) -> list[str]:
+    """Return a note for every bus and table whose addresses look like numbers of a manual that count from 40001."""
+    seen: dict[tuple[str, str], list[int]] = {}
+    for index, point in enumerate(rig.point):
+        first = _ENTITY_NUMBERS.get(str(point.table))
+        if first is not None and point.address is not None and 0 <= point.address - first < _NUMBERS_OF_A_TABLE:
+            seen.setdefault((point.bus, str(point.table)), []).append(index)
+    found = []
+    for (bus, table), indices in seen.items():
+        names = ", ".join(rig.point[index].name for index in indices)
+        first = _ENTITY_NUMBERS[table] + 1
+        found.append(
+            f"{file}, line {line_of(text, ('point', indices[0], 'address'))}: addresses of {names} in table {table} of "
+            f"bus {bus} look like numbers of a manual, where {first} is the first one; addresses here count from zero, "
+            f"so subtract {first} unless the device has them so high, as SunSpec devices do"
+        )
+    return found
 
 
 def unguarded(rig: Rig, file: Path) -> list[str]:

@@ -15,6 +15,39 @@ _OTHER_UNITS = frozenset(("w", "kw", "mw", "pct", "rpm", "hz", "frac", "fraction
 _AS_WORDS = (("°c", "c"), ("degc", "c"), ("%", "pct"))
 
 
+UNITS_OF_SUFFIX = {
+    "C": ("degC", "°C", "C", "deg C"),
+    "K": ("K",),
+    "W": ("W",),
+    "kW": ("kW",),
+    "pct": ("%", "pct"),
+    "rpm": ("rpm",),
+    "Hz": ("Hz",),
+    "V": ("V",),
+    "A": ("A",),
+    "Pa": ("Pa",),
+    "kPa": ("kPa",),
+    "bar": ("bar",),
+    "mbar": ("mbar",),
+    "L_per_min": ("L/min", "l/min", "LPM"),
+    "L_per_s": ("L/s", "l/s"),
+    "L_per_h": ("L/h", "l/h"),
+    "m3_per_h": ("m3/h", "m³/h"),
+    "kg_per_s": ("kg/s",),
+    "m_per_s": ("m/s",),
+    "s": ("s",),
+}
+"""Ways to write the unit that a column's last part says: a record's column is the signal's name and its unit."""
+
+
+def contradicts(column: str, unit: str) -> str | None:
+    """Return the unit that a column has by its name where `unit` is another one, else None."""
+    suffix = max((end for end in UNITS_OF_SUFFIX if column.endswith(f"_{end}")), key=len, default=None)
+    if suffix is None or unit.strip() in ("", *UNITS_OF_SUFFIX[suffix]):
+        return None
+    return UNITS_OF_SUFFIX[suffix][0]
+
+
 def converted(column: str) -> tuple[str, str, str] | None:
     """Unit, remedy and new name of a column that by its name is a temperature in another unit than degC, or None."""
     stem, _, tail = column.rpartition("_")

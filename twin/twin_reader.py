@@ -10,6 +10,7 @@ from dataclasses import MISSING, dataclass, replace
 from typing import Any, NoReturn
 
 from twin.assembly import System
+from twin.column_names import contradicts
 from twin.elements import KINDS, Element, Parameter, ParameterSpec
 from twin.elements.base import STATUSES
 from twin.identifiers import LONGEST_SHOWN, refusal
@@ -142,6 +143,13 @@ class Reader:
         if not values["lower"] <= values["nominal"] <= values["upper"]:
             self.fail(keys, f"nominal {values['nominal']:g} is outside [{values['lower']:g}, {values['upper']:g}]")
         unit = self.string(table.get("unit", ""), (*keys, "unit"))
+        named = contradicts(column, unit)
+        if named is not None:
+            self.fail(
+                keys,
+                f"unit {unit!r} contradicts the name, which says {named}; convert nominal and bounds to {named}, or "
+                "name the column after its unit",
+            )
         return InputSpec(column=column, unit=unit, source=str(table.get("source", "")), **values)
 
     def element(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.dbc import DbcContents, DbcSignal, read_dbc
+from drivers.imports.dbc_values import value_table
 from drivers.imports.draft import Collector, Draft, DraftBus, ImportFileError
 from drivers.points import ConfigurationError
 
@@ -60,10 +61,16 @@ def _add(signal: DbcSignal, collector: Collector, bus: DraftBus) -> None:
     point: dict[str, Any] = {"message": signal.message, "signal": signal.name, "unit": signal.unit}
     if signal.minimum is not None and signal.maximum is not None and signal.minimum < signal.maximum:
         point["plausible"] = [float(signal.minimum), float(signal.maximum)]
-    if signal.choices:
-        point["labels"] = {str(key): text for key, text in signal.choices.items()}
+    named = value_table(signal)
+    if named.labels is not None:
+        point["labels"] = named.labels
         point["kind"] = "status"
         point.pop("plausible", None)
+    if named.invalid:
+        point["invalid"] = named.invalid
+    if named.others:
+        said = f"{signal.name}: the value table is of a measured signal: {', '.join(named.others)}"
+        collector.note(line, f"{said}; a reading of it is taken as measured")
     if signal.cycle_s:
         point["stale_after_s"] = round(max(3.0 * signal.cycle_s, 0.1), 3)
     if signal.comment:

@@ -7,9 +7,29 @@ import io
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, cast
 
-from drivers.imports.draft import Collector, Draft, DraftBus, ImportFileError, number, placeholder_in, read_any_text
+from drivers.codec import RegisterType
+from drivers.imports.draft import Collector, Draft, DraftBus, ImportFileError, placeholder_in, read_any_text
+from drivers.imports.vendor_cells import (
+    Addressing,
+    access_of,
+    address_of,
+    bits_of,
+    number_of,
+    order_of,
+    table_of,
+    type_of,
+)
+from drivers.imports.vendor_columns import (
+    ColumnError,
+    ambiguous_thousand,
+    has_decimal_comma,
+    has_decimal_point,
+    is_hexadecimal,
+    order_of_swaps,
+    raw_ends,
+)
 from drivers.imports.vendor_scale import (
     ScaleError,
     divisor_of,
@@ -18,11 +38,8 @@ from drivers.imports.vendor_scale import (
     is_exponent_like,
     unit_and_factor,
 )
-from drivers.imports.vendor_words import ACCESS, OF_FUNCTION, TABLES, TYPES, WRITES, heading_key, squeezed
+from drivers.imports.vendor_words import heading_key
 
-Addressing = Literal["zero", "one", "modicon"]
-
-_OF_LEADING_DIGIT = {"0": "coil", "1": "discrete", "3": "input", "4": "holding"}
 _DELIMITERS = (";", "\t", ",", "|")
 _REMEDY = "rename it scale (value = raw x scale) or divisor (value = raw / divisor), or take it out"
 
@@ -35,6 +52,8 @@ class _Columns:
     inside: dict[str, str] = field(default_factory=dict)
     unused: list[str] = field(default_factory=list)
     is_exponent: bool = False
+    is_hex: bool = False
+    decimal_comma: set[str] = field(default_factory=set)
 
 
 def import_csv(
@@ -60,6 +79,8 @@ def import_csv(
     draft = Draft(path, [DraftBus("plc", bus)], collector.notes)
     if columns.unused:
         collector.note(head_line, f"columns that were not used: {', '.join(columns.unused)}")
+    _number_base(path, head_line, columns, rows[1:], addressing, collector)
+    _decimal_signs(columns, rows[1:])
     table = _Table(path, columns, addressing, order, collector)
     for line, row in rows[1:]:
         cells = {key: row[index].strip() if index < len(row) else "" for key, index in columns.at.items()}
@@ -69,6 +90,8 @@ def import_csv(
                 raise ImportFileError(path, line, said)
             if any(cells.values()):
                 draft.buses[0].points.append(collector.point("plc", cells["name"], line, table.keys(line, cells)))
+    if addressing != "modicon":
+        _note_entity_numbers(draft, collector)
     if not draft.buses[0].points:
         raise collector.nothing(head_line, "has a heading and no line below it; there is nothing to import")
     return draft
@@ -150,6 +173,55 @@ def _columns(path: Path, line: int, head: list[str], rows: list[tuple[int, list[
     return found
 
 
+_ENTITY_NUMBERS = {"holding": 40000, "input": 30000, "discrete": 10000}
+
+
+def _note_entity_numbers(draft: Draft, collector: Collector) -> None:
+    """Note the first point of every table whose address looks as if the table were its leading digit."""
+    noted: set[str] = set()
+    for point in draft.buses[0].points:
+        table, address = str(point.keys["table"]), int(point.keys["address"])
+        first = _ENTITY_NUMBERS.get(table)
+        if first is not None and table not in noted and 0 <= address - first < 10000:
+            noted.add(table)
+            said = f"address {address} in table {table} looks like a Modicon number; is the table --addressing modicon?"
+            collector.note(point.line, f"{point.name}: {said}")
+
+
+def _cells_of(columns: _Columns, key: str, rows: list[tuple[int, list[str]]]) -> list[str]:
+    index = columns.at[key]
+    return [row[index].strip() for _, row in rows if index < len(row)]
+
+
+def _number_base(
+    path: Path,
+    line: int,
+    columns: _Columns,
+    rows: list[tuple[int, list[str]]],
+    addressing: Addressing,
+    collector: Collector,
+) -> None:
+    """Set the base of all addresses, by the heading or else by their digits; raise ImportFileError."""
+    inside = columns.inside.get("address", "")
+    columns.is_hex = "hex" in inside
+    if columns.is_hex or "dec" in inside or addressing == "modicon":
+        return
+    try:
+        columns.is_hex = is_hexadecimal(_cells_of(columns, "address", rows))
+    except ColumnError as error:
+        raise ImportFileError(path, line, str(error)) from None
+    if columns.is_hex:
+        collector.note(line, "addresses hold the letters A to F: all of them were read as hexadecimal")
+
+
+def _decimal_signs(columns: _Columns, rows: list[tuple[int, list[str]]]) -> None:
+    """Set the columns whose numbers have a decimal comma: by their own cells, or else by those of the other columns."""
+    numeric = [key for key in ("scale", "divisor", "offset", "min", "max") if key in columns.at]
+    own = {key for key in numeric if has_decimal_comma(_cells_of(columns, key, rows))}
+    unclear = {key for key in numeric if not has_decimal_point(_cells_of(columns, key, rows))}
+    columns.decimal_comma = own | (unclear if own else set())
+
+
 @dataclass(slots=True)
 class _Table:
     path: Path
@@ -166,9 +238,9 @@ class _Table:
         for key, cell in cells.items():
             if key != "doc" and (placeholder := placeholder_in(cell)) is not None:
                 raise ImportFileError(path, line, f"{key} is {placeholder}; write what that stands for")
-        table, access = _table(path, line, cells)
-        is_hex = "hex" in self.columns.inside.get("address", "")
-        given, address = _address(path, line, cells["address"], self.addressing, is_hex=is_hex)
+        table, access = table_of(path, line, cells)
+        self._decimal_signs_agree(line, cells, ("scale", "divisor", "offset"))
+        given, address = address_of(path, line, cells["address"], self.addressing, is_hex=self.columns.is_hex)
         if table is not None and given is not None and table != given:
             raise ImportFileError(
                 path, line, f"address {cells['address']} is of table {given} and the line says {table}; correct one"
@@ -176,23 +248,45 @@ class _Table:
         table = table or given
         if table is None:
             raise ImportFileError(path, line, "no table; add a column table or function, or use --addressing modicon")
-        kind, length = _type(path, line, cells, table)
+        kind, length = type_of(path, line, cells, table)
         keys: dict[str, Any] = {"table": table, "address": address}
         if table in ("holding", "input"):
             keys["type"] = kind
-            keys["order"] = _order(path, line, cells, kind, self.order)
+            keys["order"] = self._order_of(line, cells, kind)
             keys["length"] = length
-        keys["bits"] = _bits(path, line, cells)
-        keys["access"] = _access(path, line, cells) or access
+        keys["bits"] = bits_of(path, line, cells)
+        keys["access"] = access_of(path, line, cells) or access
         if keys["access"] == "r" or keys["bits"] is not None or kind == "string":
             keys["access"] = None
         keys["kind"] = "status" if kind in ("bool", "string") or keys["bits"] is not None else None
         keys["unit"] = cells.get("unit", "")
         if kind not in ("bool", "string"):
             keys |= self._scaling(line, cells, address, is_whole="int" in kind and keys["bits"] is None)
-        keys["plausible"] = self._plausible(line, cells)
+        keys["plausible"] = self._plausible(line, cells, keys, kind)
         keys["doc"] = cells.get("doc") or None
         return keys
+
+    def _order_of(self, line: int, cells: dict[str, str], kind: str) -> str | None:
+        """Return the order of bytes by the columns order and swap; raise ImportFileError where it is not certain."""
+        try:
+            swapped = order_of_swaps(cells)
+        except ValueError as error:
+            raise ImportFileError(self.path, line, str(error)) from None
+        if swapped is None:
+            return order_of(self.path, line, cells, kind, self.order)
+        if swapped in ("BADC", "DCBA") and kind in ("int16", "uint16", "string"):
+            raise ImportFileError(self.path, line, f"the bytes of {kind} are swapped, which is not read here")
+        if swapped != "ABCD" and (cells.get("order") or self.order != "ABCD"):
+            raise ImportFileError(self.path, line, "has an order and a swap besides; leave one of them out")
+        return order_of(self.path, line, cells, kind, swapped)
+
+    def _decimal_signs_agree(self, line: int, cells: dict[str, str], names: tuple[str, ...]) -> None:
+        """Raise ImportFileError for a number that is a thousand or a fraction by the sign of its column."""
+        for key in names:
+            text = cells.get(key, "")
+            if ambiguous_thousand(text, decimal_comma=key in self.columns.decimal_comma):
+                said = f"{key} {text!r} may be a thousand or a fraction beside decimal commas; write 1 or 1000"
+                raise ImportFileError(self.path, line, said)
 
     def _scaling(self, line: int, cells: dict[str, str], address: int, *, is_whole: bool) -> dict[str, Any]:
         """Return scale, offset and the unit without its factor; raise ImportFileError where a factor is not certain."""
@@ -228,160 +322,31 @@ class _Table:
         text = cells.get("offset", "")
         if text in ("", "-"):
             return 0.0
-        offset = _number(self.path, line, "offset", text)
+        offset = number_of(self.path, line, "offset", text)
         if offset and offset in (address, address + 1):
             said = f"offset {text} is its address; rename the column, or take it out"
             raise ImportFileError(self.path, line, said)
         return offset
 
-    def _plausible(self, line: int, cells: dict[str, str]) -> list[float] | None:
+    def _plausible(self, line: int, cells: dict[str, str], keys: dict[str, Any], kind: str) -> list[float] | None:
         low, high = cells.get("min", ""), cells.get("max", "")
         if low in ("", "-") or high in ("", "-"):
             return None
         try:
-            found = [_number(self.path, line, "min", low), _number(self.path, line, "max", high)]
+            self._decimal_signs_agree(line, cells, ("min", "max"))
+            found = [number_of(self.path, line, "min", low), number_of(self.path, line, "max", high)]
         except ImportFileError as error:
             self.collector.note(line, f"{cells['name']}: {error.what}; no plausible range was taken")
             return None
-        return found
-
-
-def _table(path: Path, line: int, cells: dict[str, str]) -> tuple[str | None, str | None]:
-    """Return table and access by the columns table and function; None where they say nothing."""
-    named = squeezed(cells.get("table", ""))
-    table: str | None = None
-    if named:
-        table = TABLES.get(named)
-        if table is None:
-            raise ImportFileError(
-                path, line, f"table {cells['table']!r} is not known; use coil, discrete, holding or input"
-            )
-    codes = [int(code) for code in re.findall(r"\d{1,3}", cells.get("function", ""))]
-    if cells.get("function") and not codes:
-        raise ImportFileError(path, line, f"function {cells['function']!r} is no function code; use 1 to 6, 15 or 16")
-    for code in codes:
-        of_code = OF_FUNCTION.get(code)
-        if of_code is None:
-            raise ImportFileError(path, line, f"function {code} reads or writes no table; use 1 to 6, 15 or 16")
-        if table is not None and of_code != table:
-            raise ImportFileError(path, line, f"function {code} is not for table {table}; correct one of them")
-        table = of_code
-    writes, reads = bool(WRITES & set(codes)), bool(set(codes) - WRITES)
-    return table, ("rw" if reads else "w") if writes else None
-
-
-def _address(path: Path, line: int, text: str, addressing: Addressing, *, is_hex: bool) -> tuple[str | None, int]:
-    """Return the table of a Modicon address, or None, and the zero-based address."""
-    bare = text.strip().lower()
-    if re.fullmatch(r"0x[0-9a-f]{1,5}|[0-9a-f]{1,5}h", bare) or (is_hex and re.fullmatch(r"[0-9a-f]{1,5}", bare)):
-        value, digits = int(bare.removeprefix("0x").removesuffix("h"), 16), ""
-    elif re.fullmatch(r"\d{1,7}", bare):
-        value, digits = int(bare), bare
-    else:
-        raise ImportFileError(path, line, f"address {text!r} is no address; write it as 100 or 0x64, one a line")
-    if addressing == "modicon":
-        if len(digits) not in (5, 6) or digits[0] not in _OF_LEADING_DIGIT or int(digits[1:]) < 1:
-            raise ImportFileError(
-                path,
+        if kind in ("bool", "string"):
+            return found
+        scale, offset = keys.get("scale", 1.0), keys.get("offset", 0.0)
+        meant = raw_ends(found, scale, offset, keys.get("unit", ""), cast(RegisterType, kind))
+        if meant == "raw" or (meant == "either" and keys.get("access") in ("w", "rw")):
+            said = "are raw counts" if meant == "raw" else "may be raw counts or values, and the point can be written"
+            self.collector.note(
                 line,
-                f"address {text!r} is no Modicon address (40001 or 400001 is the first holding register); correct it, "
-                "or use --addressing zero or one",
+                f"{cells['name']}: min {low} and max {high} {said}; no range was taken, give it in the point's unit",
             )
-        table, value = _OF_LEADING_DIGIT[digits[0]], int(digits[1:]) - 1
-    else:
-        table = None
-        if addressing == "one":
-            if value < 1:
-                raise ImportFileError(path, line, "address 0 in a table that counts from one; use --addressing zero")
-            value -= 1
-    if value > 65535:
-        raise ImportFileError(
-            path, line, f"address {text} is beyond the last one, 65535; is the table --addressing modicon?"
-        )
-    return table, value
-
-
-def _type(path: Path, line: int, cells: dict[str, str], table: str) -> tuple[str, int | None]:
-    text = cells["type"]
-    bare = squeezed(text)
-    signed = re.fullmatch(r"(un)?signed(?:int(?:eger)?)?(16|32|64)(?:bits?)?", bare)
-    sized = re.fullmatch(r"(u?)int(?:eger)?(16|32|64)(?:bits?)?", bare)
-    string = re.fullmatch(r"(?:string|str|ascii|char)(\d{1,3})", bare)
-    length = _length(path, line, cells)
-    if table in ("coil", "discrete"):
-        if bare and TYPES.get(bare) != "bool":
-            raise ImportFileError(path, line, f"type {text!r} of a {table}, which is one bit; write bool")
-        return "bool", None
-    if signed is not None:
-        kind = f"{'u' if signed[1] else ''}int{signed[2]}"
-    elif sized is not None:
-        kind = f"{sized[1]}int{sized[2]}"
-    elif string is not None:
-        kind, length = "string", length or int(string[1])
-    elif bare in TYPES:
-        kind = TYPES[bare]
-    else:
-        raise ImportFileError(
-            path,
-            line,
-            f"type {text!r} is not known; use bool, int16, uint16, int32, uint32, int64, uint64, float32, float64 or "
-            "string",
-        )
-    if kind == "string" and length is None:
-        raise ImportFileError(path, line, f"type {text!r} needs its number of registers; add a column length")
-    width = {"32": 2, "64": 4}.get(kind[-2:], 1)
-    if kind != "string" and length is not None and length != width:
-        raise ImportFileError(path, line, f"{kind} takes {width} registers and the line says {length}; correct one")
-    return kind, length if kind == "string" else None
-
-
-def _length(path: Path, line: int, cells: dict[str, str]) -> int | None:
-    text = cells.get("length", "")
-    if not text:
-        return None
-    if not re.fullmatch(r"\d{1,3}", text) or not 1 <= int(text) <= 125:
-        raise ImportFileError(path, line, f"length {text!r} is no number of registers from 1 to 125; correct it")
-    return int(text)
-
-
-def _order(path: Path, line: int, cells: dict[str, str], kind: str, default: str) -> str | None:
-    if kind in ("bool", "int16", "uint16", "string"):
-        return None
-    text = cells.get("order", "").upper() or default
-    if text not in ("ABCD", "CDAB", "BADC", "DCBA"):
-        raise ImportFileError(path, line, f"order {text!r} is not known; use ABCD, CDAB, BADC or DCBA")
-    return text
-
-
-def _number(path: Path, line: int, what: str, text: str) -> float:
-    """A number, also with a decimal comma or as a fraction such as 1/10."""
-    bare = text.replace(" ", "")
-    fraction = re.fullmatch(r"(-?\d{1,9})/(\d{1,9})", bare)
-    if fraction is not None and int(fraction[2]):
-        return number(path, line, what, int(fraction[1]) / int(fraction[2]))
-    if re.fullmatch(r"-?\d+,\d+", bare):
-        if re.fullmatch(r"-?[1-9]\d{0,2},\d{3}", bare):
-            raise ImportFileError(path, line, f"{what} {text!r} may be a thousand or a fraction; write it with a point")
-        bare = bare.replace(",", ".")
-    return number(path, line, what, bare)
-
-
-def _bits(path: Path, line: int, cells: dict[str, str]) -> list[int] | None:
-    text = cells.get("bits", "")
-    if not text:
-        return None
-    match = re.fullmatch(r"(\d{1,2})(?:\s*(?:-|\.\.|:|to)\s*(\d{1,2}))?", text)
-    if match is None:
-        raise ImportFileError(path, line, f"bits {text!r} are none; write 3 for bit 3 or 4-7, bit 0 being the lowest")
-    ends = sorted((int(match[1]), int(match[2] or match[1])))
-    return [ends[0], ends[1]]
-
-
-def _access(path: Path, line: int, cells: dict[str, str]) -> str | None:
-    text = cells.get("access", "")
-    if not text:
-        return None
-    found = ACCESS.get(squeezed(text))
-    if found is None:
-        raise ImportFileError(path, line, f"access {text!r} is not known; use r, w or rw")
-    return found
+            return None
+        return found

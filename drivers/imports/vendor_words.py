@@ -45,6 +45,14 @@ HEADINGS = {
         "access", "rw", "r w", "read write", "permission", "permissions", "access type", "mode", "zugriff",
         "zugriffsart", "lesen schreiben", "l s", "acces", "lecture ecriture", "l e",
     ),
+    "word_swap": (
+        "word swap", "wordswap", "word swapped", "swap words", "words swapped", "swapped words", "register swap",
+        "worttausch",
+    ),
+    "byte_swap": (
+        "byte swap", "byteswap", "byte swapped", "swap bytes", "bytes swapped", "swapped bytes", "bytetausch",
+    ),
+    "swap": ("swap", "swapped", "swapping"),
     "bits": ("bit", "bits", "bit number", "bitnummer"),
     "length": (
         "length", "registers", "count", "size", "quantity", "number of registers", "no of registers", "word count",
@@ -70,6 +78,10 @@ AMBIGUOUS = (
 _CHANGES_A_VALUE = re.compile(
     r"\b(?:scal|skal|echelle|fact|fakt|multipl|gain|divis|divid|teiler|resol|aufloes|expon|decimal|dezimal|offset|"
     r"decalage|nullpunkt|coef|formul|formel|umrechn|convers|komma)|(?:faktor|factor|skalierung|teiler)\b|\bsf\b"
+)
+_ORDERS_BYTES = re.compile(
+    r"endian|boutisme|(?:byte|word)s? (?:order|sequence)|ordre (?:des )?(?:octets|mots)|"
+    r"(?:byte|wort|word)\w* ?(?:reihen|ab)folge"
 )
 TABLES = {
     "coil": "coil", "coils": "coil", "co": "coil", "do": "coil",
@@ -131,6 +143,10 @@ def heading_key(cell: str) -> tuple[str | None, str]:
     if number_base is not None and number_base[1]:
         heading, inside = number_base[1], f"{inside} {number_base[2]}".strip()
     key = next((key for key, names in HEADINGS.items() if heading in names), None)
+    if key is None and "swap" in heading:
+        key = "word_swap" if "word" in heading else "byte_swap" if "byte" in heading else "swap"
+    if key is None and _ORDERS_BYTES.search(heading):
+        key = "order"
     if key is None and (heading in AMBIGUOUS or _CHANGES_A_VALUE.search(heading)):
         key = "?"
     if key in ("scale", "divisor", "offset", "unit") and re.search(r"\d|raw|roh|brut", inside):

@@ -317,3 +317,80 @@ def test_whatever_a_point_is_called_its_file_is_read_again(tmp_path_factory, nam
     rig = written(path.parent, Draft(path, [DraftBus("plc", BUS, points)], collector.notes))
     assert rig.point[0].doc == doc
     assert rig.point[0].name != rig.point[1].name
+
+
+def drafted(tmp_path, text: str) -> tuple[dict[str, dict], list[str]]:
+    draft = import_csv(table(tmp_path, text), "zero", dict(BUS))
+    return {point.name: point.keys for point in draft.buses[0].points}, draft.notes
+
+
+def test_one_hexadecimal_letter_makes_the_column_of_addresses_hexadecimal(tmp_path):
+    points, notes = drafted(tmp_path, "name,address,table,type\na,0012,input,int16\nb,001C,input,int16\n")
+    assert [points[name]["address"] for name in "ab"] == [0x12, 0x1C]
+    assert notes == ["line 1: addresses hold the letters A to F: all of them were read as hexadecimal"]
+    points, notes = drafted(tmp_path, "name,address,table,type\na,0012,input,int16\nb,0020,input,int16\n")
+    assert ([points[name]["address"] for name in "ab"], notes) == ([12, 20], [])
+
+
+@pytest.mark.parametrize("other", ["0x0012", "12"])
+def test_a_column_of_addresses_in_two_bases_is_refused(tmp_path, other):
+    with pytest.raises(ImportFileError, match=r"line 1: address.* hexadecimal .*write 0x before each"):
+        drafted(tmp_path, f"name,address,table,type\na,{other},input,int16\nb,001C,input,int16\n")
+
+
+@pytest.mark.parametrize("column", ["scale", "offset"])
+def test_a_point_beside_decimal_commas_may_be_a_thousand_and_leaves_the_line_out(tmp_path, column):
+    text = f"name;address;table;type;{column};unit\na;0;input;int16;0,5;W\nb;1;input;int16;1.000;W\n"
+    points, notes = drafted(tmp_path, text)
+    assert list(points) == ["a"]
+    assert f"line 3: b: {column} '1.000' may be a thousand or a fraction" in notes[-1]
+
+
+def test_three_digits_behind_a_decimal_point_are_a_fraction_where_no_comma_is(tmp_path):
+    points, _ = drafted(tmp_path, "name;address;table;type;scale\na;0;input;int16;0.5\nb;1;input;int16;1.000\n")
+    assert "scale" not in points["b"]
+
+
+@pytest.mark.parametrize(
+    ("access", "scale", "ends", "plausible"),
+    [
+        ("r", "0.01", "-4000,12000", None),
+        ("r", "0.1", "-40,120", [-40.0, 120.0]),
+        ("rw", "0.1", "0,900", None),
+        ("rw", "0.1", "0,90.5", [0.0, 90.5]),
+        ("rw", "1", "0,90", [0.0, 90.0]),
+    ],
+)
+def test_a_range_in_raw_counts_is_not_taken_for_one_in_the_unit(tmp_path, access, scale, ends, plausible):
+    text = f"name,address,table,type,scale,unit,access,min,max\nt,3,holding,int16,{scale},degC,{access},{ends}\n"
+    points, notes = drafted(tmp_path, text)
+    assert points["t"].get("plausible") == plausible
+    assert ["raw counts" in note for note in notes] == ([] if plausible else [True])
+
+
+@pytest.mark.parametrize(
+    ("heading", "cell", "order"),
+    [
+        ("Word swap", "yes", "CDAB"),
+        ("Word swapped", "Nein", "ABCD"),
+        ("Byte-Swap", "ja", "BADC"),
+        ("Swap", "both", "DCBA"),
+        ("swap", "yes", None),
+        ("Endianness of words", "little", None),
+        ("byte swap", "sometimes", None),
+    ],
+)
+def test_a_column_of_swaps_orders_the_bytes_or_leaves_the_point_out(tmp_path, heading, cell, order):
+    text = f"name,address,table,type,{heading}\na,0,input,float32,{cell}\nb,4,input,float32,\n"
+    points, notes = drafted(tmp_path, text)
+    assert points.get("a", {}).get("order") == order
+    assert points["b"]["order"] == "ABCD"
+    assert [note.endswith("(left out)") for note in notes] == ([True] if order is None else [])
+
+
+def test_an_address_that_looks_like_a_modicon_number_is_noted_once_a_table(tmp_path):
+    text = "name,address,function,type\na,40011,3,uint16\nb,40012,3,uint16\nc,300,4,uint16\n"
+    _, notes = drafted(tmp_path, text)
+    assert [note.split(";")[0] for note in notes] == [
+        "line 2: a: address 40011 in table holding looks like a Modicon number"
+    ]

@@ -147,3 +147,14 @@ def test_resume_says_so_before_it_moves_anything(tmp_path):
     sentence = unled(loaded, loaded.setpoints)
     assert sentence is not None
     assert done.stderr.index(sentence) < done.stderr.index("soaking")
+
+
+def test_addresses_that_look_like_numbers_of_a_manual_are_told_once_a_table(tmp_path):
+    head = '[rig]\nname = "one"\n[bus.plc]\ntransport = "modbus_tcp"\n'
+    point = '[[point]]\nname = "{0}"\nbus = "plc"\nunit = "W"\ntable = "{1}"\naddress = {2}\n'
+    path = tmp_path / "rig.toml"
+    points = [("P1", "holding", 40007), ("P2", "holding", 40008), ("P3", "input", 40009), ("P4", "holding", 7)]
+    path.write_text(head + "".join(point.format(*each) for each in points), encoding="utf-8")
+    (sentence,) = told(path)
+    assert sentence.startswith(f"{path}, line 10: addresses of P1, P2 in table holding of bus plc look like numbers of")
+    assert "where 40001 is the first one; addresses here count from zero, so subtract 40001" in sentence

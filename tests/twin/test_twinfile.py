@@ -15,6 +15,16 @@ BAD = {
     "negative": ("{ value = 3000.0, lower", "{ value = -3000.0, lower", "outside its bounds"),
     "unphysical bounds": ("value = 3000.0, lower = 300.0", "value = 3000.0, lower = -5.0", "must lie in order inside"),
     "unit": ("value = 3000.0,", 'value = 3000.0, unit = "kJ/K",', "unit 'kJ/K' is not 'J/K'"),
+    "input in other degrees": (
+        '22.0, lower = -40.0, upper = 60.0, unit = "degC"',
+        '72.0, unit = "°F"',
+        "says degC; convert",
+    ),
+    "input in other watts": (
+        'upper = 5000.0, unit = "W"',
+        'upper = 5000.0, unit = "kW"',
+        "says W; convert",
+    ),
     "status": ("value = 3000.0,", 'value = 3000.0, status = "free",', "status 'free' is not one of"),
     "not a number": ("{ value = 3000.0,", '{ value = "big",', "must be a finite number"),
     "missing": ("nominal = { value = 3.785", "factor_ = { value = 3.785", "unknown key"),
