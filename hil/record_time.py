@@ -31,6 +31,9 @@ ZONELESS = "without a time zone, taken as UTC"
 GAP_PERIODS = 5
 """A step longer than this many typical steps is a gap."""
 
+SAME_SPAN = 0.1
+"""Part by which the spans of two columns of times may differ: no clock is that wrong, and units differ by more."""
+
 SHEET_DAYS = (20_000.0, 80_000.0)
 """Day numbers of a spreadsheet, of the years 1954 to 2119."""
 _SHEET_EPOCH = datetime.datetime(1899, 12, 30, tzinfo=datetime.UTC)
@@ -91,13 +94,13 @@ def read_time(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> TimeAx
     """
     columns = _find(raw, signs, choice)
     column = ", ".join(columns)
-    cells = raw.cells[raw.names.index(columns[0])]
     messages = []
     try:
-        if len(columns) == 2:
-            read = _pair(raw, columns, signs, choice)
-        else:
-            read = _seconds(columns[0], cells, signs.get(column, "."), _scale(raw, columns[0]), choice, _has_unit(raw, columns[0]))
+        read = _read(raw, columns, signs, choice)
+        if choice.time_column is None and read is not None and read.start is None:
+            columns, read, said = _checked(raw, columns, read, choice)
+            column = columns[0] if said else column
+            messages += said
     except TimeTextError as error:
         raise RecordError(f"{raw.path}: column '{column}': {error}") from error
     if read is None or not np.isfinite(read.seconds).any():
@@ -122,6 +125,43 @@ def read_time(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> TimeAx
     messages += [f"{column}: {read.note}"] if read.note else []
     messages += _unreadable(raw, column, seconds)
     return TimeAxis(column, seconds, read.start, tuple(messages), read.zoneless, columns)
+
+
+def _read(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choice: Reading) -> _Read | None:
+    if len(columns) == 2:
+        return _pair(raw, columns, signs, choice)
+    name = columns[0]
+    cells = raw.cells[raw.names.index(name)]
+    return _seconds(name, cells, signs.get(name, "."), _scale(raw, name), choice, _has_unit(raw, name))
+
+
+def _checked(
+    raw: RawRecord, columns: tuple[str, ...], read: _Read, choice: Reading
+) -> tuple[tuple[str, ...], _Read, list[str]]:
+    """Return the times, or those of a column of dates that goes on at another rate than a column without a unit.
+
+    A name with a unit keeps its times, since a simulated rig's clock may go faster than that of the dates.
+    """
+    for name, cells in zip(raw.names, raw.cells, strict=True):
+        if name in columns or not is_time_name(name) or not _all(cells, is_moment) or _all(cells, is_date):
+            continue
+        try:
+            dated = _of_stamps(read_stamps(_text(cells), choice.dates))
+        except TimeTextError:
+            continue
+        if dated is None or dated.start is None:
+            continue
+        both = np.isfinite(dated.seconds) & np.isfinite(read.seconds)
+        rate = float(np.ptp(dated.seconds[both])) if both.any() else 0.0
+        other = float(np.ptp(read.seconds[both])) if both.any() else 0.0
+        coarse = 2.0 * rate / max(int(both.sum()) - 1, 1)  # dates may be written to the minute, or be late by a row
+        if not rate or not other or abs(rate - other) <= max(coarse, SAME_SPAN * rate):
+            continue
+        spans = f"spans {span(other)} where '{name}' spans {span(rate)}"
+        if _has_unit(raw, columns[0]):
+            return columns, read, [f"column '{columns[0]}' {spans}: --time-column {name} takes the dates"]
+        return (name, *columns), dated, [f"column '{columns[0]}' without a unit {spans}: the dates are taken"]
+    return columns, read, []
 
 
 def _unreadable(raw: RawRecord, column: str, seconds: NDArray[np.float64]) -> list[str]:
