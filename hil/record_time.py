@@ -313,7 +313,7 @@ def _of_stamps(stamps: Stamps) -> _Read | None:
         return None
     seconds, origin = _whole_numbers(micros, 1e-6)
     if not stamps.dated:
-        note = "a gap of a day or more cannot be seen in it"
+        note = "" if stamps.how.startswith("days") else "a gap of a day or more cannot be seen in it"
         return _Read(seconds, None, stamps.how, note)
     how = stamps.how + ("" if stamps.zoned else f" {ZONELESS}")
     return _Read(seconds, _EPOCH + datetime.timedelta(seconds=origin), how, stamps.note, not stamps.zoned)
