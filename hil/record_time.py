@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -366,7 +366,10 @@ def _seconds(name: str, cells: Any, sign: Sign, scale: float, choice: Reading, u
             return _of_days(values)
         if are_days(cells, finite, unit_given):
             return _of_days(values)
-    return _since_1970(cells, values, scale, unit_given)
+    read = _since_1970(cells, values, scale, unit_given)
+    if numbers.thousands:
+        return replace(read, note=f"{numbers.thousands} numbers with marks between thousands read without them")
+    return read
 
 
 def _since_1970(cells: Any, values: NDArray[np.float64], scale: float, unit_given: bool) -> _Read:
