@@ -30,7 +30,7 @@ from hil.record_file import read_raw
 from hil.record_numbers import LOST, DecimalSignError, Numbers, Sign, decimal_signs, may_be_lost, parse
 from hil.record_order import describe_steps, order
 from hil.record_plausible import SENTINELS, without_implausible
-from hil.record_quality import reasons, valued_by
+from hil.record_quality import codes_of_words, reasons, valued_by
 from hil.record_raw import RawRecord, Reading, RecordError
 from hil.record_time import numbered, read_time, span
 from hil.record_units import of_a_room, remarks
@@ -131,8 +131,12 @@ def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = N
     for name, cells in zip(raw.names, raw.cells, strict=True):
         if name in axis.columns:
             continue
-        values = _numbers(name, cells, signs.get(name, "."), raw, messages)
         rated = name if name.lower() == "quality" else valued_by(name, raw.names)
+        words = codes_of_words(cells) if rated else None
+        if words is not None:
+            graded[name] = _last_known(name, words[rows], last_of_stamp, path, messages) if repeats else words[rows]
+            continue
+        values = _numbers(name, cells, signs.get(name, "."), raw, messages)
         if values is None:
             messages += [f"column '{name}' may report which values are bad: not used"] if rated else []
             continue

@@ -12,7 +12,9 @@ from hil.record_numbers import MARKS, readings, trimmed
 from hil.record_raw import RawRecord, RecordError
 from hil.time_names import is_time_name
 
-_CELL = re.compile(r"([+\-\u2212]?[\d.,' \u00a0\u2009\u202f\u2019]*\d(?:[eE][+-]?\d+)?)\s*([^\d\s.,'+-][^\d]*\d?(?:/[a-z]+)?)")
+_CELL = re.compile(
+    r"([+\-\u2212]?[\d.,' \u00a0\u2009\u202f\u2019]*\d(?:[eE][+-]?\d+)?)\s*([^\d\s.,'+-][^\d]*\d?(?:/[a-z]+)?)"
+)
 _ANY = r"[0-9]\s*[A-Za-z°%µΩ]"
 
 
@@ -54,7 +56,10 @@ def _stripped(name: str, cells: Any, raw: RawRecord) -> tuple[Any, str] | None:
         )
     parts = split_column(name)
     if parts is None:
-        return cells, f"column '{name}' has the unit {first} in its cells; write it into the name and leave it out of them"
+        return (
+            cells,
+            f"column '{name}' has the unit {first} in its cells; write it into the name and leave it out of them",
+        )
     if parts[1] != first:
         raise RecordError(
             f"{raw.path}: column '{name}' is in {parts[1]} by its name and in {first} by its cells "

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from drivers.units import column_name, split_column
 from hil.csv_dialect import BLANKS, Dialect, DialectError, find_dialect
 from hil.record_annotated import is_annotated, read_annotated
+from hil.record_headings import by_later_headings
 from hil.record_limits import require_columns
 from hil.record_numbers import may_be_lost
 from hil.record_raw import RawRecord, RecordError, unique
-from hil.record_headings import by_later_headings
 from hil.time_names import SECONDS_PER, is_time_name, names_unit, seconds_per_unit
 
 if TYPE_CHECKING:

@@ -49,7 +49,25 @@ _SEVERAL = re.compile(r"[+-]?[1-9]\d{0,2}(?:([.,])\d{2,3})*([.,])\d{3}", re.ASCI
 _BOTH = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{2,3})*\.\d{3},\d*|[+-]?[1-9]\d{0,2}(?:,\d{2,3})*,\d{3}\.\d*", re.ASCII)
 _ENDLESS = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
 _HUNDREDS = re.compile(r"[+-]?[1-9]\d\d", re.ASCII)
-_OF_THOUSANDS = ("W", "VA", "var", "rpm", "Pa", "Hz", "ohm", "L/h", "mV", "mA", "mbar", "ms", "Wh", "kWh", "kJ", "J", "1")
+_OF_THOUSANDS = (
+    "W",
+    "VA",
+    "var",
+    "rpm",
+    "Pa",
+    "Hz",
+    "ohm",
+    "L/h",
+    "mV",
+    "mA",
+    "mbar",
+    "ms",
+    "Wh",
+    "kWh",
+    "kJ",
+    "J",
+    "1",
+)
 """Units in which readings of a laboratory are in the thousands; the others have a prefix that avoids it."""
 _UNDECIDED = r"^[+-]?[1-9][0-9]{0,2}\.[0-9]{3}$"
 

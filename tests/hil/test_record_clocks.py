@@ -44,7 +44,9 @@ def test_four_fields_that_may_be_days_or_hours_are_refused(tmp_path: Path) -> No
 
 
 def test_dates_overrule_a_time_without_a_unit_that_they_contradict(tmp_path: Path) -> None:
-    record = _read(tmp_path, "time,timestamp", [f"{k / 4},2025-07-09 08:{15 * k // 60:02}:{15 * k % 60:02}" for k in range(40)])
+    record = _read(
+        tmp_path, "time,timestamp", [f"{k / 4},2025-07-09 08:{15 * k // 60:02}:{15 * k % 60:02}" for k in range(40)]
+    )
     assert record.time_s[-1] == 39 * 15 and record.start is not None
     assert any("column 'time' without a unit spans" in said for said in record.messages)
     assert list(record.columns) == ["T_in_C"]
