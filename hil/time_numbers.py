@@ -22,7 +22,7 @@ EPOCH_S = (946_684_800.0, 4_102_444_800.0)
 UPTIME_S = 1e8
 """Three years: no rig counts longer from its start without a unit in the column's name."""
 COUNTS = ((1e-9, "nanoseconds"), (1e-6, "microseconds"), (1e-3, "milliseconds"), (1.0, "seconds"))
-_WORDS = {60.0: "minutes", 3600.0: "hours"} | {unit: word for unit, word in COUNTS}
+_WORDS = {60.0: "minutes", 3600.0: "hours"} | dict(COUNTS)
 _DAY_S = 86400.0
 
 SHEET_YEARS = (32_874.0, 73_051.0)
@@ -71,7 +71,7 @@ def compact_moments(values: NDArray[np.float64]) -> list[str | None] | None:
     there = [text for text in written if text is not None]
     lengths = {len(text) for text in there}
     if lengths == {12}:
-        ways = ("%Y%m%d%H%M", "%y%m%d%H%M%S")
+        ways: tuple[str, ...] = ("%Y%m%d%H%M", "%y%m%d%H%M%S")
     elif lengths == {10} and min(there) >= "2200000000":
         ways = ("%y%m%d%H%M",)
     else:

@@ -96,7 +96,8 @@ def read_stamps(cells: Sequence[str | None], order: Order | None = None) -> Stam
     """Return the moments of text `cells`, None for missing ones; `order` is that of day, month and year, if given.
 
     Raises:
-        TimeTextError: more than one order fits and the times between rows differ, or a clock of twelve hours lacks AM, PM.
+        TimeTextError: more than one order fits and the times between rows differ, or a clock of twelve hours lacks AM
+            and PM.
     """
     stamps = _read_stamps(cells, order)
     _require_full_clock(cells, stamps.micros)
@@ -132,8 +133,8 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
     None where the cells are no times of day. Hours above 23 are those of a time since the beginning.
 
     Raises:
-        TimeTextError: two numbers each, which may be hours and minutes or minutes and seconds; four, which may begin with
-            days or end with hundredths; or a clock of twelve hours without AM and PM.
+        TimeTextError: two numbers each, which may be hours and minutes or minutes and seconds; four, which may begin
+            with days or end with hundredths; or a clock of twelve hours without AM and PM.
     """
     if (four := _four_fields(cells)) is not None:
         return four
@@ -176,7 +177,7 @@ def _four_fields(cells: Sequence[str | None]) -> Stamps | None:
         return None
     if even_days == even_clock:
         raise TimeTextError(
-            f"'{found[0][0]}' may be dd:hh:mm:ss or hh:mm:ss and hundredths; write seconds, or hh:mm:ss.00 for hundredths"
+            f"'{found[0][0]}' may be dd:hh:mm:ss or hh:mm:ss and hundredths; write seconds, or hh:mm:ss.00"
         )
     seconds = iter(as_days.tolist())
     micros = [None if cell is None else next(seconds) * 1_000_000 for cell in cells]

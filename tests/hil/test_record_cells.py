@@ -67,7 +67,7 @@ def test_codes_of_no_known_kind_are_reported_and_not_used(tmp_path: Path, codes:
     [("time_s;T_in_C;fan_W", "{0}.250;20,5;9,5"), ("time_s;T_in_C;heat_kW", "{0};20,5;1.{0}50")],
 )
 def test_marks_that_only_other_columns_make_thousands_are_refused(tmp_path: Path, heading: str, row: str) -> None:
-    with pytest.raises(RecordError, match="can be read in two ways.*by the decimal sign of the other columns"):
+    with pytest.raises(RecordError, match=r"can be read in two ways.*by the decimal sign of the other columns"):
         _read(tmp_path, heading, [row.format(k) for k in range(1, 10)])
 
 

@@ -50,7 +50,7 @@ def test_rounded_day_numbers_of_a_spreadsheet_are_days(tmp_path: Path, decimals:
 @pytest.mark.parametrize("first", [0.0, 0.25, 739_800.5, 2_460_800.25])
 def test_parts_of_days_without_a_unit_are_refused_and_read_with_one(tmp_path: Path, first: float) -> None:
     stamps = [f"{first + k * 30 / 86400:.8f}" for k in range(40)]
-    with pytest.raises(RecordError, match="column 'time'.* looks like a .*day.*give --time-scale 86400, or time_d"):
+    with pytest.raises(RecordError, match=r"column 'time'.* looks like a .*day.*give --time-scale 86400, or time_d"):
         _read(tmp_path, "time", stamps)
     assert np.ptp(_read(tmp_path, "time_d", stamps).time_s) == pytest.approx(39 * 30, abs=0.01)
 
