@@ -267,8 +267,8 @@ def _require_thousands(name: str, cells: Any, seen: Evidence, sign: Sign, place:
     if text is not None and not any(one and _HUNDREDS.fullmatch(one) for one in text.to_pylist()):
         grouped, decimal = readings(cell)[sign == ","], readings(cell)[sign != ","]
         raise DecimalSignError(
-            f"column '{name}' can be read in two ways: {place(row)}, '{cell}', is {decimal:.10g}, or {grouped:.10g} by the "
-            "decimal sign of the other columns; write all columns with the same sign, and thousands without a mark"
+            f"column '{name}' can be read in two ways: {place(row)}, '{cell}', is {decimal:.10g}, or {grouped:.10g} by "
+            "the decimal sign of the other columns; write all columns with the same sign, and thousands without a mark"
         )
 
 

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from hil.cli import app
 from hil.record import Record, RecordError, read_record
 
 
@@ -77,3 +79,10 @@ def test_digits_of_a_date_are_a_date(tmp_path: Path, pattern: str) -> None:
 def test_counts_that_are_no_date_of_this_century_are_refused(tmp_path: Path, first: int) -> None:
     with pytest.raises(RecordError, match="is no time between 2000 and 2100"):
         _read(tmp_path, "time", [str(first + 100 * k) for k in range(20)])
+
+
+def test_the_check_of_a_file_prints_the_span_of_its_times(tmp_path: Path) -> None:
+    path = tmp_path / "late.csv"
+    path.write_text("time_s,T_in_C\n" + "".join(f"{720_000 + 60 * k},20\n" for k in range(31)), encoding="utf-8")
+    printed = CliRunner().invoke(app, ["check", str(path)]).output
+    assert "31 samples over 0.50 h" in " ".join(printed.split())
