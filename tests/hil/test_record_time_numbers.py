@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
-from hil.cli import app
+from hil.cli import group
 from hil.record import Record, RecordError, read_record
 
 
@@ -84,5 +84,5 @@ def test_counts_that_are_no_date_of_this_century_are_refused(tmp_path: Path, fir
 def test_the_check_of_a_file_prints_the_span_of_its_times(tmp_path: Path) -> None:
     path = tmp_path / "late.csv"
     path.write_text("time_s,T_in_C\n" + "".join(f"{720_000 + 60 * k},20\n" for k in range(31)), encoding="utf-8")
-    printed = CliRunner().invoke(app, ["check", str(path)]).output
+    printed = CliRunner().invoke(group, ["check", str(path)]).output
     assert "31 samples over 0.50 h" in " ".join(printed.split())
