@@ -25,6 +25,9 @@ SAMPLE = 200
 MOST_BELOW = 3
 """Lines between names and rows: units, kinds of processing and places of sensors, as loggers write them."""
 
+FAHRENHEIT = ("°f", "degf", "deg f", "fahrenheit")
+"""Ways to write degrees Fahrenheit, lower case; no signal of this project is in them."""
+
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
 _MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d{2})?.*|\d{4}-\d{2}-\d{2}T.*", re.ASCII)
 
@@ -150,7 +153,7 @@ def _numeric(rows: Sequence[Sequence[str]], k: int) -> list[int]:
     found = []
     for column in range(k):
         cells = [row[column] for row in later if row[column].lower() not in MISSING]
-        if cells and sum(_is_value(cell) for cell in cells) > len(cells) / 2:
+        if cells and sum(is_value(cell) for cell in cells) > len(cells) / 2:
             found.append(column)
     return found
 
@@ -158,10 +161,11 @@ def _numeric(rows: Sequence[Sequence[str]], k: int) -> list[int]:
 def _is_row(row: Sequence[str], numeric: Sequence[int]) -> bool:
     """Return True for a line with numbers or times in at least half of the cells that it has there."""
     cells = [row[column] for column in numeric if row[column].lower() not in (*MISSING, *MARKS)]
-    return bool(cells) and sum(_is_value(cell) for cell in cells) >= len(cells) / 2
+    return bool(cells) and sum(is_value(cell) for cell in cells) >= len(cells) / 2
 
 
-def _is_value(cell: str) -> bool:
+def is_value(cell: str) -> bool:
+    """Return True for a cell of a number, a date or a time of day."""
     return readings(cell) != (None, None) or _MOMENT.fullmatch(cell) is not None
 
 
@@ -181,6 +185,9 @@ def _units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
     found = {}
     for place, cell in enumerate(row):
         symbol = cell.strip("[]() ").replace("Deg", "deg")
+        if symbol.lower() in FAHRENHEIT:
+            found[place] = "degF"
+            continue
         if is_time_name(names[place]) and symbol.lower() in SECONDS_PER:
             found[place] = symbol.lower()
             continue

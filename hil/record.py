@@ -24,11 +24,13 @@ from drivers.points import Quality
 from drivers.units import column_name, split_column
 from hil.atomic import replacing
 from hil.profile import WRITTEN_UNITS
+from hil.record_cell_units import without_cell_units
 from hil.record_export import Exported, export_record
 from hil.record_file import read_raw
 from hil.record_numbers import LOST, DecimalSignError, Numbers, Sign, decimal_signs, may_be_lost, parse
 from hil.record_order import describe_steps, order
 from hil.record_plausible import SENTINELS, without_implausible
+from hil.record_quality import codes_of_words, reasons, valued_by
 from hil.record_raw import RawRecord, Reading, RecordError
 from hil.record_time import numbered, read_time, span
 from hil.record_units import of_a_room, remarks
@@ -102,7 +104,7 @@ def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = N
             `record_numbers.may_be_lost` of the rows or of a column.
     """
     choice = choice or Reading()
-    raw = read_raw(path)
+    raw = without_cell_units(read_raw(path))
     messages = list(raw.messages)
     try:
         signs = decimal_signs(
@@ -124,11 +126,19 @@ def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = N
     columns: dict[str, NDArray[np.float64]] = {}
     quality: dict[str, NDArray[np.uint8]] = {}
     unmarked: list[str] = []
+    graded: dict[str, NDArray[np.float64]] = {}
+    read_as: dict[str, str] = {}
     for name, cells in zip(raw.names, raw.cells, strict=True):
         if name in axis.columns:
             continue
+        rated = name if name.lower() == "quality" else valued_by(name, raw.names)
+        words = codes_of_words(cells) if rated else None
+        if words is not None:
+            graded[name] = _last_known(name, words[rows], last_of_stamp, path, messages) if repeats else words[rows]
+            continue
         values = _numbers(name, cells, signs.get(name, "."), raw, messages)
         if values is None:
+            messages += [f"column '{name}' may report which values are bad: not used"] if rated else []
             continue
         written = name
         is_quality = name.endswith(QUALITY) and name.removesuffix(QUALITY) in raw.names
@@ -140,9 +150,14 @@ def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = N
             values = _last_known(written, values, last_of_stamp, path, messages)
         if is_quality:
             quality[name.removesuffix(QUALITY)] = np.clip(np.nan_to_num(values, nan=0.0), 0, 255).astype(np.uint8)
+        if rated:
+            graded[name] = values
+        if is_quality:
             continue
         messages += _asked(name, written, values)
         columns[name] = values
+        read_as[written] = name
+    messages += _graded(graded, raw, read_as, columns, quality)
     if not columns:
         raise RecordError(f"{path} has no column of numbers besides {axis.column}; give a record with signals")
     if unmarked:
@@ -150,6 +165,35 @@ def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = N
     messages += remarks(columns)
     messages += _describe_missing(time_s, columns, quality)
     return Record(time_s, columns, tuple(messages), path, raw.sha256, quality, axis.start, raw.metadata or {})
+
+
+def _graded(
+    graded: Mapping[str, NDArray[np.float64]],
+    raw: RawRecord,
+    read_as: Mapping[str, str],
+    columns: dict[str, NDArray[np.float64]],
+    quality: dict[str, NDArray[np.uint8]],
+) -> list[str]:
+    """Make values missing in `columns` that the codes of `graded` call bad, and return what was done."""
+    said = []
+    for name, codes in graded.items():
+        rated = valued_by(name, raw.names)
+        target = read_as.get(rated or "", "")
+        found = reasons(codes)
+        held = [c for c in columns if c != name] if rated is None else [target] if target in columns else []
+        good = not codes.any() or codes.min() >= 192  # nothing is bad by either kind of codes
+        if found is None or not held:
+            there = [c for c in held if np.isfinite(columns[c][np.nan_to_num(codes) != 0]).any()]
+            said += [f"column '{name}' has codes of no known kind: not used"] if there and not good else []
+            continue
+        for column in held:
+            bad = (found[0] != 0) & np.isfinite(columns[column])
+            if bad.any():
+                columns[column] = np.where(bad, np.nan, columns[column])
+                count = "1 value is" if bad.sum() == 1 else f"{bad.sum()} values are"
+                said.append(f"{column}: {count} bad by '{name}' ({found[1]}): missing")
+            quality[column] = found[0]
+    return said
 
 
 def _numbers(name: str, cells: Any, sign: Sign, raw: RawRecord, messages: list[str]) -> NDArray[np.float64] | None:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 from drivers.units import column_name, split_column
 from hil.csv_dialect import BLANKS, Dialect, DialectError, find_dialect
 from hil.record_annotated import is_annotated, read_annotated
+from hil.record_headings import by_later_headings
 from hil.record_limits import require_columns
 from hil.record_numbers import may_be_lost
 from hil.record_raw import RawRecord, RecordError, unique
-from hil.time_names import is_time_name
+from hil.time_names import SECONDS_PER, is_time_name, names_unit, seconds_per_unit
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -48,7 +49,7 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         text = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+(?=\r?$)", "", text))
         content, encoding, delimiter = text.encode(), "utf-8", "\t"
     require_columns(path, len(dialect.names), RecordError)
-    named, units = _named(dialect)
+    named, units = _named(path, dialect)
     names, repeated = unique(named)
     messages += repeated
     table, skipped = _table(path, content, names, delimiter, encoding, dialect.rows_from)
@@ -64,7 +65,7 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         last = text.endswith(row_text) and len(skipped) == 1
         where = "the last one, cut off" if last else f"the first is line {line}"
         messages.append(f"{what} not the {len(names)} fields of the header ({where}): dropped")
-    return RawRecord(
+    raw = RawRecord(
         path,
         digest,
         names,
@@ -75,18 +76,42 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         skipped_lines=tuple(line for line, _ in skipped),
         delimiter=delimiter,
     )
+    return by_later_headings(raw, dialect.names)
 
 
-def _named(dialect: Dialect) -> tuple[list[str], dict[str, str]]:
-    """Return the names with the suffixes of the units that the file gives, and the unit of each column that has one."""
+def _named(path: Path, dialect: Dialect) -> tuple[list[str], dict[str, str]]:
+    """Return the names with the suffixes of the units that the file gives, and the unit of each column that has one.
+
+    Raises:
+        RecordError: a name ends in the suffix of another unit than the line below the names gives.
+    """
     names = list(dialect.names)
     units = {}
     for place, unit in dialect.units.items():
         name = names[place]
+        own = _unit_of(name)
+        same = own == unit or (is_time_name(name) and SECONDS_PER.get(unit) == seconds_per_unit(name))
+        if own is not None and not same:
+            raise RecordError(
+                f"{path}: column '{name}' is in {own} by its name and in {unit} by a line below the names; correct one "
+                "of them"
+            )
+        if unit == "degF":
+            names[place] = name if name.lower().endswith(("_f", "_degf")) else f"{name}_F"
+            continue
         if name and not is_time_name(name) and split_column(name) is None:
             names[place] = column_name(name, unit)
         units[names[place]] = unit
     return names, units
+
+
+def _unit_of(name: str) -> str | None:
+    """Return the unit that a name ends in; None where it gives none."""
+    if is_time_name(name):
+        per = seconds_per_unit(name)
+        return next(unit for unit, seconds in SECONDS_PER.items() if seconds == per) if names_unit(name) else None
+    parts = split_column(name)
+    return None if parts is None else parts[1]
 
 
 def _table(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.units import plausible_range, split_column
+from hil.time_names import is_time_name
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -47,6 +48,27 @@ _ONE = re.compile(r"([+-]?)(\d*)([.,])(\d*)([eE][+-]?\d+)?", re.ASCII)
 _SEVERAL = re.compile(r"[+-]?[1-9]\d{0,2}(?:([.,])\d{2,3})*([.,])\d{3}", re.ASCII)
 _BOTH = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{2,3})*\.\d{3},\d*|[+-]?[1-9]\d{0,2}(?:,\d{2,3})*,\d{3}\.\d*", re.ASCII)
 _ENDLESS = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
+_HUNDREDS = re.compile(r"[+-]?[1-9]\d\d", re.ASCII)
+_OF_THOUSANDS = (
+    "W",
+    "VA",
+    "var",
+    "rpm",
+    "Pa",
+    "Hz",
+    "ohm",
+    "L/h",
+    "mV",
+    "mA",
+    "mbar",
+    "ms",
+    "Wh",
+    "kWh",
+    "kJ",
+    "J",
+    "1",
+)
+"""Units in which readings of a laboratory are in the thousands; the others have a prefix that avoids it."""
 _UNDECIDED = r"^[+-]?[1-9][0-9]{0,2}\.[0-9]{3}$"
 
 
@@ -220,12 +242,34 @@ def decimal_signs(
             continue
         if len(said) == 1:
             signs[name] = next(iter(said))
+            if readings(seen.either[1])[signs[name] == ","] != readings(seen.either[1])[signs[name] != ","]:
+                _require_thousands(name, columns[name], seen, signs[name], place)
         elif not said and delimiter == "," and "," not in seen.either[1]:
             # A writer whose decimal sign is the comma separates columns by something else, or quotes every number.
             signs[name] = "."
         else:
             raise DecimalSignError(_undecided(name, seen, place))
     return {name: signs.get(name, ".") for name in found}
+
+
+def _require_thousands(name: str, cells: Any, seen: Evidence, sign: Sign, place: Callable[[int], str]) -> None:
+    """Raise DecimalSignError for marks between thousands, by the other columns alone, in a unit that has no thousands.
+
+    A number from 100 to 999 without a mark shows that the column's marks stand between thousands.
+    """
+    row, cell = seen.either or (0, "")
+    if sign in cell:
+        return
+    parts = split_column(name)
+    if not is_time_name(name) and (parts is None or parts[1] in _OF_THOUSANDS):
+        return
+    text = trimmed(cells)
+    if text is not None and not any(one and _HUNDREDS.fullmatch(one) for one in text.to_pylist()):
+        grouped, decimal = readings(cell)[sign == ","], readings(cell)[sign != ","]
+        raise DecimalSignError(
+            f"column '{name}' can be read in two ways: {place(row)}, '{cell}', is {decimal:.10g}, or {grouped:.10g} by "
+            "the decimal sign of the other columns; write all columns with the same sign, and thousands without a mark"
+        )
 
 
 def _by_unit(name: str, cells: Any) -> Sign | None:

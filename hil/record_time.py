@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from hil.daylight_saving import unfolded
 from hil.record_numbers import Sign, may_be_lost, parse, trimmed
 from hil.record_raw import RawRecord, Reading, RecordError
-from hil.time_names import SECONDS_PER, is_time_name, names_dates, seconds_per_unit
+from hil.time_names import SECONDS_PER, is_time_name, names_dates, names_unit, seconds_per_unit
+from hil.time_numbers import EPOCH_S, are_days, compact_moments, count_of
 from hil.time_text import (
     Stamps,
     TimeTextError,
@@ -30,19 +31,14 @@ ZONELESS = "without a time zone, taken as UTC"
 GAP_PERIODS = 5
 """A step longer than this many typical steps is a gap."""
 
+SAME_SPAN = 0.1
+"""Part by which the spans of two columns of times may differ: no clock is that wrong, and units differ by more."""
+
 SHEET_DAYS = (20_000.0, 80_000.0)
 """Day numbers of a spreadsheet, of the years 1954 to 2119."""
 _SHEET_EPOCH = datetime.datetime(1899, 12, 30, tzinfo=datetime.UTC)
 """Day 0 of spreadsheets from March 1900 on (ECMA-376, 18.17.4.1, with the leap day 1900 that they count)."""
-_ROUNDED_S = 0.01
-"""Seconds to which a day number is written at least: seven places behind the decimal sign."""
 
-_EPOCH_UNITS = (
-    (1e17, 1e-9, "nanoseconds"),
-    (1e14, 1e-6, "microseconds"),
-    (1e11, 1e-3, "milliseconds"),
-    (1e8, 1.0, "seconds"),
-)
 _COMPACT = (19_500_101_000000, 21_001_231_235959)
 """Dates and times written as one number, 20260304233000: as milliseconds since 1970 they would be after 2580."""
 _NO_CLOCK = 2.0**63
@@ -98,13 +94,13 @@ def read_time(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> TimeAx
     """
     columns = _find(raw, signs, choice)
     column = ", ".join(columns)
-    cells = raw.cells[raw.names.index(columns[0])]
     messages = []
     try:
-        if len(columns) == 2:
-            read = _pair(raw, columns, signs, choice)
-        else:
-            read = _seconds(columns[0], cells, signs.get(column, "."), _scale(raw, columns[0]), choice)
+        read = _read(raw, columns, signs, choice)
+        if choice.time_column is None and read is not None and read.start is None:
+            columns, read, said = _checked(raw, columns, read, choice)
+            column = columns[0] if said else column
+            messages += said
     except TimeTextError as error:
         raise RecordError(f"{raw.path}: column '{column}': {error}") from error
     if read is None or not np.isfinite(read.seconds).any():
@@ -129,6 +125,43 @@ def read_time(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> TimeAx
     messages += [f"{column}: {read.note}"] if read.note else []
     messages += _unreadable(raw, column, seconds)
     return TimeAxis(column, seconds, read.start, tuple(messages), read.zoneless, columns)
+
+
+def _read(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choice: Reading) -> _Read | None:
+    if len(columns) == 2:
+        return _pair(raw, columns, signs, choice)
+    name = columns[0]
+    cells = raw.cells[raw.names.index(name)]
+    return _seconds(name, cells, signs.get(name, "."), _scale(raw, name), choice, _has_unit(raw, name))
+
+
+def _checked(
+    raw: RawRecord, columns: tuple[str, ...], read: _Read, choice: Reading
+) -> tuple[tuple[str, ...], _Read, list[str]]:
+    """Return the times, or those of a column of dates that goes on at another rate than a column without a unit.
+
+    A name with a unit keeps its times, since a simulated rig's clock may go faster than that of the dates.
+    """
+    for name, cells in zip(raw.names, raw.cells, strict=True):
+        if name in columns or not is_time_name(name) or not _all(cells, is_moment) or _all(cells, is_date):
+            continue
+        try:
+            dated = _of_stamps(read_stamps(_text(cells), choice.dates))
+        except TimeTextError:
+            continue
+        if dated is None or dated.start is None:
+            continue
+        both = np.isfinite(dated.seconds) & np.isfinite(read.seconds)
+        rate = float(np.ptp(dated.seconds[both])) if both.any() else 0.0
+        other = float(np.ptp(read.seconds[both])) if both.any() else 0.0
+        coarse = 2.0 * rate / max(int(both.sum()) - 1, 1)  # dates may be written to the minute, or be late by a row
+        if not rate or not other or abs(rate - other) <= max(coarse, SAME_SPAN * rate):
+            continue
+        spans = f"spans {span(other)} where '{name}' spans {span(rate)}"
+        if _has_unit(raw, columns[0]):
+            return columns, read, [f"column '{columns[0]}' {spans}: --time-column {name} takes the dates"]
+        return (name, *columns), dated, [f"column '{columns[0]}' without a unit {spans}: the dates are taken"]
+    return columns, read, []
 
 
 def _unreadable(raw: RawRecord, column: str, seconds: NDArray[np.float64]) -> list[str]:
@@ -162,6 +195,11 @@ def _scale(raw: RawRecord, column: str) -> float:
     if named in (None, 1.0) and (unit := (raw.units or {}).get(column)):
         return SECONDS_PER.get(unit.lower(), 1.0)
     return named or 1.0
+
+
+def _has_unit(raw: RawRecord, column: str) -> bool:
+    """Return True where the name of the time column or the file gives its unit."""
+    return names_unit(column) or (raw.units or {}).get(column, "").lower() in SECONDS_PER
 
 
 def _find(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> tuple[str, ...]:
@@ -275,7 +313,7 @@ def _of_stamps(stamps: Stamps) -> _Read | None:
         return None
     seconds, origin = _whole_numbers(micros, 1e-6)
     if not stamps.dated:
-        note = "a gap of a day or more cannot be seen in it"
+        note = "" if stamps.how.startswith("days") else "a gap of a day or more cannot be seen in it"
         return _Read(seconds, None, stamps.how, note)
     how = stamps.how + ("" if stamps.zoned else f" {ZONELESS}")
     return _Read(seconds, _EPOCH + datetime.timedelta(seconds=origin), how, stamps.note, not stamps.zoned)
@@ -289,7 +327,7 @@ def _of_days(days: NDArray[np.float64]) -> _Read:
     return _Read(seconds, start, f"day numbers of a spreadsheet {ZONELESS}", zoneless=True)
 
 
-def _seconds(name: str, cells: Any, sign: Sign, scale: float, choice: Reading) -> _Read | None:
+def _seconds(name: str, cells: Any, sign: Sign, scale: float, choice: Reading, unit_given: bool) -> _Read | None:
     import pyarrow as pa
 
     kind = cells.type
@@ -321,45 +359,37 @@ def _seconds(name: str, cells: Any, sign: Sign, scale: float, choice: Reading) -
         stamps = read_stamps([None if math.isnan(x) else f"{x:.0f}" for x in values], choice.dates)
         if sum(x is not None for x in stamps.micros) > len(finite) / 2:
             return _of_stamps(stamps)
-    if choice.time_scale == 1.0 and scale == 1.0 and SHEET_DAYS[0] <= middle <= SHEET_DAYS[1]:
-        if names_dates(name) or (name != "time_s" and _are_days(finite)):
+    if not (unit_given and middle * scale < EPOCH_S[1]) and (moments := compact_moments(values)) is not None:
+        return _of_stamps(read_stamps(moments, choice.dates))
+    if choice.time_scale == 1.0 and scale == 1.0:
+        if names_dates(name) and SHEET_DAYS[0] <= middle <= SHEET_DAYS[1]:
             return _of_days(values)
-        if _are_days(finite):
-            raise TimeTextError(
-                f"{finite[0]:.10g} looks like a day number of a spreadsheet; give --time-scale 86400 where it is one, "
-                "and write seconds where it is not"
-            )
-    return _since_1970(cells, values, scale)
+        if are_days(cells, finite, unit_given):
+            return _of_days(values)
+    read = _since_1970(cells, values, scale, unit_given)
+    if numbers.thousands:
+        return replace(read, note=f"{numbers.thousands} numbers with marks between thousands read without them")
+    return read
 
 
-def _are_days(values: NDArray[np.float64]) -> bool:
-    """Return True where steps are whole seconds as parts of a day, and not whole milliseconds as seconds."""
-    steps = np.diff(np.unique(values))
-    if not len(steps):
-        return False
-    as_days, as_seconds = steps * 86400.0, steps * 1000.0
-    whole = np.abs(as_days - np.round(as_days)) <= _ROUNDED_S
-    return bool(whole.all() and (as_days > 0.5).all() and (np.abs(as_seconds - np.round(as_seconds)) > 1e-4).any())
-
-
-def _since_1970(cells: Any, values: NDArray[np.float64], scale: float) -> _Read:
+def _since_1970(cells: Any, values: NDArray[np.float64], scale: float, unit_given: bool) -> _Read:
     """Return numbers that count from 1970 shifted to their first, and any other numbers as they are, in seconds."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    kind = cells.type
     middle = float(np.nanmedian(values))
-    for least, unit, word in _EPOCH_UNITS:
-        if middle < least:
-            continue
-        clock_set = 0.5 * middle  # earlier stamps are of a clock that had not been set yet
-        if pa.types.is_integer(kind) and not pa.types.is_uint64(kind):
-            seconds, origin = _whole_numbers(pc.cast(cells, pa.int64()), unit, clock_set)
-        else:
-            first = values[values >= clock_set].min()
-            origin, seconds = float(first) * unit, np.where(values >= clock_set, (values - first) * unit, np.nan)
-        return _Read(seconds, _moment(origin), f"{word} since 1970")
-    return _Read(values * scale)
+    count = count_of(middle, scale, unit_given)
+    if count is None:
+        return _Read(values * scale)
+    unit, word = count
+    clock_set = 0.5 * middle  # earlier stamps are of a clock that had not been set yet
+    kind = cells.type
+    if pa.types.is_integer(kind) and not pa.types.is_uint64(kind):
+        seconds, origin = _whole_numbers(pc.cast(cells, pa.int64()), unit, clock_set)
+    else:
+        first = values[values >= clock_set].min()
+        origin, seconds = float(first) * unit, np.where(values >= clock_set, (values - first) * unit, np.nan)
+    return _Read(seconds, _moment(origin), f"{word} since 1970")
 
 
 def _moment(seconds: float) -> datetime.datetime:

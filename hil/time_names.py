@@ -54,6 +54,12 @@ def seconds_per_unit(name: str) -> float | None:
     return None
 
 
+def names_unit(name: str) -> bool:
+    """Return True for the name of a time that gives its unit."""
+    low = name.strip().lower()
+    return seconds_per_unit(name) is not None and _spelt(low) not in (*_ELAPSED, *_MOMENT)
+
+
 def is_time_name(name: str) -> bool:
     """Return True for a name under which a record may hold its time."""
     return seconds_per_unit(name) is not None

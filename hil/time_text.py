@@ -53,6 +53,12 @@ _DATE = (
 )
 _STAMP = re.compile(rf"{_DATE}(?:[T\s,_-]+{_TIME})?|(?P<long>(?:19|20|21)\d{{6}})[T_ -]?(?P<clock>\d{{6}})", re.ASCII)
 _CLOCK = re.compile(_TIME, re.ASCII)
+_FOUR = re.compile(r"(\d{1,3}):([0-5]\d):([0-5]\d):(\d\d)", re.ASCII)
+"""Days, hours, minutes and seconds, or hours, minutes, seconds and hundredths."""
+_HOUR = re.compile(r"(?:^|[T\s,_-])(\d{1,2}):[0-5]\d")
+_HALF_DAY = 43_200_000_000
+_NEXT_STEPS = 5
+"""A clock of twelve hours goes on after 12:59 within that many typical steps; later it is another record."""
 _ZONES = {"z": 0, "utc": 0, "gmt": 0, "cet": 60, "cest": 120}
 
 
@@ -90,8 +96,15 @@ def read_stamps(cells: Sequence[str | None], order: Order | None = None) -> Stam
     """Return the moments of text `cells`, None for missing ones; `order` is that of day, month and year, if given.
 
     Raises:
-        TimeTextError: more than one order fits and the times between rows differ.
+        TimeTextError: more than one order fits and the times between rows differ, or a clock of twelve hours lacks AM
+            and PM.
     """
+    stamps = _read_stamps(cells, order)
+    _require_full_clock(cells, stamps.micros)
+    return stamps
+
+
+def _read_stamps(cells: Sequence[str | None], order: Order | None) -> Stamps:
     plain = [_iso(cell) for cell in cells]
     there = sum(cell is not None for cell in cells)
     if order is None and there and sum(x is not None for x in plain) == there:
@@ -120,8 +133,11 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
     None where the cells are no times of day. Hours above 23 are those of a time since the beginning.
 
     Raises:
-        TimeTextError: two numbers each, which may be hours and minutes or minutes and seconds.
+        TimeTextError: two numbers each, which may be hours and minutes or minutes and seconds; four, which may begin
+            with days or end with hundredths; or a clock of twelve hours without AM and PM.
     """
+    if (four := _four_fields(cells)) is not None:
+        return four
     found = [None if cell is None else _CLOCK.fullmatch(cell) for cell in cells]
     there = [match for match in found if match is not None]
     if not there or len(there) < sum(cell is not None for cell in cells) / 2:
@@ -131,6 +147,7 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
             f"'{there[0][0]}' may be hours and minutes or minutes and seconds; write hh:mm:ss, or a date before it"
         )
     micros = [None if match is None else _micros_of_day(match) for match in found]
+    _require_full_clock(cells, micros)
     days = 0
     last: int | None = None
     out: list[int | None] = []
@@ -140,6 +157,52 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
             last = value
         out.append(None if value is None else value + days * MICROS_PER_DAY)
     return Stamps(out, "a time of day", False, dated=False)
+
+
+def _four_fields(cells: Sequence[str | None]) -> Stamps | None:
+    """Return times of four fields with colons where they begin with days; None where they end with hundredths.
+
+    Hours above 23 and hundredths above 59 decide, else equal steps between rows by one of the readings alone.
+    """
+    found = [match for cell in cells if cell is not None and (match := _FOUR.fullmatch(cell))]
+    if not found or len(found) < sum(cell is not None for cell in cells):
+        return None
+    fields = np.array([[int(text) for text in match.groups()] for match in found])
+    if fields[:, 1].max() > 23 or fields[:, 3].max() > 59:
+        return None
+    as_days = fields @ np.array([86400, 3600, 60, 1])
+    even_days = len(np.unique(np.diff(as_days))) == 1
+    even_clock = len(np.unique(np.diff(fields @ np.array([360000, 6000, 100, 1])))) == 1
+    if even_clock and not even_days:
+        return None
+    if even_days == even_clock:
+        raise TimeTextError(
+            f"'{found[0][0]}' may be dd:hh:mm:ss or hh:mm:ss and hundredths; write seconds, or hh:mm:ss.00"
+        )
+    seconds = iter(as_days.tolist())
+    micros = [None if cell is None else next(seconds) * 1_000_000 for cell in cells]
+    return Stamps(micros, "days, hours, minutes and seconds", False, dated=False)
+
+
+def _require_full_clock(cells: Sequence[str | None], micros: Sequence[int | None]) -> None:
+    """Raise TimeTextError for a clock of twelve hours without AM and PM: after 12:59 it steps back to 1:00."""
+    steps = np.diff(np.array([x for x in micros if x is not None], dtype=np.int64))
+    if not (steps < 0).any() or not (steps > 0).any():
+        return
+    after = steps + _HALF_DAY
+    passes = (steps < 0) & (after > 0) & (after <= _NEXT_STEPS * np.median(steps[steps > 0]))
+    if not passes.any():
+        return
+    hours = [match for cell in cells if cell is not None and (match := _HOUR.search(cell))]
+    if not hours or any(not 1 <= int(match[1]) <= 12 for match in hours):
+        return
+    if any(cell is not None and cell.rstrip(". ").lower().endswith("m") for cell in cells):
+        return
+    there = [cell for cell, x in zip(cells, micros, strict=True) if x is not None]
+    raise TimeTextError(
+        f"after '{there[int(np.argmax(passes))]}' the clock steps back by twelve hours, as one of twelve hours without "
+        "AM and PM does; write hours from 00 to 23, or AM and PM"
+    )
 
 
 def is_time_of_day(cell: str) -> bool:

@@ -316,7 +316,7 @@ def _record(file: Path, choice: Reading | Path, out: Console) -> None:
         spread = f"{finite.min():g} to {finite.max():g}" if finite.size else "no value"
         missing = f", {len(values) - finite.size} missing" if finite.size < len(values) else ""
         out.print(f"  {name}: {spread}{missing}", markup=False)
-    out.print(f"{file}: {len(record.time_s)} samples over {record.time_s[-1] / 3600:.2f} h", style="green")
+    out.print(f"{file}: {len(record.time_s)} samples over {np.ptp(record.time_s) / 3600:.2f} h", style="green")
 
 
 _TELLING: dict[str, Callable[[Path, Path, Console], None]] = {
