@@ -66,7 +66,7 @@ def test_the_plan_as_json():
         ),
         ('signal = "T_tank"\n', 'signal = "T_tank"\nstale_after_s = 0.5\n', "T_tank: is stale after 0.5 s and TC_C"),
         ("port = 5020\n", "port = 5020\nhole = [{ table = 'input', first = 5, last = 5 }]\n", "is in the hole 5"),
-        ("address = 11\n", "address = 65536\n", "less than or equal to 65535"),
+        ("address = 11\n", "address = 65536\n", "must be at most 65535"),
         ("address = 8\n", "address = 65535\n", "ends at 65536 and the last address is 65535"),
         ("port = 5020\n", "port = 5020\nmax_read = 1\n", "takes 2 registers and one request 1"),
         ("limits = [0.0, 1000.0]", "limits = [0.0, 7000.0]", "7000 W cannot be written"),
