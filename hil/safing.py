@@ -83,13 +83,16 @@ async def make_safe(
                 break
             if not descent.stays(readings, number * period_s):
                 await connection.write(heartbeat())
+            else:  # another master may have written since
+                problem = await write_safe(connection, safe_values) or problem
             await advance()
         except DriverError as error:
             problem = str(error)
             if hurried() or time.monotonic() - held_s > max(waits) + WRITE_DEADLINE_S:
                 break
             await asyncio.sleep(RETRY_EVERY_S)
-    return Safed(True, not problem, problem, hot)
+    again = await write_safe(connection, safe_values)  # the last word, whoever has written meanwhile
+    return Safed(not again, not (problem or again), again or problem, hot)
 
 
 async def write_safe(connection: RigConnection, safe_values: dict[str, float]) -> str:

@@ -91,6 +91,25 @@ def test_a_run_whose_power_meter_died_does_not_claim_to_be_safe():
         assert "is not known" in bench.outcome.away
 
 
+def test_what_another_master_writes_while_the_run_ends_is_made_safe_again():
+    with EngineBench(rig_with(interlocks=()), duration_s=600.0) as bench:
+        warm(bench)
+        written = False
+
+        def another_master(passed_s: float) -> None:
+            nonlocal written
+            if bench.state == "finishing" and not written:
+                written = True
+                bench.rig.registers.holding[0] = 3000  # 300 W
+
+        bench.rig.watch = another_master
+        bench.engine.request_stop("the test")
+        bench.ticks(200)
+        assert written
+        assert bench.rig.registers.holding[0] == 0
+        assert bench.outcome.safe
+
+
 async def test_a_stop_does_not_wait_for_the_next_tick_of_a_slow_rig(tmp_path):
     from drivers.rig import RigConnection
     from hil.clock import MonotonicClock
