@@ -236,12 +236,12 @@ class Engine:
             reason = str(error)
         except BaseException as error:
             reason, fatal = f"{type(error).__name__}: {error}", error
-        outcome.safe = self._found_safe
         if self._machine.state not in UNTOUCHED:
             # Nothing may come before this: no file, no terminal, no message.
             interrupted = await self._safely(event, reason, outcome)
             fatal = fatal or interrupted
         else:
+            outcome.safe = self._found_safe  # nothing was heated since
             self._machine.take(event, reason)
         if self._machine.state in ENDED:
             outcome.status = self._machine.state.value  # type: ignore[assignment]
