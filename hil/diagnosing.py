@@ -23,9 +23,9 @@ from hil import __version__
 from hil.diagnosis_store import CURVES, curves_of, write_curves, write_document
 from hil.file_names import printable
 from hil.record import Reading, Record, read_record
+from hil.record_segments import Parts
 from hil.record_time import span
 from hil.record_units import beyond_declared
-from hil.segments import Parts
 from twin.discovery.answer.unused import with_unused
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.elsewhere import elsewhere

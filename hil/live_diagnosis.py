@@ -25,7 +25,7 @@ from drivers.points import ConfigurationError, Quality
 from hil.child import Child
 from hil.journal import JournalReader, JournalWriter
 from hil.journal_rows import Samples
-from hil.segments import Parts
+from hil.record_segments import Parts
 
 if TYPE_CHECKING:
     from twin.discovery.diagnosis import Diagnosis

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from drivers.points import Quality
 from hil.atomic import replacing
 from hil.journal import JournalReader
-from hil.segments import profile_times
+from hil.profile_clock import profile_times
 
 PAGE = 16_384
 """Ticks read from the journal at a time: the rows of SQLite are Python objects, many times the size of the arrays."""

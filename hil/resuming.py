@@ -18,10 +18,11 @@ from hil.journal import JournalReader
 from hil.journal_check import require_alone
 from hil.journal_rows import SegmentRow, StateRow
 from hil.manifest_check import require_settings
+from hil.profile_clock import profile_times
 from hil.remaking import has_ended
 from hil.run_folder import RunFolder, RunFolderError
 from hil.run_request import RunRequest
-from hil.segments import Standing, profile_times
+from hil.segments import Standing
 from hil.soaking import has_memory
 from hil.states import State
 

@@ -27,7 +27,7 @@ from hil.control import ControlError, ask
 from hil.engine import Engine, Outcome
 from hil.journal import Header, JournalReader, JournalWriter
 from hil.profile import Profile
-from hil.segments import profile_times
+from hil.profile_clock import profile_times
 
 PROFILES = Path(__file__).resolve().parents[2] / "profiles"
 RIG = PROFILES / "rigs" / "virtual.toml"

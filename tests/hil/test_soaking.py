@@ -10,7 +10,7 @@ import pytest
 from drivers.points import Quality
 from hil.journal_rows import StateRow
 from hil.operator import RefusedError, Verb
-from hil.segments import profile_times
+from hil.profile_clock import profile_times
 from hil.soaking import SETTLE_S
 from hil.states import Event, State
 from hil.supervisor import Supervisor
