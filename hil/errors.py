@@ -13,11 +13,11 @@ USAGE = 2
 def exit_code(error: BaseException) -> int | None:
     """2 for a file or an option that is wrong, 1 for a fault found on the rig or in a run, None for a bug."""
     from drivers.points import ConfigurationError, DriverError
-    from hil.journal import JournalError
-    from hil.lock_folder import RigLockError
-    from hil.rig_lock import RigBusyError
-    from hil.run_folder import FolderLostError, RunFolderError
-    from hil.tracking_process import TrackingError
+    from hil.journal.writer import JournalError
+    from hil.run.locks.lock_folder import RigLockError
+    from hil.run.locks.rig_lock import RigBusyError
+    from hil.run_folder.folder import FolderLostError, RunFolderError
+    from hil.tracking.process import TrackingError
 
     if isinstance(error, ConfigurationError):
         return USAGE

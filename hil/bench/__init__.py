@@ -25,4 +25,4 @@ BENCHMARKS = {
 EXPERIMENTS = ("tracking", "randomised", "modules_heat", "tank_insulation")
 """Of `hil bench paper`."""
 RIGS = ("virtual", "stranger", "inverse")
-"""Where the paper's experiments run; see `hil.bench.campaigns`."""
+"""Where the paper's experiments run; see `hil.bench.experiments.campaigns`."""

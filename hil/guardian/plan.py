@@ -16,8 +16,8 @@ from drivers.modbus_writes import Writes
 from drivers.plan import plan_reads
 from drivers.rig_model import Point, Rig
 from drivers.wires import wires
-from hil.heaters import safe_limit
-from hil.setpoints import Setpoints
+from hil.run.outputs.heaters import safe_limit
+from hil.run.outputs.setpoints import Setpoints
 
 SILENCE_S = 1.0
 """So long the engine may be silent before the guardian acts, s."""

@@ -9,15 +9,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from hil.atomic import replacing
-from hil.diagnosis_store import Findings, read_findings
-from hil.file_names import utf8_path
-from hil.journal import JournalError, JournalReader
+from hil.diagnosis.store import Findings, read_findings
+from hil.files.atomic import replacing
+from hil.files.names import utf8_path
+from hil.journal.writer import JournalError, JournalReader
 from hil.review.batches import Batch, merged
-from hil.review.collect import Collector
-from hil.review.findings import batches, findings_beside, notes, plan_alone, with_findings
-from hil.review.looks import Plan
+from hil.review.collector import Collector
+from hil.review.diagnosis_tab import batches, findings_beside, notes, plan_alone, with_findings
 from hil.review.rerun_io import Recording
+from hil.review.styles import Plan
 from hil.review.viewer import listens
 
 POLL_S = 0.25

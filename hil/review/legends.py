@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 
-from hil.review.looks import Panel, Stack
+from hil.review.styles import Panel, Stack
 
 WINDOW_PX = 1400.0
 """Width of the window for which room is left; in a wider one a legend takes a smaller part."""

@@ -12,7 +12,7 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
     /actuators/<name>                    set-point and read-back, (n, 1 or 2)
     /measured/<column>                   what else the rig reports, (n, 1)
     /status                              counters and bit fields, (n, k)
-    /state                               lane: where the run was (`hil.states`)
+    /state                               lane: where the run was (`hil.journal.states`)
     /quality/<column>, /quality          lanes, one a signal, and the worst of all
     /windows/<calibrator>                lane: kind of each calibration window
     /calibrated/<calibrator>             lane: whether the window's fit was accepted
@@ -28,10 +28,10 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
 from __future__ import annotations
 
 from drivers.points import Quality
-from hil.actuators import pair_actuators
-from hil.journal_rows import Header
+from hil.journal.rows import Header
+from hil.report.actuators import pair_actuators
 from hil.review.legends import with_room_for_legends
-from hil.review.looks import (
+from hil.review.styles import (
     ACTUATORS,
     FAINT,
     FLAG_COLOURS,

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
-from hil.file_names import printable, utf8_path
+from hil.files.names import printable, utf8_path
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
-from hil.review.looks import NEUTRAL, Colour, Panel, Plan, Stack, colour_key, symbol, twin_colours
+from hil.review.styles import NEUTRAL, Colour, Panel, Plan, Stack, colour_key, symbol, twin_colours
 
 TIMELINE = "test_time"
 _SETTLED = 3

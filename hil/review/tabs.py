@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 
-from hil.journal_rows import Header
-from hil.review.looks import ACTUATOR_WORDS, Panel, Stack, path, titled
+from hil.journal.rows import Header
+from hil.review.styles import ACTUATOR_WORDS, Panel, Stack, path, titled
 
 MARGIN = 0.13
 _MOST_BESIDE = 4

@@ -81,7 +81,7 @@ def _rivals(networks: list[Any], data: Data, physics: Any, blind: Any) -> dict[s
 
     On the test split, target hidden; outputs: mean absolute error, K.
     """
-    from hil.training.rivals import estimates, judged, noisy, shuffled
+    from hil.training.baselines import estimates, judged, noisy, shuffled
     from twin.calibrators.hiera_unet.score import missed
 
     test, config = data.test, networks[0].config

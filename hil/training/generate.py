@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.terminal import Steps
+from hil.run.session.terminal import Steps
 from hil.training.plant_windows import campaign as plant_campaign
 from hil.training.stopping import Stop
 from twin.calibrators.hiera_unet.campaigns import WINDOWS, Campaign, ends, label, simulated

@@ -20,8 +20,8 @@ from drivers.virtual.effects import Effect, load_effects
 from drivers.virtual.geometry import CHANNELS, MODULES, Cells, build_cells
 from drivers.virtual.plant import Plant
 from drivers.virtual.thermocouple_module import ThermocoupleModule
-from hil.bench.discovery_cases import LOADS, Setting, Truth, effects_text, profile, truth
-from hil.bench.discovery_direct import direct_run
+from hil.synthetic.hidden_effects import LOADS, Setting, Truth, effects_text, profile, truth
+from hil.synthetic.plant_record import direct_run
 from twin.calibrators.hiera_unet.campaigns import AMISS, Campaign
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.gaps import damaged

@@ -19,7 +19,7 @@ from hil import __version__
 from hil.training.ablation import without as leave_out
 from hil.training.data import Data
 from hil.training.ensemble import assemble
-from hil.training.picture import draw
+from hil.training.learning_curve import draw
 from hil.training.stopping import Stop
 
 LOOK_EVERY = 250

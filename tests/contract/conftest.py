@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.bench.faults_tls import Certificates
+from hil.bench.faults.tls import Certificates
 from tests.contract.table import Table
 from tests.contract.wires import certificates_in
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.bench.machine import manifest
+from hil.bench.measure.machine import manifest
 
 _SUITES = {
     "test_modbus_contract": "Modbus: the same device on every transport",

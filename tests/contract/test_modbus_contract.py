@@ -13,7 +13,7 @@ import pytest
 from drivers.points import DeviceExceptionError, DriverError, LinkError, Quality
 from drivers.virtual import faulty_replies as replies
 from drivers.virtual.faulty_link import Change
-from hil.bench.faults_tls import Certificates
+from hil.bench.faults.tls import Certificates
 from tests.contract.wires import TIMEOUT_S, TRANSPORTS, wired
 
 pytestmark = pytest.mark.parametrize("transport", TRANSPORTS)

@@ -12,8 +12,8 @@ from drivers.points import Quality
 from drivers.rig import RigConnection
 from drivers.rigfile import load_rig
 from drivers.virtual.rig import start_virtual_rig
-from hil.bench.faults_tls import Certificates
-from hil.safing import write_safe
+from hil.bench.faults.tls import Certificates
+from hil.run.outputs.safing import write_safe
 from tests.contract.wires import TRANSPORTS
 
 RIGS = Path(__file__).resolve().parents[2] / "profiles" / "rigs"

@@ -28,7 +28,7 @@ from drivers.virtual.modbus_protocol import ModbusConnection
 from drivers.virtual.modbus_server import tls_context
 from drivers.virtual.registers import INPUT_COUNT, Registers
 from drivers.virtual.rtu_protocol import RtuConnection
-from hil.bench.faults_tls import Certificates
+from hil.bench.faults.tls import Certificates
 
 TRANSPORTS = ("tcp", "tls", "tcp, transaction 0", "rtu over tcp", "rtu serial")
 POINTS = (
@@ -216,6 +216,6 @@ async def _connected(bus: ModbusBus) -> None:
 
 def certificates_in(folder: Path) -> Certificates:
     """Certificates for `tls`."""
-    from hil.bench.faults_tls import make_certificates
+    from hil.bench.faults.tls import make_certificates
 
     return make_certificates(folder)

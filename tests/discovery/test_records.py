@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from hil.bench.discovery_records import measure
+from hil.bench.discovery.public_records import measure
 from twin.discovery.effects.catalogue import catalogue, sites_of
 from twin.discovery.growing.alike import together
 from twin.discovery.growing.growth import Growth, grow, grow_at_rest

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.record import Record, read_record
+from hil.record.reader import Record, read_record
 from tests.twin.conftest import stranger  # noqa: F401
 from twin.commission import commission
 from twin.datasheet import from_datasheet

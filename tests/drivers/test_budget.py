@@ -14,7 +14,7 @@ from drivers.points import ConfigurationError
 from drivers.rig_model import Point
 from drivers.rigfile import load_rig
 from drivers.serial_line import silence_s
-from hil.commands.check import command
+from hil.cli.check import command
 
 PROJECT = Path(__file__).resolve().parents[2]
 VIRTUAL = PROJECT / "profiles" / "rigs" / "virtual.toml"

@@ -24,7 +24,7 @@ from drivers.points import ConfigurationError, LinkError, Quality
 from drivers.rig_model import Point
 from drivers.rigfile import load_rig
 from drivers.watching import RigWatch
-from hil.commands.check import command as check
+from hil.cli.check import command as check
 from tests.drivers.j1939 import EEC1, ET1, POINTS, dbc_in, et1, section
 
 identifiers = st.integers(0, EXTENDED_BITS)

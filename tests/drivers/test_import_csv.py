@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from drivers.imports.draft import Collector, Draft, DraftBus, ImportFileError
 from drivers.imports.vendor_csv import import_csv
 from drivers.rigfile import load_rig
-from hil.commands.check import command as check
-from hil.commands.init import command as init
+from hil.cli.check import command as check
+from hil.cli.init import command as init
 from tests.drivers.import_files import BUS, CELLS, complaint, table, written
 
 TABLE = """\

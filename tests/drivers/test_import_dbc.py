@@ -10,8 +10,8 @@ from click.testing import CliRunner
 from drivers.dbc import bind
 from drivers.points import ConfigurationError
 from drivers.rigfile import load_rig
-from hil.commands.check import command as check
-from hil.commands.init import command as init
+from hil.cli.check import command as check
+from hil.cli.init import command as init
 from tests.drivers.import_files import table
 from tests.drivers.j1939 import dbc_in
 

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from drivers.modbus_frames import TcpFrames
 from drivers.points import ProtocolError
 from drivers.replies import FrameGuard
-from hil.bench.wire import HARMLESS, Mutator, mutate_modbus
-from hil.bench.wire_can import mutate_can
-from hil.bench.wire_j1939 import HARMLESS as J1939_HARMLESS
-from hil.bench.wire_j1939 import mutate_j1939
-from hil.bench.wire_rtu import HARMLESS as RTU_HARMLESS
-from hil.bench.wire_rtu import mutate_rtu
+from hil.bench.fuzz.can_frames import mutate_can
+from hil.bench.fuzz.j1939_frames import HARMLESS as J1939_HARMLESS
+from hil.bench.fuzz.j1939_frames import mutate_j1939
+from hil.bench.fuzz.rtu_replies import HARMLESS as RTU_HARMLESS
+from hil.bench.fuzz.rtu_replies import mutate_rtu
+from hil.bench.fuzz.wire import HARMLESS, Mutator, mutate_modbus
 
 GOOD = struct.pack(">HHHBBB2H", 7, 0, 7, 1, 4, 4, 555, 100)
 

@@ -22,7 +22,7 @@ from drivers.points import ConfigurationError, LinkError, Quality
 from drivers.rigfile import RigFileError, load_rig
 from drivers.tls import check_key, client_context
 from drivers.virtual.rig import VirtualRig, start_virtual_rig
-from hil.bench.faults_tls import authority, make_certificates, signed
+from hil.bench.faults.tls import authority, make_certificates, signed
 
 PROJECT = Path(__file__).resolve().parents[2]
 POINTS = tuple(point for point in load_rig(PROJECT / "profiles/rigs/virtual.toml").point if point.bus == "plc")

@@ -6,8 +6,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from hil.journal import JournalWriter
-from hil.run_folder import RunFolder, new_manifest
+from hil.journal.writer import JournalWriter
+from hil.run_folder.folder import RunFolder, new_manifest
 from tests.hil.synthetic_journal import make, put_ticks
 
 

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-import hil.safing
+import hil.run.outputs.safing
 from drivers.rig_model import Rig
-from hil.engine import Engine, Outcome
-from hil.operator import RefusedError, Verb
-from hil.profile import Profile
-from hil.segments import Resumption, Standing
-from hil.soaking import SoakRule
-from hil.states import HEATED, UNTOUCHED, State
+from hil.journal.states import HEATED, UNTOUCHED, State
+from hil.profile.load_profile import Profile
+from hil.run.engine.engine import Engine, Outcome
+from hil.run.engine.operator import RefusedError, Verb
+from hil.run.restore.resumption import Resumption, Standing
+from hil.run.restore.thermal_restore import SoakRule
 from tests.hil.simulated_rig import MemoryJournal, RigTime, SimulatedClock, SimulatedRig
 
 WITHIN_S = 1.0
@@ -54,8 +54,8 @@ class EngineBench:
         self._answers: list[asyncio.Task[str]] = []
         self._unsafe_s = 0.0
         self._unreachable_s = 0.0
-        self._time, hil.safing.time = hil.safing.time, RigTime(self.rig)  # type: ignore[attr-defined]
-        self._retry, hil.safing.RETRY_EVERY_S = hil.safing.RETRY_EVERY_S, 0.0
+        self._time, hil.run.outputs.safing.time = hil.run.outputs.safing.time, RigTime(self.rig)  # type: ignore[attr-defined]
+        self._retry, hil.run.outputs.safing.RETRY_EVERY_S = hil.run.outputs.safing.RETRY_EVERY_S, 0.0
         connection: Any = self.rig
         journal: Any = self.journal
         self.engine = Engine(
@@ -157,5 +157,5 @@ class EngineBench:
             self.loop.run_until_complete(asyncio.gather(self.task, *self._answers, return_exceptions=True))
             assert done, "the engine did not end"
         finally:
-            hil.safing.time, hil.safing.RETRY_EVERY_S = self._time, self._retry  # type: ignore[attr-defined]
+            hil.run.outputs.safing.time, hil.run.outputs.safing.RETRY_EVERY_S = self._time, self._retry  # type: ignore[attr-defined]
             self.loop.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.record import Record, write_record
+from hil.record.reader import Record, write_record
 from twin.discovery.healthy.basis import Columns
 from twin.network import Network
 

@@ -20,7 +20,7 @@ from drivers.points import LinkError, Quality, Snapshot
 from drivers.rig_model import Rig
 from drivers.rigfile import load_rig
 from drivers.virtual.registers import ARMED, HEARTBEAT, HEATER_SET, Registers
-from hil.journal import JournalError
+from hil.journal.writer import JournalError
 
 PROJECT = Path(__file__).resolve().parents[2]
 SHIPPED = load_rig(PROJECT / "profiles" / "rigs" / "virtual.toml")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.points import Quality, Signal
-from hil.journal import Header, JournalWriter
+from hil.journal.writer import Header, JournalWriter
 
 SENSORS = {
     "T_heater_C": ("T_heater_C",),

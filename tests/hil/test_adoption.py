@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.adoption import IN_A_ROW, Advice, accepted, adopt, clearly_better, closed_gates
-from hil.record import Record
-from hil.tracking import Proposed
+from hil.record.reader import Record
+from hil.tracking.adoption import IN_A_ROW, Advice, accepted, adopt, clearly_better, closed_gates
+from hil.tracking.twins import Proposed
 from twin.kernel import simulate
 from twin.revisions import chain, diff, revert
 from twin.twinfile import load

@@ -13,9 +13,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from hil.cli import group
-from hil.element_kinds import parameters_of
 from hil.errors import explained
-from hil.record import Record, read_record, write_record
+from hil.record.reader import Record, read_record, write_record
+from hil.rig.element_kinds import parameters_of
 from twin.elements import KINDS
 from twin.twinfile import load as read_twin
 

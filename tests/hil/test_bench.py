@@ -10,15 +10,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.bench import BENCHMARKS, contestants, fit, paper, public, report, speed, variants
-from hil.bench.campaigns import virtual_record
+from hil.bench import BENCHMARKS
+from hil.bench.commands.bench import command
+from hil.bench.experiments import paper
+from hil.bench.experiments import public_tables as public
+from hil.bench.experiments.campaigns import virtual_record
+from hil.bench.experiments.tracked import windows_to_recover
+from hil.bench.kernel import contestants, fit, speed, variants
+from hil.bench.kernel.problems import made_up
+from hil.bench.kernel.windows import SCHEDULES, job
+from hil.bench.measure import report
 from hil.bench.peers import Absent, c_peer, optimisers
 from hil.bench.peers.formulas import sensor_rows
-from hil.bench.problems import made_up
-from hil.bench.tracked import windows_to_recover
-from hil.bench.windows import SCHEDULES, job
-from hil.commands.bench import command
-from hil.record import read_record
+from hil.record.reader import read_record
 from twin.calibrators import FITTING
 from twin.twinfile import load
 

@@ -8,8 +8,8 @@ from click.testing import CliRunner
 
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 
-from hil.bench import hiera_ablations as ablations  # noqa: E402
-from hil.commands.bench import command  # noqa: E402
+from hil.bench.commands.bench import command  # noqa: E402
+from hil.bench.hiera import ablations  # noqa: E402
 from hil.training.ablation import PIECES  # noqa: E402
 from hil.training.data import Data  # noqa: E402
 from tests.twin.hiera import fake  # noqa: E402

@@ -16,19 +16,20 @@ from click.testing import CliRunner
 from drivers.rigfile import load_rig
 from drivers.virtual.effects import load_effects
 from drivers.virtual.thermocouple_module import ThermocoupleModule
-from hil.bench import discovery, discovery_again
-from hil.bench.discovery_again import Chain
-from hil.bench.discovery_cases import KINDS, effects_text, lasting, profile, profile_text, setting, truth
-from hil.bench.discovery_direct import direct_record
-from hil.bench.discovery_injector import RIG, opened, seal
-from hil.bench.discovery_ledger import Ledger, LedgerError, sha256_of
-from hil.bench.discovery_score import Outcome, alike, judge, risk_at_coverage, volume, wilson
-from hil.bench.discovery_tables import failure, tables
-from hil.bench.discovery_visible import course_of, visible
-from hil.bench.discovery_worker import Worker, WorkerError
+from hil.bench.discovery import repeated as discovery_again
+from hil.bench.discovery import trial as discovery
+from hil.bench.discovery.detectability import course_of, visible
+from hil.bench.discovery.injector import RIG, opened, seal
+from hil.bench.discovery.ledger import Ledger, LedgerError, sha256_of
+from hil.bench.discovery.repeated import Chain
+from hil.bench.discovery.score import Outcome, alike, judge, risk_at_coverage, volume, wilson
+from hil.bench.discovery.tables import failure, tables
+from hil.bench.discovery.worker import Worker, WorkerError
 from hil.cli import group
-from hil.profile import read_profile
-from hil.record import read_record
+from hil.profile.load_profile import read_profile
+from hil.record.reader import read_record
+from hil.synthetic.hidden_effects import KINDS, effects_text, lasting, profile, profile_text, setting, truth
+from hil.synthetic.plant_record import direct_record
 
 
 def effect(kind: str = "heat_source", where: str = "tank", driver: str = "constant", **more: Any) -> dict[str, Any]:
@@ -228,7 +229,7 @@ def test_courses_follow_onset_ramp_and_growth() -> None:
 
 
 def test_a_worker_reports_errors_and_goes_on(tmp_path: Path) -> None:
-    with Worker("hil.bench.discovery_answerer") as worker:
+    with Worker("hil.bench.discovery.answerer") as worker:
         for _ in range(2):
             with pytest.raises(WorkerError, match="nowhere"):
                 worker.ask(record="x", twin=str(tmp_path / "nowhere.toml"), healthy="x", hour=8.0, out=str(tmp_path))

@@ -9,8 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.points import ConfigurationError
-from hil.bench import files, fuzz_files
-from hil.bench.fuzz_files import HANG, READ, REFUSED, TRACEBACK, UNCLEAR, outcome_of
+from hil.bench.fuzz import readers as fuzz_files
+from hil.bench.fuzz import tables as files
+from hil.bench.fuzz.readers import HANG, READ, REFUSED, TRACEBACK, UNCLEAR, outcome_of
 
 KINDS = (
     "rig file", "twin file", "effects file", "scenario", "register table", "Telegraf", "Home Assistant", "DBC",
@@ -67,7 +68,7 @@ def test_a_reader_that_does_not_end_is_stopped(tmp_path, monkeypatch):
 
 
 def test_the_command_counts_every_kind_and_fails_where_one_does(monkeypatch):
-    from hil.commands.bench import command
+    from hil.bench.commands.bench import command
 
     monkeypatch.setattr(files, "RECORDS", "hil.bench.no_such_module")
     done = CliRunner().invoke(command, ["files", "--count", "3", "--json"])

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.bench import hiera, hiera_cases, hiera_score
-from hil.bench.hiera_contestants import Answer, commissioned, fitted, roster, sheet, tracked
-from hil.bench.hiera_tables import goals
-from hil.commands.bench import command
+from hil.bench.commands.bench import command
+from hil.bench.hiera import cases as hiera_cases
+from hil.bench.hiera import score as hiera_score
+from hil.bench.hiera import trial as hiera
+from hil.bench.hiera.contestants import Answer, commissioned, fitted, roster, sheet, tracked
+from hil.bench.hiera.tables import goals
 from hil.training.generate import features_of
 from twin.calibrators.hiera_unet.windows import TARGET
 
@@ -174,7 +176,7 @@ def test_an_unknown_rig_is_refused():
 def test_an_untrained_network_predicts_what_its_evidence_does_and_a_fit_from_it_as_well(tmp_path):
     pytest.importorskip("torch", reason="torch is not installed: the network takes no part")
     pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
-    from hil.bench.hiera_network import contestants
+    from hil.bench.hiera.network import contestants
     from tests.twin.hiera.test_service import ensemble_card
 
     both = contestants(ensemble_card(tmp_path), features())

@@ -6,7 +6,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 
-from hil.bench.hiera_latency import latency  # noqa: E402
+from hil.bench.hiera.latency import latency  # noqa: E402
 from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
 
 

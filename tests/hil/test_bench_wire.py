@@ -7,8 +7,9 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from hil.bench import bus, wire
-from hil.commands.bench import command as bench
+from hil.bench.commands.bench import command as bench
+from hil.bench.fuzz import wire
+from hil.bench.loop import bus
 
 
 def test_the_bus_is_measured_beside_others_and_pipelined_requests_are_answered_in_order():

@@ -20,16 +20,16 @@ from drivers.rigfile import load_rig
 from drivers.virtual.registers import ARM, HEARTBEAT, HEATER_SET
 from drivers.virtual.rig import start_virtual_rig
 from drivers.virtual.truth import read_truth
-from hil.bench import chaos_verdict as verdict
-from hil.bench import faults_judge as judge
-from hil.bench.chaos import campaign, chaos_tables
-from hil.bench.chaos_clock import SteppedClock
-from hil.bench.chaos_device import LyingDevice, write_register
-from hil.bench.chaos_kinds import CHAOS_KINDS
-from hil.bench.chaos_plan import chaos_case, chaos_cases, compatible
-from hil.bench.chaos_stage import WATCHDOG_OFF_S, chaos_rig_text, unstepped
-from hil.bench.chaos_terminal import Terminal
-from hil.bench.chaos_verdict import LIMIT_S, ChaosResult
+from hil.bench.chaos import verdict
+from hil.bench.chaos.campaign import campaign, chaos_tables
+from hil.bench.chaos.clock import SteppedClock
+from hil.bench.chaos.device import LyingDevice, write_register
+from hil.bench.chaos.kinds import CHAOS_KINDS
+from hil.bench.chaos.plan import chaos_case, chaos_cases, compatible
+from hil.bench.chaos.stage import WATCHDOG_OFF_S, chaos_rig_text, unstepped
+from hil.bench.chaos.terminal import Terminal
+from hil.bench.chaos.verdict import LIMIT_S, ChaosResult
+from hil.bench.faults import judge
 
 SEED = 20_261
 ATTACKS = (

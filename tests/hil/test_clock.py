@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-import hil.clock
-from hil.clock import MonotonicClock
+import hil.run.engine.clock
+from hil.run.engine.clock import MonotonicClock
 
 
 class Sleeper:
@@ -22,8 +22,8 @@ class Sleeper:
 @pytest.fixture
 def sleeper(monkeypatch: pytest.MonkeyPatch) -> Sleeper:
     sleeper = Sleeper()
-    monkeypatch.setattr(hil.clock, "steady_s", lambda: sleeper.now)
-    monkeypatch.setattr(hil.clock.asyncio, "sleep", sleeper.sleep)
+    monkeypatch.setattr(hil.run.engine.clock, "steady_s", lambda: sleeper.now)
+    monkeypatch.setattr(hil.run.engine.clock.asyncio, "sleep", sleeper.sleep)
     return sleeper
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.record import Record, read_record, write_record
+from hil.record.reader import Record, read_record, write_record
 from tests.discovery.conftest import Bench
 from tests.hil.made_record import written
 from tests.hil.test_bad_input import hil

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.commissioned import beside, commissioned_on, copy_record, save_with_record
-from hil.record import Record, read_record
+from hil.diagnosis.healthy_record import beside, commissioned_on, copy_record, save_with_record
+from hil.record.reader import Record, read_record
 from twin.network import TwinFileError
 from twin.revisions import save_revision
 from twin.twinfile import load

@@ -15,12 +15,12 @@ from typing import Any
 
 import pytest
 
-from hil.control import ControlError, ask, live_runs, serving
-from hil.journal import JournalReader
-from hil.operator import RefusedError, Verb
+from hil.journal.states import State
+from hil.journal.writer import JournalReader
 from hil.review.rerun_io import read_words
-from hil.run_folder import RunFolder
-from hil.states import State
+from hil.run.engine.control_socket import ControlError, ask, live_runs, serving
+from hil.run.engine.operator import RefusedError, Verb
+from hil.run_folder.folder import RunFolder
 
 PROJECT = Path(__file__).resolve().parents[2]
 HIL = [sys.executable, "-m", "hil"]
@@ -86,7 +86,7 @@ def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_term
 
 
 def test_a_process_that_hangs_is_named_with_what_to_do(tmp_path, monkeypatch):
-    monkeypatch.setattr("hil.control.ANSWER_WITHIN_S", 0.3)
+    monkeypatch.setattr("hil.run.engine.control_socket.ANSWER_WITHIN_S", 0.3)
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(tmp_path / "control.sock"))
         listener.listen()
@@ -100,7 +100,7 @@ class Answering:
     state = State.RUNNING
 
     def status(self) -> Any:
-        from hil.engine import Status
+        from hil.run.engine.engine import Status
 
         return Status(self.state, "", 3, 3.0, 3.0, 60.0, {"T": float("nan")}, {}, (), ())
 

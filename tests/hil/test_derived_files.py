@@ -13,16 +13,16 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from hil.commands.check import command as check
-from hil.commands.commission import command as commission
-from hil.commands.report import command as report
-from hil.derived_files import Derived, derive_files, missing_sentence
+from hil.cli.check import command as check
+from hil.cli.commission import command as commission
+from hil.cli.options.subject import SubjectError, subject_of
+from hil.cli.report import command as report
 from hil.errors import exit_code
-from hil.record import RecordError
-from hil.remaking import remake
-from hil.resuming import request_of
-from hil.run_folder import FolderLostError, RunFolderError
-from hil.subject import SubjectError, subject_of
+from hil.record.reader import RecordError
+from hil.run.session.derived_files import Derived, derive_files, missing_sentence
+from hil.run.session.interrupted_run import request_of
+from hil.run.session.regenerate import remake
+from hil.run_folder.folder import FolderLostError, RunFolderError
 from tests.hil.ended_run import ended_run
 
 ALL = {"run.json", "journal.sqlite", "record.parquet", "review.rrd", "report.html"}
@@ -49,9 +49,9 @@ def test_every_file_is_made_and_the_manifest_says_that_none_is_missing(tmp_path)
 @pytest.mark.parametrize(
     ("broken", "lost"),
     [
-        ("hil.derived_files.export_record", "record.parquet"),
+        ("hil.run.session.derived_files.export_record", "record.parquet"),
         ("hil.review.write_review", "review.rrd"),
-        ("hil.report.write_report", "report.html"),
+        ("hil.report.page.write_report", "report.html"),
     ],
 )
 def test_a_file_that_fails_leaves_the_others_and_is_made_later(tmp_path, monkeypatch, broken, lost):
@@ -167,7 +167,7 @@ def test_a_folder_that_cannot_be_written_any_more_is_said_to_be(tmp_path, monkey
     def refuses(self, document):
         raise OSError(30, "Read-only file system")
 
-    monkeypatch.setattr("hil.run_folder.RunFolder.write_manifest", refuses)
+    monkeypatch.setattr("hil.run_folder.folder.RunFolder.write_manifest", refuses)
     with pytest.raises(FolderLostError) as caught:
         derive_files(folder, manifest, lambda text: None)
     assert "cannot be written (Read-only file system)" in str(caught.value)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hil.deviations import Deviations
+from hil.run.outputs.deviations import Deviations
 from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import SHIPPED, rig_with
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.record import read_record, write_record
+from hil.record.reader import read_record, write_record
 from twin.kernel import simulate
 from twin.twinfile import load
 
@@ -102,7 +102,7 @@ def test_the_healthy_rig_is_adequate(runs: dict[str, Path], tmp_path: Path) -> N
 
 def test_what_cannot_be_diagnosed_is_said_in_a_sentence(runs: dict[str, Path], tmp_path: Path) -> None:
     data = read_record(runs["heated"] / "record.parquet")
-    from hil.record import Record
+    from hil.record.reader import Record
 
     short = tmp_path / "short.parquet"
     write_record(Record(data.time_s[:600], {k: v[:600] for k, v in data.columns.items()}), short)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from drivers.rigfile import load_rig
-from hil.experiment_file import limits_of
-from hil.profile import read_profile, validate
-from hil.record import Record, write_record
-from hil.run_request import setpoint_limits
+from hil.diagnosis.experiment_file import limits_of
+from hil.profile.load_profile import read_profile, validate
+from hil.record.reader import Record, write_record
+from hil.run.session.request import setpoint_limits
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
 from tests.hil.made_record import written

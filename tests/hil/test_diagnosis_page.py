@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.diagnosing import write
-from hil.diagnosis_page import page
-from hil.diagnosis_pictures import pictures
-from hil.diagnosis_store import (
+from hil.diagnosis.figures import pictures
+from hil.diagnosis.hand_over import write
+from hil.diagnosis.page import page
+from hil.diagnosis.store import (
     CURVES,
     DiagnosisFolderError,
     Findings,
@@ -22,9 +22,9 @@ from hil.diagnosis_store import (
     read_findings,
     write_curves,
 )
-from hil.diagnosis_words import after_label, often, reasons
+from hil.diagnosis.wording import after_label, often, reasons
 from hil.review import read_columns, read_words, write_findings_review, write_review
-from hil.review.looks import path
+from hil.review.styles import path
 from tests.hil.made_diagnosis import SAYS, SENSORS, made
 from tests.hil.synthetic_journal import make
 from tests.hil.synthetic_journal import write as write_journal

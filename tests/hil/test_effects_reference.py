@@ -28,7 +28,7 @@ from drivers.virtual.effects import (
 )
 from drivers.virtual.geometry import CHANNELS, PLACES
 from drivers.virtual.plant import Plant
-from hil.run_request import RunRequest, prepare
+from hil.run.session.request import RunRequest, prepare
 from tests.hil.reference_pages import page
 
 PAGE = page("effects-file")

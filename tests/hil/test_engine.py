@@ -15,12 +15,12 @@ from drivers.points import Quality
 from drivers.rig import RigConnection
 from drivers.rigfile import load_rig
 from drivers.virtual.rig import start_virtual_rig
-from hil.clock import LockstepClock, MonotonicClock
-from hil.engine import Engine, Outcome
-from hil.journal import Header, JournalError, JournalReader, JournalWriter
-from hil.journal_store import JournalStore
-from hil.profile import read_profile
-from hil.safing import make_safe
+from hil.journal.store import JournalStore
+from hil.journal.writer import Header, JournalError, JournalReader, JournalWriter
+from hil.profile.load_profile import read_profile
+from hil.run.engine.clock import LockstepClock, MonotonicClock
+from hil.run.engine.engine import Engine, Outcome
+from hil.run.outputs.safing import make_safe
 
 PROJECT = Path(__file__).resolve().parents[2]
 RIG = load_rig(PROJECT / "profiles" / "rigs" / "virtual.toml")
@@ -198,7 +198,7 @@ async def test_a_journal_that_cannot_be_written_ends_the_run_safe(tmp_path, monk
 
 
 async def test_a_rig_that_dies_ends_the_run_and_says_that_it_is_not_safe(tmp_path, monkeypatch):
-    monkeypatch.setattr("hil.safing.WRITE_DEADLINE_S", 1.0)
+    monkeypatch.setattr("hil.run.outputs.safing.WRITE_DEADLINE_S", 1.0)
     trial = Trial(tmp_path, mode="scaled", speed=20.0)
 
     async def kill_plc(trial: Trial, virtual: Any) -> None:

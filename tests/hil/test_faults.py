@@ -10,12 +10,12 @@ import pytest
 
 from drivers.points import Quality
 from drivers.virtual.truth import Moment
-from hil.bench import faults_judge as judge
-from hil.bench.faults import campaign, pair_tables, tables
-from hil.bench.faults_kinds import KINDS
-from hil.bench.faults_plan import AND, case_of, pairs, singles
-from hil.bench.faults_rig import STALE_LIMIT_S, WATCHDOG_S, rig_text
-from hil.bench.faults_verdict import Result
+from hil.bench.faults import judge
+from hil.bench.faults.campaign import campaign, pair_tables, tables
+from hil.bench.faults.kinds import KINDS
+from hil.bench.faults.plan import AND, case_of, pairs, singles
+from hil.bench.faults.rig import STALE_LIMIT_S, WATCHDOG_S, rig_text
+from hil.bench.faults.verdict import Result
 
 SEED = 20_261
 COSTLY = ("calibrator crash", "viewer killed", "SIGKILL")

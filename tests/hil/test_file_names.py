@@ -9,14 +9,14 @@ import sys
 
 import pytest
 
-from hil.atomic import replacing
-from hil.derived_files import derive_files
-from hil.file_names import LONGEST_DATABASE_PATH, accept_any_name, component, connect_read_only, printable, utf8_path
-from hil.journal import JournalError, JournalReader
-from hil.profile import read_profile
-from hil.record import read_record, write_record
+from hil.files.atomic import replacing
+from hil.files.names import LONGEST_DATABASE_PATH, accept_any_name, component, connect_read_only, printable, utf8_path
+from hil.journal.writer import JournalError, JournalReader
+from hil.profile.load_profile import read_profile
+from hil.record.reader import read_record, write_record
 from hil.review.rerun_io import read_columns
-from hil.run_folder import RunFolderError, create_run_folder
+from hil.run.session.derived_files import derive_files
+from hil.run_folder.folder import RunFolderError, create_run_folder
 from tests.hil.ended_run import ended_run
 
 NAMES = [

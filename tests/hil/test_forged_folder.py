@@ -15,13 +15,13 @@ from typing import Any
 import pytest
 
 from drivers.rigfile import file_sha256
-from hil.control import ControlError, ask
-from hil.journal import JournalError, JournalReader
-from hil.remaking import remake
-from hil.report import write_report
-from hil.resuming import named, request_of, standing
-from hil.run_folder import RunFolder, RunFolderError, new_manifest
-from hil.run_request import RunRequest
+from hil.journal.writer import JournalError, JournalReader
+from hil.report.page import write_report
+from hil.run.engine.control_socket import ControlError, ask
+from hil.run.session.interrupted_run import named, request_of, standing
+from hil.run.session.regenerate import remake
+from hil.run.session.request import RunRequest
+from hil.run_folder.folder import RunFolder, RunFolderError, new_manifest
 from tests.hil.synthetic_journal import make, write
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.bench import fuzz_records
-from hil.bench.fuzz_records import IMPOSSIBLE, READ, REFUSED, TRACEBACK, UNCLEAR, mutated_csv, mutated_parquet
-from hil.record import Record, RecordError
+from hil.bench.fuzz import records as fuzz_records
+from hil.bench.fuzz.records import IMPOSSIBLE, READ, REFUSED, TRACEBACK, UNCLEAR, mutated_csv, mutated_parquet
+from hil.record.reader import Record, RecordError
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet", "profile"])

@@ -8,10 +8,10 @@ import time
 import pytest
 
 from drivers.points import ConfigurationError
-from hil import gap_evidence
-from hil.gap_evidence import LONG_GAP_S, ClockReading, clocks_noted, duration_s, read_clocks, with_gap
-from hil.run_folder import RunFolderError
-from hil.segments import Standing
+from hil.run.restore import gap_evidence
+from hil.run.restore.gap_evidence import LONG_GAP_S, ClockReading, clocks_noted, duration_s, read_clocks, with_gap
+from hil.run.restore.resumption import Standing
+from hil.run_folder.folder import RunFolderError
 
 NOW_S, UP_S = 1.8e9, 50_000.0
 """Wall clock and time since boot, as these tests have them."""

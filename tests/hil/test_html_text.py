@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.diagnosis_page import page
-from hil.diagnosis_store import Findings, curves_of
-from hil.html_text import Html, document, element, image, table
-from hil.journal import JournalReader
-from hil.report import write_report
-from hil.run_folder import RunFolder, new_manifest
+from hil.diagnosis.page import page
+from hil.diagnosis.store import Findings, curves_of
+from hil.files.html import Html, document, element, image, table
+from hil.journal.writer import JournalReader
+from hil.report.page import write_report
+from hil.run_folder.folder import RunFolder, new_manifest
 from tests.hil.made_diagnosis import SENSORS, made
 from tests.hil.synthetic_journal import make, write
 

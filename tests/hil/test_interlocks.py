@@ -9,7 +9,7 @@ import pytest
 
 from drivers.points import Quality, Snapshot
 from drivers.rigfile import load_rig
-from hil.interlocks import Interlocks
+from hil.run.interlocks.interlocks import Interlocks
 
 PROJECT = Path(__file__).resolve().parents[2]
 RIG = load_rig(PROJECT / "profiles" / "rigs" / "virtual.toml")

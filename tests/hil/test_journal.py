@@ -9,7 +9,7 @@ import time
 import pytest
 
 from drivers.points import Signal
-from hil.journal import Header, JournalError, JournalReader, JournalWriter
+from hil.journal.writer import Header, JournalError, JournalReader, JournalWriter
 
 HEADER = Header((Signal("T_tank", "degC"),), {}, (), "load", 10.0, 0.1, {})
 
@@ -55,7 +55,7 @@ def test_another_programs_lock_delays_no_append_and_loses_no_row(path):
 
 
 def test_a_lock_that_stays_is_a_failure_that_names_the_file(path, monkeypatch):
-    monkeypatch.setattr("hil.journal.LOCKED_AT_MOST_S", 0.3)
+    monkeypatch.setattr("hil.journal.writer.LOCKED_AT_MOST_S", 0.3)
     journal = JournalWriter(path, HEADER)
     other = sqlite3.connect(path, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")

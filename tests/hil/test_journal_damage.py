@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hil.bench.fuzz_journal import read_all, sound_journal
-from hil.journal import JournalError, JournalReader
+from hil.bench.fuzz.journal import read_all, sound_journal
+from hil.journal.writer import JournalError, JournalReader
 
 
 @pytest.fixture

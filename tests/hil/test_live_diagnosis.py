@@ -14,9 +14,7 @@ from typing import Any
 import pytest
 
 from drivers.points import ConfigurationError, Signal
-from hil.diagnosis_store import has_diagnosis
-from hil.journal import Header, JournalReader, JournalWriter
-from hil.live_diagnosis import (
+from hil.diagnosis.live import (
     Found,
     LiveConfig,
     LiveDiagnosis,
@@ -26,7 +24,9 @@ from hil.live_diagnosis import (
     interval_of,
     refusal,
 )
-from hil.run_folder import RunFolder
+from hil.diagnosis.store import has_diagnosis
+from hil.journal.writer import Header, JournalReader, JournalWriter
+from hil.run_folder.folder import RunFolder
 from tests.hil.made_diagnosis import SAYS, effect, made
 from twin.discovery.diagnosis import SensorError
 from twin.network import Network

@@ -18,14 +18,14 @@ from click.testing import CliRunner
 
 from drivers.points import Signal
 from drivers.rigfile import file_sha256
-from hil.bands import SPAN_S, Bands
 from hil.cli import group
-from hil.journal import Header, JournalReader, JournalWriter
-from hil.record import Record, read_record, write_record
-from hil.resuming import request_of
-from hil.run_folder import RunFolder, RunFolderError
-from hil.tracking import TrackingConfig, disturbance
-from hil.tracking_process import Tracking
+from hil.journal.writer import Header, JournalReader, JournalWriter
+from hil.record.reader import Record, read_record, write_record
+from hil.run.session.interrupted_run import request_of
+from hil.run_folder.folder import RunFolder, RunFolderError
+from hil.tracking.bands import SPAN_S, Bands
+from hil.tracking.process import Tracking
+from hil.tracking.twins import TrackingConfig, disturbance
 from twin.kernel import simulate
 from twin.revisions import with_elements
 from twin.twinfile import load, save
@@ -250,7 +250,7 @@ def test_a_run_names_its_network_and_goes_on_with_that_alone(tmp_path: Path, mon
     folder = RunFolder(Path(json.loads(done.stdout)["folder"]))
     manifest = folder.read_manifest()
     assert manifest["files"]["network"] == {"path": str(card), "sha256": file_sha256(card)}
-    monkeypatch.setattr("hil.resuming.has_ended", lambda folder: False)  # as if it had been cut
+    monkeypatch.setattr("hil.run.session.interrupted_run.has_ended", lambda folder: False)  # as if it had been cut
     assert request_of(folder, manifest, {}).card == card
     moved = card.with_name("moved.json")
     card.rename(moved)
@@ -359,7 +359,7 @@ def test_a_band_is_foretold_and_counted_however_the_stream_is_cut() -> None:
 
 
 def test_a_run_that_ends_before_its_first_window_has_no_parameters_to_show() -> None:
-    from hil.tracking import Twins
+    from hil.tracking.twins import Twins
 
     twins = Twins(TrackingConfig(LOOP, (), ("least_squares",)))
     columns = {column: np.full(60, spec.nominal) for column, spec in twins.network.inputs.items()}

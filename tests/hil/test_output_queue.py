@@ -6,8 +6,8 @@ import logging
 import threading
 import time
 
-from hil.output_queue import LONGEST, OutputQueue, queued_output
-from hil.plain_text import plain
+from hil.files.text import plain
+from hil.run.session.output_queue import LONGEST, OutputQueue, queued_output
 
 
 def test_an_output_that_blocks_delays_nobody_and_drops_what_does_not_fit():

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hil.profile import Profile, ProfileError, SetpointLimit, read_profile, validate, write_profile
+from hil.profile.load_profile import Profile, ProfileError, SetpointLimit, read_profile, validate, write_profile
 
 LOADS = Path(__file__).parents[2] / "profiles" / "loads"
 HEADER = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n"

@@ -7,9 +7,9 @@ import re
 import pytest
 from pydantic_core import PydanticUndefined
 
-from hil.profile import ProfileError, read_profile, write_profile
-from hil.run_request import RunRequest, prepare
-from hil.scenario import Scenario, System, build, read_scenario
+from hil.profile.load_profile import ProfileError, read_profile, write_profile
+from hil.profile.scenario import Scenario, System, build, read_scenario
+from hil.run.session.request import RunRequest, prepare
 from tests.hil.reference_pages import FOLDER, page
 
 PAGE = page("profile-file")

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.bench.records import RecordsResult, run
-from hil.public_records import PIPE_TESTS, PublicRecordError, dry_cooler, heated_pipe, held_steady, tclab
+from hil.bench.experiments.public_records import RecordsResult, run
+from hil.record.public import PIPE_TESTS, PublicRecordError, dry_cooler, heated_pipe, held_steady, tclab
 
 ROOT = Path(__file__).resolve().parents[2]
 

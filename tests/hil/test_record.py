@@ -16,9 +16,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.points import Quality, Signal
-from hil import record_plausible
-from hil.journal import Header, JournalWriter
-from hil.record import SENTINELS, Record, RecordError, export_record, read_record, write_record
+from hil.journal.writer import Header, JournalWriter
+from hil.record import plausibility as record_plausible
+from hil.record.reader import SENTINELS, Record, RecordError, export_record, read_record, write_record
 
 CODES = (*record_plausible.CODES, *record_plausible.TEMPERATURE_CODES)
 DATA = Path(os.environ.get("HIL_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
@@ -329,7 +329,7 @@ def _journal(path: Path, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_the_record_equals_the_journal_sample_for_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.record_export.PAGE", 64)
+    monkeypatch.setattr("hil.journal.export.PAGE", 64)
     values, quality = _journal(tmp_path / "journal.sqlite", 300)
     (tmp_path / "run.json").write_text('{"uid": "abc"}')
     made = export_record(tmp_path / "journal.sqlite", tmp_path / "record.parquet")

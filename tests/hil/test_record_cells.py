@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.record import Record, RecordError, read_record
+from hil.record.reader import Record, RecordError, read_record
 
 
 def _read(tmp_path: Path, heading: str, rows: list[str]) -> Record:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.record import Record, RecordError, read_record
+from hil.record.reader import Record, RecordError, read_record
 
 TOP = "time_s,T_in_C,T_out_C,fan_W"
 

@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from hil.csv_dialect import find_dialect
-from hil.record import Record, RecordError, read_record
+from hil.record.csv_dialect import find_dialect
+from hil.record.reader import Record, RecordError, read_record
 from tests.hil.test_bad_input import hil
 
 WARM = [18.0 + k / 4 for k in range(24)]

@@ -13,12 +13,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from hil import record_limits
-from hil.diagnosis_store import DiagnosisFolderError, read_curves
-from hil.profile import ProfileError, read_profile
-from hil.record import read_record
-from hil.record_file import RecordError
-from hil.record_limits import limit_bytes, require_size
+from hil.diagnosis.store import DiagnosisFolderError, read_curves
+from hil.files import limits as record_limits
+from hil.files.limits import limit_bytes, require_size
+from hil.profile.load_profile import ProfileError, read_profile
+from hil.record.file import RecordError
+from hil.record.reader import read_record
 
 ROWS = 4_000_000
 
@@ -152,7 +152,7 @@ def test_what_has_no_end_is_no_file(tmp_path: Path) -> None:
 CHECK = """
 import resource, sys
 from pathlib import Path
-from hil.record import read_record
+from hil.record.reader import read_record
 read_record(Path(sys.argv[1]))
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
 """

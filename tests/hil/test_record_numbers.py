@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from drivers.units import PLAUSIBLE, SUFFIX_OF_UNIT, column_name
-from hil.record import Reading, Record, RecordError, read_record
-from hil.record_numbers import readings
+from hil.record.reader import Reading, Record, RecordError, read_record
+from hil.record.values.numbers import readings
 
 POWERS = [480 + 37 * k for k in range(30)]
 """480 W to 1553 W: some below a thousand, more above."""

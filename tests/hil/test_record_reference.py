@@ -9,9 +9,9 @@ from drivers.bus import judge
 from drivers.points import Quality
 from drivers.rig_model import Point
 from drivers.units import PLAUSIBLE, SUFFIX_OF_UNIT
-from hil.commands import check, commission, diagnose, track
-from hil.record import read_record
-from hil.record_numbers import ALWAYS_LOST, LOST
+from hil.cli import check, commission, diagnose, track
+from hil.record.reader import read_record
+from hil.record.values.numbers import ALWAYS_LOST, LOST
 from tests.hil.reference_pages import FOLDER, page
 
 PAGE = page("record-file")

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli import group
-from hil.record import Record, RecordError, read_record
+from hil.record.reader import Record, RecordError, read_record
 
 
 def _read(tmp_path: Path, name: str, stamps: list[str]) -> Record:

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from hil.record import Reading, Record, RecordError, read_record
+from hil.record.reader import Reading, Record, RecordError, read_record
 
 BEGIN = datetime.datetime(2026, 3, 4, 23, 40, tzinfo=datetime.UTC)
 STEP = datetime.timedelta(minutes=2)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from drivers.points import Quality, Signal
-from hil.journal import Header, JournalWriter
-from hil.journal_rows import Samples
-from hil.report import write_report
-from hil.report_pictures import MEASURED, Curves, pictures
-from hil.report_signals import NONE, number, set_against_read, signal_statistics, time_unit
-from hil.run_folder import RunFolder, new_manifest
+from hil.journal.rows import Samples
+from hil.journal.writer import Header, JournalWriter
+from hil.report.figures import MEASURED, Curves, pictures
+from hil.report.page import write_report
+from hil.report.statistics import NONE, number, set_against_read, signal_statistics, time_unit
+from hil.run_folder.folder import RunFolder, new_manifest
 from tests.hil.ended_run import ended_run
 from tests.hil.synthetic_journal import make
 
@@ -143,7 +143,7 @@ class Drawn:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.axes: list[list[object]] = []
-        monkeypatch.setattr("hil.report_pictures._embedded", self._keep)
+        monkeypatch.setattr("hil.report.figures._embedded", self._keep)
 
     def _keep(self, figure) -> str:
         self.axes += [axes.get_lines() for axes in figure.axes]

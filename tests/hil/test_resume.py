@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.diagnosing import read_columns
-from hil.journal import JournalReader
-from hil.record import Record, read_record
-from hil.resuming import standing
+from hil.diagnosis.hand_over import read_columns
+from hil.journal.writer import JournalReader
+from hil.record.reader import Record, read_record
 from hil.review.rerun_io import read_words
-from hil.run_folder import RunFolder, RunFolderError
-from hil.soaking import has_memory
-from hil.terminal import cut_time
+from hil.run.restore.thermal_restore import has_memory
+from hil.run.session.interrupted_run import standing
+from hil.run.session.terminal import cut_time
+from hil.run_folder.folder import RunFolder, RunFolderError
 from twin.stretches import LONG_S, stretches
 from twin.twinfile import load
 

@@ -10,10 +10,10 @@ import pytest
 
 from drivers.points import Quality
 from drivers.rig import RigConnection
-from hil.journal import Header, JournalError, JournalWriter
-from hil.resuming import standing
-from hil.run_folder import BYTES_PER_TICK, RunFolder, RunFolderError, require_room
-from hil.states import Event, State, following
+from hil.journal.states import Event, State, following
+from hil.journal.writer import Header, JournalError, JournalWriter
+from hil.run.session.interrupted_run import standing
+from hil.run_folder.folder import BYTES_PER_TICK, RunFolder, RunFolderError, require_room
 from tests.hil.simulated_rig import SHIPPED
 
 SIGNALS = RigConnection(SHIPPED, lambda: 0.0).signals

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from drivers.points import Quality
-from hil.journal import JournalError, JournalReader, JournalWriter
+from hil.journal.writer import JournalError, JournalReader, JournalWriter
 from hil.review import (
     ViewerError,
     follow,
@@ -29,11 +29,11 @@ from hil.review import (
     write_review,
 )
 from hil.review import show as show_module
-from hil.review.beside import told
-from hil.review.looks import path
 from hil.review.plan import make_plan
+from hil.review.styles import path
+from hil.review.twin_bands import told
 from hil.review.viewer import HOST, _free_port, binary, listens
-from hil.tracking import Proposed
+from hil.tracking.twins import Proposed
 from tests.hil.synthetic_journal import COMMISSIONED, SENSORS, Truth, make, put_ticks, write
 
 TICKS = 2000

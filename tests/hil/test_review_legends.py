@@ -7,11 +7,11 @@ import os
 import pytest
 from click.testing import CliRunner
 
-from hil.commands.review import command as review
+from hil.cli.review import command as review
 from hil.review.legends import with_room_for_legends
-from hil.review.looks import Panel, Stack, path
 from hil.review.plan import make_plan
 from hil.review.rerun_io import axis_time, read_columns
+from hil.review.styles import Panel, Stack, path
 from tests.hil.ended_run import ended_run
 from tests.hil.synthetic_journal import make, put_ticks
 
@@ -70,7 +70,7 @@ def shown(folder) -> int:
 
 
 def test_a_review_of_a_live_or_resumed_run_is_made_again_when_the_run_has_gone_on(tmp_path):
-    from hil.journal import JournalWriter
+    from hil.journal.writer import JournalWriter
 
     folder, manifest = ended_run(tmp_path / "run", ticks=100, ended=False)
     folder.write_manifest(manifest)

@@ -21,16 +21,16 @@ from click.testing import CliRunner
 from drivers.bus_sections import ModbusRtuTcpBus
 from drivers.rig_model import Rig
 from drivers.rigfile import load_rig
-from hil.commands.resume import command as resume_command
-from hil.commands.run import command as run_command
-from hil.control import ask, live_runs
-from hil.engine import Outcome
+from hil.cli.resume import command as resume_command
+from hil.cli.run import command as run_command
 from hil.errors import exit_code
-from hil.lock_folder import RigLockError
-from hil.rig_lock import RigBusyError, RigClaim, claimed, end_points
-from hil.run_folder import RunFolder
-from hil.run_request import RunRequest
-from hil.session import RunResult, run_session
+from hil.run.engine.control_socket import ask, live_runs
+from hil.run.engine.engine import Outcome
+from hil.run.locks.lock_folder import RigLockError
+from hil.run.locks.rig_lock import RigBusyError, RigClaim, claimed, end_points
+from hil.run.session.request import RunRequest
+from hil.run.session.session import RunResult, run_session
+from hil.run_folder.folder import RunFolder
 from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import rig_with
 
@@ -50,7 +50,7 @@ HOLDER = (
 import time
 from pathlib import Path
 from drivers.rigfile import load_rig
-from hil.rig_lock import claimed, end_points
+from hil.run.locks.rig_lock import claimed, end_points
 rig = load_rig(Path(sys.argv[1]))
 end_points(rig)  # imports what another user may not read
 os.setuid(int(sys.argv[2]))
@@ -70,7 +70,7 @@ def home(tmp_path, monkeypatch):
     for name in ("HOME", "XDG_RUNTIME_DIR"):
         monkeypatch.delenv(name, raising=False)
     user = SimpleNamespace(pw_dir=str(path), pw_name="the tester")
-    monkeypatch.setattr("hil.lock_folder.pwd.getpwuid", lambda uid: user)
+    monkeypatch.setattr("hil.run.locks.lock_folder.pwd.getpwuid", lambda uid: user)
     return path
 
 
@@ -255,9 +255,9 @@ def test_a_claim_that_ends_leaves_nothing_locked_and_nothing_behind(home):
 @pytest.mark.parametrize("alone", ["files", "names"])
 def test_processes_with_other_folders_in_their_environment_meet(tmp_path, home, monkeypatch, alone):
     if alone == "files":
-        monkeypatch.setattr("hil.rig_lock.take_name", lambda name: None)
+        monkeypatch.setattr("hil.run.locks.rig_lock.take_name", lambda name: None)
     else:
-        monkeypatch.setattr("hil.rig_lock.open_folders", lambda: ([], []))
+        monkeypatch.setattr("hil.run.locks.rig_lock.open_folders", lambda: ([], []))
     environ = {name: str(tmp_path / name) for name in ("TMPDIR", "HOME", "XDG_RUNTIME_DIR")}
     for path in environ.values():
         Path(path).mkdir()
@@ -320,7 +320,7 @@ def test_a_folder_of_the_environment_that_is_not_ours_refuses(tmp_path, home, mo
         claimed(with_bus(), pytest.fail).__enter__()
     everybodys.chmod(0o700)
     owner = os.getuid() + 1
-    monkeypatch.setattr("hil.lock_folder.os.getuid", lambda: owner)
+    monkeypatch.setattr("hil.run.locks.lock_folder.os.getuid", lambda: owner)
     with pytest.raises(RigLockError, match=f"{named} is {everybodys}, which belongs to user the tester"):
         claimed(with_bus(), pytest.fail).__enter__()
 
@@ -337,7 +337,7 @@ def test_a_user_without_a_folder_of_its_own_is_refused_unless_the_session_has_on
 
 
 def test_a_lock_that_its_owner_removes_while_another_opens_it_is_not_taken_twice(home, monkeypatch):
-    monkeypatch.setattr("hil.rig_lock.take_name", lambda name: None)
+    monkeypatch.setattr("hil.run.locks.rig_lock.take_name", lambda name: None)
     first, second = RigClaim(), RigClaim()
     first.take(with_bus(), pytest.fail)
     opened = os.open
@@ -345,11 +345,11 @@ def test_a_lock_that_its_owner_removes_while_another_opens_it_is_not_taken_twice
     def late(path, flags, *rest, **more):
         handle = opened(path, flags, *rest, **more)
         if flags & os.O_CREAT:
-            monkeypatch.setattr("hil.lock_folder.os.open", opened)
+            monkeypatch.setattr("hil.run.locks.lock_folder.os.open", opened)
             first.release()  # between opening and locking
         return handle
 
-    monkeypatch.setattr("hil.lock_folder.os.open", late)
+    monkeypatch.setattr("hil.run.locks.lock_folder.os.open", late)
     second.take(with_bus(), pytest.fail)
     with pytest.raises(RigBusyError), claimed(with_bus(), pytest.fail):
         pass
@@ -389,7 +389,7 @@ def test_the_exit_code_is_1_unless_the_rig_was_seen_safe(tmp_path, monkeypatch, 
     async def over(*_: object) -> object:
         return RunResult(folder, Outcome(status, "", safe=safe, away=away), None, 0.0, 0.0, False)
 
-    monkeypatch.setattr("hil.session.run_session", over)
+    monkeypatch.setattr("hil.run.session.session.run_session", over)
     result = CliRunner().invoke(run_command, [str(tmp_path / "load.csv"), "--virtual", "--json"])
     assert result.exit_code == code, result.output
     assert json.loads(result.stdout)["folder"] == str(tmp_path)

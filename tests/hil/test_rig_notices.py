@@ -12,10 +12,10 @@ from click.testing import CliRunner
 
 from drivers.rigfile import load_rig
 from drivers.roles import ROLES
-from hil.commands.check import command
-from hil.rig_notices import notices, unguarded
-from hil.run_request import RunRequest, prepare
-from hil.soaking import unled
+from hil.cli.check import command
+from hil.rig.notices import notices, unguarded
+from hil.run.restore.thermal_restore import unled
+from hil.run.session.request import RunRequest, prepare
 from tests.hil.test_resume import hil, killed
 
 VIRTUAL = Path(__file__).resolve().parents[2] / "profiles" / "rigs" / "virtual.toml"

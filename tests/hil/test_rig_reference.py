@@ -19,7 +19,7 @@ from drivers.rig_model import Heartbeat, Point, Rig
 from drivers.rigfile import RigFileError, load_rig
 from drivers.roles import ROLES
 from drivers.units import SUFFIX_OF_UNIT
-from hil.rig_check import as_json
+from hil.rig.check import as_json
 from tests.hil.reference_pages import page
 
 PAGE = page("rig-file")

@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 
-from hil.training.rivals import Shrinkage, estimates, judged, noisy, shuffled  # noqa: E402
+from hil.training.baselines import Shrinkage, estimates, judged, noisy, shuffled  # noqa: E402
 from tests.twin.hiera import fake  # noqa: E402
 
 

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 from drivers.points import Quality
-from hil.journal import JournalReader
-from hil.record import read_record
-from hil.report import measured_sensors
+from hil.journal.writer import JournalReader
+from hil.record.reader import read_record
+from hil.report.page import measured_sensors
 from hil.review import ViewerError, read_columns, screenshot
-from hil.run_folder import RunFolder
+from hil.run_folder.folder import RunFolder
 
 PROJECT = Path(__file__).resolve().parents[2]
 HIL = [sys.executable, "-m", "hil"]

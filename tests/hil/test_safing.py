@@ -10,9 +10,9 @@ import pytest
 
 from drivers.points import DeviceExceptionError, DriverError, Quality
 from drivers.rigfile import load_rig
-from hil.heaters import not_cold, safe_limit, safe_limits
-from hil.safing import write_safe
-from hil.setpoints import Setpoints
+from hil.run.outputs.heaters import not_cold, safe_limit, safe_limits
+from hil.run.outputs.safing import write_safe
+from hil.run.outputs.setpoints import Setpoints
 from tests.hil.engine_bench import EngineBench
 from tests.hil.guarded_device import Device
 from tests.hil.simulated_rig import SHIPPED, rig_with
@@ -112,10 +112,10 @@ def test_what_another_master_writes_while_the_run_ends_is_made_safe_again():
 
 async def test_a_stop_does_not_wait_for_the_next_tick_of_a_slow_rig(tmp_path):
     from drivers.rig import RigConnection
-    from hil.clock import MonotonicClock
-    from hil.engine import Engine
-    from hil.journal import Header, JournalWriter
-    from hil.profile import Profile
+    from hil.journal.writer import Header, JournalWriter
+    from hil.profile.load_profile import Profile
+    from hil.run.engine.clock import MonotonicClock
+    from hil.run.engine.engine import Engine
 
     device = Device()
     (tmp_path / "rig.toml").write_text(device.rig_text().replace("period_s = 0.1", "period_s = 30"))

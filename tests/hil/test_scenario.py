@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.profile import read_profile
-from hil.scenario import ScenarioError, build, dissipation, read_scenario
-from hil.scenario_files import write_scenario
-from hil.scenario_picture import picture
+from hil.profile.load_profile import read_profile
+from hil.profile.scenario import ScenarioError, build, dissipation, read_scenario
+from hil.profile.scenario_figure import picture
+from hil.profile.scenario_files import write_scenario
 
 LOADS = Path(__file__).parents[2] / "profiles" / "loads"
 SMALL = """

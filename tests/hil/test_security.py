@@ -16,12 +16,12 @@ import pytest
 
 from drivers.rigfile import RigFileError, file_sha256, load_rig
 from drivers.virtual.rig import start_virtual_rig
-from hil.atomic import replacing
-from hil.bench.faults_judge import read_states
-from hil.bench.faults_rig import LOAD, prepare, rig_text
-from hil.bench.faults_tls import make_certificates
-from hil.resuming import request_of
-from hil.run_folder import RunFolder, create_run_folder
+from hil.bench.faults.judge import read_states
+from hil.bench.faults.rig import LOAD, prepare, rig_text
+from hil.bench.faults.tls import make_certificates
+from hil.files.atomic import replacing
+from hil.run.session.interrupted_run import request_of
+from hil.run_folder.folder import RunFolder, create_run_folder
 
 PROJECT = Path(__file__).resolve().parents[2]
 HIL = [sys.executable, "-m", "hil"]
@@ -161,7 +161,7 @@ def test_a_run_folder_that_names_other_files_shows_nothing_of_them(tmp_path):
     }  # fmt: skip
     manifest = {"exit_status": "running", "files": {"rig": about, "profile": about}, "settings": settings}
     request = request_of(folder, manifest, {})
-    from hil.run_request import prepare
+    from hil.run.session.request import prepare
 
     with pytest.raises(RigFileError) as caught:
         prepare(request)

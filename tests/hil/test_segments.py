@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.record_segments import Parts
+from hil.record.segments import Parts
 from twin.stretches import LONG_S
 
 

@@ -10,9 +10,9 @@ from drivers.modbus_pdu import NO_SUCH_FUNCTION
 from drivers.points import DeviceExceptionError, LinkError, Quality, Snapshot
 from drivers.rig_model import Point, Rig
 from drivers.virtual.registers import HEATER_SET
-from hil.conditions import Tick
-from hil.operator import Verb
-from hil.setpoint_readback import CLOSE_S, INTERVAL_S, LOCKSTEP_INTERVAL_S, SetpointReadback
+from hil.run.engine.operator import Verb
+from hil.run.interlocks.conditions import Tick
+from hil.run.outputs.readback import CLOSE_S, INTERVAL_S, LOCKSTEP_INTERVAL_S, SetpointReadback
 from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import SHIPPED, rig_with
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from drivers.points import ConfigurationError
 from drivers.rigfile import load_rig
-from hil.setpoints import Setpoints, bind, setpoint_columns
+from hil.run.outputs.setpoints import Setpoints, bind, setpoint_columns
 
 PROJECT = Path(__file__).resolve().parents[2]
 RIG = load_rig(PROJECT / "profiles" / "rigs" / "virtual.toml")

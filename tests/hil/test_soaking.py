@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from drivers.points import Quality
-from hil.journal_rows import StateRow
-from hil.operator import RefusedError, Verb
-from hil.profile_clock import profile_times
-from hil.soaking import SETTLE_S
-from hil.states import Event, State
-from hil.supervisor import Supervisor
+from hil.journal.profile_clock import profile_times
+from hil.journal.rows import StateRow
+from hil.journal.states import Event, State
+from hil.run.engine.operator import RefusedError, Verb
+from hil.run.engine.supervisor import Supervisor
+from hil.run.restore.thermal_restore import SETTLE_S
 from tests.hil.engine_bench import EngineBench, cut_at
 from tests.hil.simulated_rig import SimulatedRig, rig_with
 

@@ -17,8 +17,8 @@ from hypothesis.stateful import (
 )
 
 from drivers.points import Quality
-from hil.operator import Verb
-from hil.states import ENDED, LIVE, TABLE, UNTOUCHED, Event, Machine, State, Transition, TransitionError
+from hil.journal.states import ENDED, LIVE, TABLE, UNTOUCHED, Event, Machine, State, Transition, TransitionError
+from hil.run.engine.operator import Verb
 from tests.hil.engine_bench import EngineBench, cut_at
 from tests.hil.simulated_rig import rig_with
 

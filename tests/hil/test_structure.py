@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.bench import structure
-from hil.bench.structure import TEMPLATES, healthy_rigs, judge
+from hil.bench.experiments import structure
+from hil.bench.experiments.structure import TEMPLATES, healthy_rigs, judge
 
 ROOT = Path(__file__).resolve().parents[2]
 

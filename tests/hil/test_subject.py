@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.subject import Subject, SubjectError, subject_of
+from hil.cli.options.subject import Subject, SubjectError, subject_of
 
 
 @pytest.fixture

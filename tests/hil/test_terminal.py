@@ -7,16 +7,16 @@ from types import SimpleNamespace
 
 import pytest
 
-import hil.terminal
-from hil.live_diagnosis import Reply
-from hil.session import RunResult
-from hil.terminal import LiveRun, Steps
+import hil.run.session.terminal
+from hil.diagnosis.live import Reply
+from hil.run.session.session import RunResult
+from hil.run.session.terminal import LiveRun, Steps
 
 
 @pytest.fixture
 def clock(monkeypatch):
     now = SimpleNamespace(s=0.0)
-    monkeypatch.setattr(hil.terminal, "time", SimpleNamespace(monotonic=lambda: now.s))
+    monkeypatch.setattr(hil.run.session.terminal, "time", SimpleNamespace(monotonic=lambda: now.s))
     return now
 
 

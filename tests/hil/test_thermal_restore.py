@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from drivers.points import Quality, Snapshot
-from hil.profile import Profile
-from hil.soaking import Soak, SoakRule
+from hil.profile.load_profile import Profile
+from hil.run.restore.thermal_restore import Soak, SoakRule
 from tests.hil.simulated_rig import rig_with
 
 RIG = rig_with()

@@ -13,13 +13,13 @@ import pytest
 
 from drivers.rigfile import RigFileError, load_rig
 from drivers.virtual.rig import start_virtual_rig
-from hil.journal import JournalReader
-from hil.rig_check import checked
-from hil.rig_time import speed_of
-from hil.run_folder import RunFolder
-from hil.run_request import RunRequest
-from hil.segments import Resumption, Standing
-from hil.soaking import SoakRule
+from hil.journal.writer import JournalReader
+from hil.rig.check import checked
+from hil.run.restore.resumption import Resumption, Standing
+from hil.run.restore.thermal_restore import SoakRule
+from hil.run.session.request import RunRequest
+from hil.run.session.rig_time import speed_of
+from hil.run_folder.folder import RunFolder
 
 PROJECT = Path(__file__).resolve().parents[2]
 SHIPPED = PROJECT / "profiles" / "rigs" / "virtual.toml"

@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli import group
-from hil.record import Record, read_record, write_record
-from hil.tracking import OUTDONE, Misses, TrackingConfig, Twins, disturbance, window_kind
+from hil.record.reader import Record, read_record, write_record
+from hil.tracking.twins import OUTDONE, Misses, TrackingConfig, Twins, disturbance, window_kind
 from twin.kernel import simulate
 from twin.twinfile import load
 

@@ -6,8 +6,8 @@ import pytest
 
 from drivers.interlock_specs import LimitSpec
 from drivers.points import Quality
-from hil.conditions import Restarted, Tick
-from hil.operator import Verb
+from hil.run.engine.operator import Verb
+from hil.run.interlocks.conditions import Restarted, Tick
 from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import rig_with
 

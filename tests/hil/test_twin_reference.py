@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from drivers.rigfile import load_rig
-from hil.element_kinds import parameters_of
-from hil.run_request import RunRequest, prepare
+from hil.rig.element_kinds import parameters_of
+from hil.run.session.request import RunRequest, prepare
 from tests.hil.reference_pages import page
 from twin.elements import KINDS
 from twin.network import TwinFileError, WindowRules

@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
-from hil import terminal
 from hil.cli import group
 from hil.errors import exit_code
+from hil.run.session import terminal
 from twin.network import Revision
 from twin.revisions import save_revision, with_elements
 from twin.twinfile import load, save

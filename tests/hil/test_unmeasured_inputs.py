@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from drivers.points import ConfigurationError
-from hil.run_request import RunRequest, prepare
+from hil.run.session.request import RunRequest, prepare
 from tests.hil.test_resume import hil
 
 PROFILES = Path(__file__).resolve().parents[2] / "profiles"

@@ -14,8 +14,8 @@ from drivers.rigfile import load_rig
 from drivers.virtual.registers import WATCHDOG
 from drivers.virtual.rig import start_virtual_rig
 from drivers.virtual.truth import Moment, read_truth
-from hil.bench.faults_rig import LOAD, rig_text
-from hil.operator import Verb
+from hil.bench.faults.rig import LOAD, rig_text
+from hil.run.engine.operator import Verb
 from tests.drivers.test_rigfile import VIRTUAL, broken, complaint
 from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import rig_with
@@ -52,7 +52,7 @@ def test_a_rig_that_does_not_hold_the_time_out_is_not_armed():
 
 async def test_a_rig_that_refuses_the_time_out_is_not_armed():
     from drivers.rig import RigConnection
-    from hil.outputs import Outputs
+    from hil.run.outputs.outputs import Outputs
 
     async with await start_virtual_rig(period_s=0.1) as virtual:
         rig = load_rig(VIRTUAL).with_ports({"plc": virtual.modbus_port, "thermocouples": virtual.can_port})

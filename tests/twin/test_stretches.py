@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.tracking import TrackingConfig, Twins
+from hil.tracking.twins import TrackingConfig, Twins
 from tests.discovery.conftest import Bench
 from twin.commission import commission
 from twin.discovery.effects.probe import Probe

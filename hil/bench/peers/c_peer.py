@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.bench.kernel.windows import Job
 from hil.bench.peers import Absent
 from hil.bench.peers.c_source import C_INPUTS, C_PARAMETERS, C_SOURCE
-from hil.bench.windows import Job
 from twin.network import Array
 
 # What -ffast-math allows, without naming it: linked with that flag, a library turns denormal numbers off for the whole

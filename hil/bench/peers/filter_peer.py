@@ -6,9 +6,9 @@ import warnings
 
 import numpy as np
 
+from hil.bench.kernel.problems import SIGMA_K, Problem
 from hil.bench.peers import Absent
 from hil.bench.peers.formulas import sensor_rows
-from hil.bench.problems import SIGMA_K, Problem
 from twin.exact import right_side
 from twin.network import Array
 

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hil.bench.kernel.windows import Job
 from hil.bench.peers.formulas import right_side_of, sensor_rows, vector_of
-from hil.bench.windows import Job
 from twin.network import Array
 
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import expm
 
+from hil.bench.kernel.windows import Job
 from hil.bench.peers.formulas import affine, runs, sensor_rows
-from hil.bench.windows import Job
 from twin.network import Array
 
 

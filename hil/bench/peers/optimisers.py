@@ -15,8 +15,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hil.bench.kernel.problems import Problem
 from hil.bench.peers import Absent
-from hil.bench.problems import Problem
 from twin.network import Array
 
 PARTICLES, ITERATIONS = 200, 50

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import odeint, solve_ivp
 
+from hil.bench.kernel.windows import Job
 from hil.bench.peers.formulas import affine, runs
-from hil.bench.windows import Job
 from twin.network import Array
 
 Solve = Callable[[], Array]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from hil.bench.kernel.windows import Job
 from hil.bench.peers.formulas import affine, right_side_of, runs, sensor_rows, vector_of
-from hil.bench.windows import Job
 from twin.network import Array
 
 

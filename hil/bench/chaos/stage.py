@@ -1,0 +1,247 @@
+"""The stage of a chaos case: a virtual rig with or without its watchdog, `hil run` on it, and all that may be attacked.
+
+Every process that the run starts carries a marker in its environment, by which the guardian is found, whatever started
+it, and by which nothing is left behind.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import random
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from drivers.virtual.faulty_link import FaultyLink, can_frames, modbus_frames
+from drivers.virtual.rig import start_virtual_rig
+from drivers.virtual.truth import read_truth
+from hil.bench.chaos.clock import SteppedClock
+from hil.bench.chaos.device import LyingDevice
+from hil.bench.chaos.terminal import Terminal
+from hil.bench.faults.disk import OwnDisk
+from hil.bench.faults.rig import LOAD, PERIOD_S, WATCHDOG_S, prepare, rig_text
+from hil.bench.faults.stage import FANS_PCT, LOOK_EVERY_S, ROOT, Harness, Stage
+
+MARKER = "HIL_BENCH_CASE"
+WATCHDOG_OFF_S = 600.0
+"""A watchdog that never cuts while a case lasts: as good as none, and the rig still takes heartbeats and arming."""
+READBACK_WITHIN_S = 10.0
+"""Time that measured values are given to follow, s: the heater's meter falls with a time constant of its own, and a run
+must not be called unsafe for that, nor a device that lies be given up at once."""
+
+
+class ChaosHarness(Harness):
+    """`hil run` whose folder may be moved or deleted while it goes on."""
+
+    known: Path | None = None
+
+    def folder(self) -> Path | None:
+        """The run's folder as it was called first, or as it is called now where a case has renamed it."""
+        if self.known is None:
+            self.known = Harness.folder(self)
+        return self.known
+
+
+@dataclass(slots=True)
+class ChaosStage(Stage):
+    """What an attack may lay hands on."""
+
+    terminal: Terminal | None = None
+    device: LyingDevice | None = None
+    clock: SteppedClock | None = None
+    marker: str = ""
+    stepped_s: float | None = None
+    """Wall time at which the run's clock was stepped."""
+    nobody: list[tuple[float, float]] = field(default_factory=list)
+    """Intervals of wall time in which neither harness nor guardian could run or reach the rig."""
+    code: int | None = None
+    """Exit code of the run; None where the campaign had to kill it."""
+    destroyed: bool = False
+    """True where the case has deleted the samples themselves."""
+    helpers: list[subprocess.Popen[bytes]] = field(default_factory=list)
+    leaks: list[socket.socket] = field(default_factory=list)
+    undo: list[Callable[[], None]] = field(default_factory=list)
+    """Done before the verdict."""
+    release: list[Callable[[], None]] = field(default_factory=list)
+    """Done once the heater is off: what would otherwise keep a run from its record for minutes."""
+
+    @property
+    def place(self) -> Path:
+        """Folder of the case."""
+        return self.truth.parent
+
+    def folder(self) -> Path:
+        """The run's folder; RuntimeError where there is none."""
+        found = self.harness.folder()
+        if found is None:
+            raise RuntimeError("the run has no folder yet")
+        return found
+
+    def descendants(self) -> list[int]:
+        """Processes that the run has started and that still live, itself not among them."""
+        return [pid for pid in marked(self.marker) if pid != self.pid]
+
+    def guardians(self) -> list[int]:
+        """The run's guardian; an empty list where there is none."""
+        return [pid for pid in self.descendants() if b"guardian" in _command(pid)]
+
+    def release_all(self) -> None:
+        """Let continue what was stopped."""
+        for release in self.release:
+            release()
+        self.release.clear()
+
+    def undo_all(self) -> None:
+        """Make folders writable again."""
+        for undo in self.undo:
+            with contextlib.suppress(OSError, subprocess.SubprocessError):
+                undo()
+        self.undo.clear()
+
+    def clear_up(self) -> None:
+        """Undo what outlives the run: leaked connections, immutable folders, helpers, processes left over."""
+        self.undo_all()
+        for leak in self.leaks:
+            leak.close()
+        self.leaks.clear()
+        for helper in self.helpers:
+            helper.kill()
+            helper.wait()
+        self.helpers.clear()
+        for pid in marked(self.marker):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+
+def marked(marker: str) -> list[int]:
+    """Return the processes whose environment holds `marker`; those that have ended and not been waited for excluded."""
+    word = f"{MARKER}={marker}".encode()
+    found = []
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        with contextlib.suppress(OSError):
+            if word in (entry / "environ").read_bytes() and not _is_zombie(entry):
+                found.append(int(entry.name))
+    return found
+
+
+def _is_zombie(entry: Path) -> bool:
+    return (entry / "stat").read_bytes().rpartition(b")")[2].split()[0] == b"Z"
+
+
+def _command(pid: int) -> bytes:
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    return b""
+
+
+@contextlib.asynccontextmanager
+async def set_chaos_stage(
+    needs: frozenset[str], watchdog: bool, generator: random.Random, place: Path
+) -> AsyncIterator[ChaosStage]:
+    """Start rig, wires and a run on it, all in `place`; `needs` as in `chaos_kinds`."""
+    async with contextlib.AsyncExitStack() as stack:
+        truth = place / "truth.bin"
+        rig = await start_virtual_rig(
+            seed=generator.randrange(2**31), mode="real", period_s=PERIOD_S, effects=None, truth=truth
+        )
+        await stack.enter_async_context(rig)
+        device = LyingDevice(rig.modbus_port) if "device" in needs else None
+        if device is not None:
+            await stack.enter_async_context(device)
+        plc = FaultyLink(rig.modbus_port if device is None else device.port, modbus_frames)
+        can = FaultyLink(rig.can_port, can_frames)
+        await stack.enter_async_context(plc)
+        await stack.enter_async_context(can)
+        await prepare(rig.modbus_port)
+        while not (moments := read_truth(truth)) or moments[-1].fan_pct < FANS_PCT:  # noqa: ASYNC110
+            await asyncio.sleep(LOOK_EVERY_S)
+        text = chaos_rig_text({"plc": plc.port, "thermocouples": can.port}, watchdog=watchdog)
+        (place / "rig.toml").write_text(text, encoding="utf-8")
+        (place / "load.csv").write_text(LOAD.format(generator.randrange(300, 600)), encoding="utf-8")
+        disk = await asyncio.to_thread(OwnDisk, place / "disk") if "tmpfs" in needs else None
+        if disk is not None:
+            stack.callback(disk.close)
+        clock = await asyncio.to_thread(SteppedClock, place) if "clock" in needs else None
+        terminal = Terminal(place, "pipe" if "pipe" in needs else "pty" if "pty" in needs else "files")
+        stack.callback(terminal.close)
+        marker = uuid.uuid4().hex
+        harness = await _start(needs, place, disk, terminal, clock, marker)
+        stack.push_async_callback(harness.finish)
+        stage = ChaosStage(
+            generator, rig, plc, can, harness, truth, disk,
+            terminal=terminal, device=device, clock=clock, marker=marker,
+        )  # fmt: skip
+        stack.callback(stage.clear_up)
+        yield stage
+
+
+def chaos_rig_text(ports: dict[str, int], *, watchdog: bool) -> str:
+    """Return the rig file; without `watchdog` the rig's own waits for longer than any case lasts."""
+    text = rig_text(ports)
+    seconds = WATCHDOG_S if watchdog else WATCHDOG_OFF_S
+    text = _replaced(r"(?m)^watchdog_s = .*$", f"watchdog_s = {seconds}", text)
+    return _replaced(r"(?m)^readback_within_s = .*$", f"readback_within_s = {READBACK_WITHIN_S}", text)
+
+
+def _replaced(pattern: str, by: str, text: str) -> str:
+    changed, count = re.subn(pattern, by, text)
+    if not count:
+        raise ValueError(f"the rig file of the campaign has no line {pattern}")
+    return changed
+
+
+async def _start(
+    needs: frozenset[str],
+    place: Path,
+    disk: OwnDisk | None,
+    terminal: Terminal,
+    clock: SteppedClock | None,
+    marker: str,
+) -> ChaosHarness:
+    command = [sys.executable, "-m", "hil", "run", str(place / "load.csv"), "--rig", str(place / "rig.toml")]
+    command += ["--calibrator", "least_squares"] if "twin" in needs else ["--no-twin"]
+    command += ["--no-viewer", "--runs", str((disk.inside if disk is not None else place) / "runs")]
+    where = place
+    if disk is not None:
+        command, where = disk.command(command), disk.path
+    process = await asyncio.create_subprocess_exec(
+        *command,
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=terminal.out,
+        stderr=terminal.err,
+        cwd=place,
+        env=environment(marker, clock, is_terminal=terminal.shape == "pty"),
+        start_new_session=True,
+    )
+    terminal.started()
+    return ChaosHarness(where, place, process)
+
+
+def environment(marker: str, clock: SteppedClock | None = None, *, is_terminal: bool = False) -> dict[str, str]:
+    """Return the environment of a run of a case."""
+    variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", MARKER: marker}
+    variables["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        variables.pop(name, None)
+    if is_terminal:
+        variables["TERM"] = "xterm-256color"
+    return variables | ({} if clock is None else clock.environment)
+
+
+def unstepped(wall_s: float, stage: ChaosStage) -> float:
+    """Return a wall time of the run's stepped clock as one of this machine's; steps are longer than any case."""
+    if stage.clock is None or not stage.clock.offset_s:
+        return wall_s
+    plain, now = wall_s - stage.clock.offset_s, time.time()
+    return min((wall_s, plain), key=lambda t: abs(t - now))

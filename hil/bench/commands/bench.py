@@ -1,0 +1,42 @@
+"""`hil bench`: speed, fits and the paper's experiments, beside other people's tools and figures."""
+
+from __future__ import annotations
+
+import os
+
+import click
+
+from hil.bench import BENCHMARKS
+from hil.bench.commands.blind import ablations_command, again_command, discovery_command, hiera_command
+from hil.bench.commands.rig import bus_command, faults_command, files_command, loop_command, wire_command
+from hil.bench.commands.twin import fit_command, paper_command, records_command, structure_command, twin_command
+from hil.run.session.terminal import invocation
+
+
+def _one_thread() -> None:
+    """One thread for numpy's and scipy's linear algebra, or its idle threads count as CPU time. Before numpy loads."""
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+
+@click.group(invoke_without_command=True)
+@click.pass_context
+def command(context: click.Context) -> None:
+    """Measure, and compare with other people's tools and published figures.
+
+    \b
+    Example:
+      hil bench twin --quick
+      hil bench paper --rig virtual --out results
+    """
+    _one_thread()
+    if context.invoked_subcommand is None:
+        for name, about in BENCHMARKS.items():
+            click.echo(f"{invocation()} bench {name:<10} {about}")
+
+
+for _bench in (
+    twin_command, fit_command, paper_command, records_command, hiera_command, ablations_command, discovery_command,
+    again_command, structure_command, faults_command, loop_command, bus_command, wire_command, files_command,
+):  # fmt: skip
+    command.add_command(_bench)

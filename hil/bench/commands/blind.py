@@ -1,0 +1,184 @@
+"""Benches on rigs that nothing was made for: the network beside the calibrators, its pieces, the diagnosis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hil.bench.commands.output import JSON, OUT, QUICK, SEED, data_folder, finish
+from hil.cli.options.paths import INPUT_FILE
+
+
+@click.command("hiera")
+@click.option("--network", type=INPUT_FILE, help="Card (.json) of a trained ensemble; without, it takes no part.")
+@click.option("--rig", "rigs", multiple=True, help="simulated, virtual or stranger; may be repeated.")
+@click.option("--calibrator", "calibrators", multiple=True, help="Of `hil track`; may be repeated; default: all.")
+@QUICK
+@SEED
+@OUT
+@JSON
+def hiera_command(
+    network: Path | None,
+    rigs: tuple[str, ...],
+    calibrators: tuple[str, ...],
+    quick: bool,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Who keeps a twin true on rigs that no network was trained on: swarm, least squares, filter, network.
+
+    \b
+    Example:
+      hil bench hiera --quick
+      hil bench hiera --network profiles/trained/loop_small.json --out docs/results
+    """
+    from dataclasses import replace
+
+    from hil.bench.hiera import trial as hiera
+    from hil.bench.hiera.cases import RIGS as SCORED
+    from hil.run.session.terminal import Steps
+    from twin.calibrators import NAMES
+
+    for what, given, known in (("rig", rigs, SCORED), ("calibrator", calibrators, NAMES)):
+        unknown = [name for name in given if name not in known]
+        if unknown:
+            raise click.UsageError(f"no {what} {', '.join(unknown)}; there are {', '.join(known)}")
+    size = hiera.QUICK if quick else hiera.FULL
+    size = replace(size, rigs=rigs or size.rigs, trackers=calibrators or size.trackers)
+    with Steps("cases", 1.0, quiet=as_json) as steps:
+        tables, skipped = hiera.measure(size, seed, data_folder(), steps.update, network)
+    finish("hiera", seed, tables, skipped, out, as_json)
+
+
+@click.command("ablations")
+@click.option(
+    "--data", type=click.Path(exists=True, file_okay=False, path_type=Path), default=Path("training/loop"),
+    show_default=True, help="Folder of generated campaigns, as `hil train loop` leaves it.",
+)  # fmt: skip
+@click.option("--config", "name", type=click.Choice(["small", "full"]), default="small", show_default=True)
+@click.option("--minutes", default=5.0, show_default=True, help="CPU time of each training.")
+@SEED
+@OUT
+@JSON
+def ablations_command(data: Path, name: str, minutes: float, seed: int, out: Path | None, as_json: bool) -> None:
+    """Train the network without each of its pieces, for the same CPU time, and compare on unseen windows.
+
+    \b
+    Example:
+      hil bench ablations --minutes 5 --out docs/results
+    """
+    from hil.bench.hiera import ablations as hiera_ablations
+    from hil.run.session.terminal import Steps
+    from hil.training.data import read
+    from hil.training.generate import features_of
+    from twin.calibrators.hiera_unet.device import ready
+
+    ready(threads=1)
+    windows = read(data, features_of())
+    with Steps("trainings", 1.0, quiet=as_json) as steps:
+        tables, skipped = hiera_ablations.measure(windows, name, seed, minutes, steps.update)
+    finish("hiera_ablations", seed, tables, skipped, out, as_json)
+
+
+@click.command("discovery")
+@click.option("--blind", is_flag=True, help="Seal the truth and the answers before comparing them; always done.")
+@click.option("--cases", default=40, show_default=True, help="Number of cases, a quarter of them healthy.")
+@click.option("--case", "only", multiple=True, type=int, help="This case alone; may be repeated.")
+@click.option("--healthy", default=0, show_default=True, help="Further records without any effect.")
+@click.option("--healthy-case", "only_healthy", multiple=True, type=int, help="This healthy record alone.")
+@click.option("--doubles", default=0, show_default=True, help="Further records with two effects of the catalogue.")
+@click.option("--double-case", "only_doubles", multiple=True, type=int, help="This record with two effects alone.")
+@click.option("--hours", default=24.0, show_default=True, help="Length of each record.")
+@click.option(
+    "--direct/--wire", default=True, show_default=True,
+    help="Step the virtual rig's parts here, or run the loop over Modbus and CAN.",
+)  # fmt: skip
+@click.option("--twin", default="loop", show_default=True, help="Twin of profiles/twins to commission.")
+@click.option(
+    "--records", is_flag=True, help="Public records ($HIL_DATA) from twins that lack most, in place of the trial."
+)
+@click.option("--no-healthy", is_flag=True, help="Keep the healthy records from the diagnosis.")
+@click.option("--no-ablations", is_flag=True, help="Leave out the comparison with parts of the method left out.")
+@click.option(
+    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/discovery"),
+    show_default=True, help="Finished cases are kept here.",
+)  # fmt: skip
+@QUICK
+@SEED
+@OUT
+@JSON
+def discovery_command(
+    blind: bool,
+    cases: int,
+    only: tuple[int, ...],
+    healthy: int,
+    only_healthy: tuple[int, ...],
+    doubles: int,
+    only_doubles: tuple[int, ...],
+    hours: float,
+    direct: bool,
+    twin: str,
+    records: bool,
+    no_healthy: bool,
+    no_ablations: bool,
+    work: Path,
+    quick: bool,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Blind trial: hidden effects in the virtual rig, answers sealed before the truth is opened, then scored.
+
+    \b
+    Example:
+      hil bench discovery --blind --quick
+      hil bench discovery --blind --case 17
+      hil bench discovery --blind --cases 100 --healthy 300 --out docs/results
+      hil bench discovery --blind --cases 0 --doubles 40
+      hil bench discovery --records
+    """
+    if records:
+        from hil.bench.discovery import public_records as discovery_records
+
+        finish("discovery_records", seed, *discovery_records.measure(data_folder(), seed), out, as_json)
+        return
+    from hil.bench.discovery import trial as discovery
+    from hil.bench.discovery.tables import tables
+    from hil.run.session.terminal import Steps
+
+    alone = bool(only or only_healthy or only_doubles)
+    numbers = only if alone else tuple(range(12 if quick else cases))
+    further = only_healthy if alone else tuple(range(healthy))
+    pairs = only_doubles if alone else tuple(range(doubles))
+    size = discovery.Size(numbers, further, hours, direct, twin, not no_ablations, pairs, not no_healthy)
+    with Steps("diagnosing", 1.0, quiet=as_json) as steps:
+        done = discovery.measure(size, seed, work, steps.update)
+    finish("discovery", seed, tables(done, size), discovery.left_out(), out, as_json)
+
+
+@click.command("again")
+@click.option("--cases", default=24, show_default=True, help="Number of rigs.")
+@click.option("--hours", default=24.0, show_default=True, help="Length of each record.")
+@click.option(
+    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/again"),
+    show_default=True, help="Finished cases are kept here.",
+)  # fmt: skip
+@SEED
+@OUT
+@JSON
+def again_command(cases: int, hours: float, work: Path, seed: int, out: Path | None, as_json: bool) -> None:
+    """A twin that took up an effect, asked again: later records with nothing new, and with a second effect.
+
+    \b
+    Example:
+      hil bench again --cases 4
+      hil bench again --seed 1821 --out docs/results
+    """
+    from hil.bench.discovery import repeated as discovery_again
+    from hil.run.session.terminal import Steps
+
+    with Steps("diagnosing", 1.0, quiet=as_json) as steps:
+        done = discovery_again.measure(cases, hours, seed, work, steps.update)
+    finish("discovery_again", seed, discovery_again.tables(done, hours), (), out, as_json)

@@ -1,0 +1,55 @@
+"""What the benches of `hil bench` share: options, where recordings of other rigs lie, the report at the end."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.options.paths import PROJECT
+
+if TYPE_CHECKING:
+    from hil.bench.measure.report import Table
+
+OUT = click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), help="Also write JSON, Markdown and manifest there."
+)
+QUICK = click.option("--quick", is_flag=True, help="Small sizes, for a look or for CI.")
+SEED = click.option("--seed", default=0, show_default=True, help="Seed of everything random.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print the tables as JSON.")
+
+
+def data_folder() -> Path:
+    """Recordings of rigs that the project did not write."""
+    return Path(os.environ.get("HIL_DATA", PROJECT.parent / "shared" / "data"))
+
+
+def finish(
+    name: str, seed: int, tables: tuple[Table, ...], skipped: tuple[str, ...], out: Path | None, as_json: bool
+) -> None:
+    """Print the report, and write it where that was asked for."""
+    from hil.bench.measure.machine import manifest
+    from hil.bench.measure.report import Report, show, write
+    from hil.bench.measure.report import as_json as json_of
+
+    report = Report(name, tables, skipped, manifest(_typed(name), seed))
+    if as_json:
+        click.echo(json_of(report), nl=False)
+    else:
+        show(report)
+    if out is not None:
+        for path in write(report, out):
+            click.echo(str(path), err=True)
+
+
+def _typed(name: str) -> str:
+    """The command as it was typed, without the folders that it writes to."""
+    if Path(sys.argv[0]).name not in ("hil", "__main__.py"):
+        return f"hil bench {name}"
+    words = sys.argv[1:]
+    places = ("--out", "--work")
+    kept = [w for i, w in enumerate(words) if not w.startswith(places) and (i == 0 or words[i - 1] not in places)]
+    return " ".join(["hil", *kept])

@@ -1,0 +1,146 @@
+"""Benches of the twin and its fits: speed, fits, the paper's experiments, structure, public records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hil.bench import EXPERIMENTS, RIGS
+from hil.bench.commands.output import JSON, OUT, QUICK, SEED, data_folder, finish
+from hil.cli.options.paths import INPUT_FILE
+
+
+@click.command("twin")
+@QUICK
+@SEED
+@OUT
+@JSON
+def twin_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
+    """One ten-minute window of the coolant loop: our kernel against scipy, numpy, torch, jax and C.
+
+    \b
+    Example:
+      hil bench twin --quick
+    """
+    from hil.bench.kernel import speed
+
+    tables, skipped = speed.measure(speed.QUICK if quick else speed.FULL, seed)
+    finish("twin", seed, tables, skipped, out, as_json)
+
+
+@click.command("fit")
+@click.argument("record", required=False, type=click.Path(exists=True, path_type=Path))
+@click.option("--twin", type=INPUT_FILE, help="Twin file for RECORD; default: the run folder's own.")
+@QUICK
+@SEED
+@OUT
+@JSON
+def fit_command(
+    record: Path | None, twin: Path | None, quick: bool, seed: int, out: Path | None, as_json: bool
+) -> None:
+    """The same ten-minute windows fitted by our calibrators and by other people's optimisers.
+
+    With RECORD, a record or the folder of a run, windows of that are fitted too.
+
+    \b
+    Example:
+      hil bench fit --quick
+      hil bench fit runs/<a run>
+    """
+    from hil.bench.kernel import fit
+    from twin.twinfile import load
+
+    source = None
+    if record is not None:
+        path = record / "record.parquet" if record.is_dir() else record
+        file = twin or record / "twin.toml"
+        if not file.is_file():
+            raise click.UsageError(f"{record} brings no twin.toml; name a twin with --twin")
+        source = fit.Record(path, load(file))
+    tables, skipped = fit.measure(fit.QUICK if quick else fit.FULL, seed, source)
+    finish("fit", seed, tables, skipped, out, as_json)
+
+
+@click.command("paper")
+@click.option("--only", multiple=True, type=click.Choice(EXPERIMENTS), help="Experiment; may be repeated.")
+@click.option("--rig", "rigs", multiple=True, type=click.Choice(RIGS), help="Rig; may be repeated.")
+@click.option("--calibrator", "calibrators", multiple=True, help="May be repeated; default: all.")
+@click.option(
+    "--cache", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench"), show_default=True,
+    help="Records of the virtual rig are kept here.",
+)  # fmt: skip
+@QUICK
+@SEED
+@OUT
+@JSON
+def paper_command(
+    only: tuple[str, ...],
+    rigs: tuple[str, ...],
+    calibrators: tuple[str, ...],
+    cache: Path,
+    quick: bool,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """The experiments of Energies 2026, 19, 2452, beside its figures.
+
+    Rigs: `virtual`, whose equations are not the twin's; `stranger`, recordings of another maker's in $HIL_DATA;
+    `inverse`, synthesised by the twin itself, as in the paper.
+
+    \b
+    Example:
+      hil bench paper --only modules_heat --rig virtual
+    """
+    from dataclasses import replace
+
+    from hil.bench.experiments import paper
+    from twin.calibrators import NAMES
+
+    unknown = [name for name in calibrators if name not in NAMES]
+    if unknown:
+        raise click.UsageError(f"no calibrator {', '.join(unknown)}; there are {', '.join(NAMES)}")
+    size = paper.QUICK if quick else paper.FULL
+    size = replace(
+        size,
+        experiments=only or size.experiments,
+        rigs=rigs or size.rigs,
+        calibrators=calibrators or size.calibrators,
+    )
+    tables, skipped = paper.measure(size, seed, cache, data_folder())
+    finish("paper", seed, tables, skipped, out, as_json)
+
+
+@click.command("structure")
+@SEED
+@OUT
+@JSON
+def structure_command(seed: int, out: Path | None, as_json: bool) -> None:
+    """How true commissioned twins of four and of ten volumes stay over forty healthy hours of other rigs ($HIL_DATA).
+
+    \b
+    Example:
+      hil bench structure
+    """
+    from hil.bench.experiments.structure import measure
+
+    tables, skipped = measure(data_folder(), seed)
+    finish("structure", seed, tables, skipped, out, as_json)
+
+
+@click.command("records")
+@SEED
+@OUT
+@JSON
+def records_command(seed: int, out: Path | None, as_json: bool) -> None:
+    """Public records of other rigs ($HIL_DATA), beside the published figures.
+
+    \b
+    Example:
+      hil bench records
+    """
+    from hil.bench.experiments.public_tables import measure
+
+    tables, skipped = measure(data_folder(), seed)
+    finish("records", seed, tables, skipped, out, as_json)

@@ -1,0 +1,100 @@
+"""How visible a true effect was in a record, and its size in the catalogue's unit; asked once answers are sealed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hil.bench.discovery.score import family, same_driver
+from twin.discovery.effects.laws import Law
+from twin.discovery.scoring.contest import Contest
+from twin.network import Array, Network
+
+_UNITS = {"bias": "K", "drift_per_h": "K", "lag_s": "s"}
+
+
+def signature(contest: Contest, shown: Array, without: Array) -> Array:
+    """What an effect did to the readings, whitened (b * m,), from readings (n, m) with it and without it.
+
+    A record that was ended early has fewer rows; what it lacks counts as no difference.
+    """
+    rows = len(contest.grid.time)
+    change = np.zeros((rows, shown.shape[1]))
+    both = min(rows, len(shown), len(without))
+    change[:both] = np.nan_to_num(shown[:both] - without[:both])
+    return contest.features(contest.seen(change))
+
+
+def visible(contest: Contest, signatures: Sequence[Array]) -> tuple[list[float], list[float]]:
+    """Scores of true effects: each for itself, and each with the sizes of the others fitted along.
+
+    Tunables and initial state are projected out, with their prior. What is not visible beside the others has a score
+    of 0.
+    """
+    gram = contest.across(np.column_stack(signatures))
+    alone = np.sqrt(np.maximum(np.diag(gram), 0.0))
+    beside = []
+    for i in range(len(gram)):
+        others = np.arange(len(gram)) != i
+        shared, *_ = np.linalg.lstsq(gram[np.ix_(others, others)], gram[others, i], rcond=1e-12)
+        beside.append(float(np.sqrt(max(gram[i, i] - gram[others, i] @ shared, 0.0))))
+    return alone.tolist(), beside
+
+
+def true_size(
+    found: Sequence[Law], network: Network, table: Mapping[str, Any], label: tuple[str, str, str], span_s: float
+) -> tuple[float, str] | None:
+    """Size and unit of a true effect at the end of a record of `span_s`, as its candidate's; None if none is."""
+    laws_of: list[Law] = []
+    for where in dict.fromkeys((label[1], family(label[1]))):
+        laws_of = laws_of or [w for w in found if (w.candidate.kind, w.candidate.where) == (label[0], where)]
+    # What grows with time is the steady law in a growing shape.
+    driver = "constant" if table.get("driver") == "elapsed_time" else str(table.get("driver"))
+    reached = float(course_of(table, np.array([span_s - 1.0, span_s]))[-1])
+    for law in [w for w in laws_of if same_driver(w.candidate.driver, driver)] or laws_of:
+        size = catalogue_size(table, law, network)
+        if size is not None:
+            return size * reached, law.candidate.unit
+    return None
+
+
+def course_of(table: Mapping[str, Any], edges_s: Array) -> Array:
+    """Share of its size that an effect has in each block."""
+    middle = 0.5 * (edges_s[1:] + edges_s[:-1])
+    since = np.maximum(middle - table.get("onset_s", 0.0), 0.0)
+    course = np.clip((edges_s[1:] - table.get("onset_s", 0.0)) / np.diff(edges_s), 0.0, 1.0)
+    if table.get("ramp_s"):
+        course = np.clip(since / table["ramp_s"], 0.0, 1.0)
+    if "tau_s" in table:
+        course = -np.expm1(-since / table["tau_s"])
+    if "drift_per_h" in table:
+        course = since / 3600.0
+    if "end_s" in table:
+        course = np.where(middle > table["end_s"], 0.0, course)
+    return np.asarray(course, dtype=np.float64)
+
+
+def catalogue_size(table: Mapping[str, Any], law: Law, network: Network) -> float | None:
+    """Size of an effect in the unit of its candidate; None where the two measure different things.
+
+    So it is with the radiator's conductance and the fan's exponent, of the fins in the rig and of the whole way from
+    water to air in the twin, and with a mass, whose capacity the catalogue has in steps.
+    """
+    c = law.candidate
+    kind, driver = table["kind"], table.get("driver")
+    if kind == "heat_source" and driver in ("constant", "elapsed_time", "pump_speed", "fan_speed"):
+        return float(table["power_W"])
+    if kind == "heat_source" and driver == "heater_power":
+        return float(table["power_W"]) / 1000.0
+    if kind == "heat_loss" and c.unit == "W/K":
+        return float(table["conductance_W_per_K"])
+    if kind == "flow" and "lost_fraction" in table and "circuit.factor" in c.changes:
+        return -float(table["lost_fraction"]) * network.parameters["circuit.factor"].value
+    for key in ("bypass_fraction", "bias", "drift_per_h", "lag_s"):
+        if key in table and c.unit == _UNITS.get(key, c.unit):
+            return float(table[key])
+    if kind == "actuator":
+        return float(table["gain"]) - 1.0
+    return None

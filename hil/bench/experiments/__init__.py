@@ -1,0 +1,1 @@
+"""Experiments of the paper and public records, beside published figures."""

@@ -1,0 +1,1 @@
+"""Fault campaign: seeded faults of wires, rig and harness."""

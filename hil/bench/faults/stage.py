@@ -1,0 +1,266 @@
+"""The stage of a case of the fault campaign: a virtual rig of its own, wires that can fail, `hil run` in a process."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import os
+import random
+import signal
+import sys
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from drivers.virtual.faulty_link import FaultyLink, as_it_comes, can_frames, modbus_frames
+from drivers.virtual.geometry import CHANNELS
+from drivers.virtual.rig import VirtualRig, start_virtual_rig
+from drivers.virtual.truth import Moment, read_truth
+from hil.bench.faults import judge
+from hil.bench.faults.disk import OwnDisk
+from hil.bench.faults.kinds import effect_text
+from hil.bench.faults.plan import Case
+from hil.bench.faults.rig import LOAD, PERIOD_S, prepare, rig_text
+from hil.bench.faults.tls import Certificates, make_certificates
+from hil.bench.measure import processes
+
+ROOT = Path(__file__).resolve().parents[3]
+LOOK_EVERY_S = 0.2
+SPIN_UP_S = 30.0
+"""No fan takes longer than this to get there."""
+FANS_PCT = 70.0
+"""Fans that are this fast when the command is started are at full speed when it has a rig."""
+
+
+class Harness:
+    """`hil run` as a user starts it, in a process of its own whose output goes to files."""
+
+    def __init__(self, place: Path, terminal: Path, process: asyncio.subprocess.Process) -> None:
+        self.place, self.terminal, self.process = place, terminal, process
+        self.started_s = time.time()
+
+    @property
+    def running(self) -> bool:
+        """Whether the process is there."""
+        return self.process.returncode is None
+
+    @property
+    def pid(self) -> int:
+        """Id of the process."""
+        return self.process.pid
+
+    def folder(self) -> Path | None:
+        """The run's folder, once there is one."""
+        return next(iter(sorted(self.place.glob("runs/*-load"))), None)
+
+    @property
+    def journal(self) -> Path:
+        """The run's journal; a path that is not there while there is none."""
+        return (self.folder() or self.place) / "journal.sqlite"
+
+    def said(self) -> str:
+        """What it has written to its terminal."""
+        return (self.terminal / "err.txt").read_text(encoding="utf-8", errors="replace")
+
+    def ended_as(self) -> str:
+        """Exit status that the run wrote of itself, empty while it goes on."""
+        folder = self.folder()
+        try:
+            status = json.loads(((folder or self.place) / "run.json").read_text(encoding="utf-8"))["exit_status"]
+        except (OSError, ValueError, KeyError):
+            return ""
+        return "" if status == "running" else str(status)
+
+    async def finish(self) -> None:
+        """Kill what is left of it."""
+        if self.running:
+            with contextlib.suppress(ProcessLookupError):
+                self.process.kill()
+        await self.process.wait()
+
+
+@dataclass(slots=True)
+class Stage:
+    """What the fault of a case may lay hands on; see `hil.bench.faults.kinds`."""
+
+    generator: random.Random
+    rig: VirtualRig
+    plc: FaultyLink
+    can: FaultyLink
+    harness: Harness
+    truth: Path
+    disk: OwnDisk | None = None
+    asked_s: float = math.inf
+    waited_s: float = math.inf
+    starved_s: float = 0.0
+    """How long the harness had waited for a processor when the fault came; the longest that it has since, or that our
+    own relays have stood still."""
+    told_s: float | None = None
+    """When the harness said on its terminal that it ends."""
+    seen: judge.Seen = field(default_factory=judge.Seen)
+
+    @property
+    def pid(self) -> int:
+        """Process of the harness."""
+        return self.harness.pid
+
+    async def reboot(self, seconds: float) -> None:
+        """Power-cut of the PLC."""
+        reader, writer = await asyncio.open_connection(self.rig.host, self.rig.control_port)
+        await reader.readline()
+        writer.write(f"reboot {seconds:g}\n".encode())
+        answer = await reader.readline()
+        writer.close()
+        if answer != b"ok\n":
+            raise RuntimeError(f"the virtual rig did not reboot: {answer!r}")
+
+    def fill_disk(self) -> None:
+        """No byte more for the harness."""
+        assert self.disk is not None
+        self.disk.fill(self.pid)
+
+    async def mend(self, rig_s: float) -> None:
+        """End every fault there was: wires, disk, and those of the rig's own, which are over at `rig_s` of its time.
+
+        A fan that was mended is so when it turns again: as before the first start, see `FANS_PCT`.
+        """
+        await self.plc.restore()
+        await self.can.restore()
+        if self.disk is not None:
+            self.disk.clear()
+
+        def mended() -> bool:
+            now = self.moments()[-1]
+            return now.rig_s >= rig_s and now.fan_pct >= FANS_PCT
+
+        await self.until(mended, rig_s + SPIN_UP_S)
+
+    def seen_here(self, folder: Path) -> Path:
+        """A folder of the run's as the run itself sees it."""
+        return folder if self.disk is None else self.disk.inside / folder.relative_to(self.disk.path)
+
+    def kill_child(self, words: str) -> None:
+        """SIGKILL to the harness's children with `words` in their command."""
+        found = [pid for pid in processes.children(self.pid) if words.encode() in processes.command(pid)]
+        if not found:
+            raise RuntimeError(f"the harness has no process of {words}")
+        for pid in found:
+            os.kill(pid, signal.SIGKILL)
+
+    def look(self) -> Path:
+        """See what the run has acknowledged; returns a path by which its journal can be opened."""
+        journal = self.harness.journal
+        if self.disk is not None and self.disk.real:
+            journal = self.disk.copied(journal, self.truth.parent / "journal")
+        self.seen.look(journal)
+        return journal
+
+    def moments(self) -> list[Moment]:
+        """What was true so far."""
+        return read_truth(self.truth)
+
+    @property
+    def heater_W(self) -> float:
+        """What reaches the heater now."""
+        moments = self.moments()
+        return moments[-1].heater_W if moments else 0.0
+
+    async def until(self, condition: Callable[[], bool], seconds: float) -> bool:
+        """Wait for `condition`, looking into the journal meanwhile; whether it came true in time."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self.look()
+            self.starved_s = max(self.starved_s, processes.waited_s(self.pid) - self.waited_s)
+            if self.told_s is None and " finishing: " in self.harness.said():
+                self.told_s = time.time()
+            asleep = time.monotonic()
+            await asyncio.sleep(LOOK_EVERY_S / 2)
+            if self.waited_s < math.inf:
+                self.starved_s = max(self.starved_s, time.monotonic() - asleep - LOOK_EVERY_S / 2)
+        return True
+
+
+@contextlib.asynccontextmanager
+async def set_stage(case: Case, generator: random.Random, place: Path, onset_s: float) -> AsyncIterator[Stage]:
+    """Rig, wires and a run on it, all in `place`; a first fault of the rig's own begins at `onset_s` of its time."""
+    async with contextlib.AsyncExitStack() as stack:
+        # What takes long goes to a thread: the relays of the cases beside this one must not stand still for it.
+        certificates: Certificates | None = None
+        if "tls" in case.places:
+            certificates = await asyncio.to_thread(make_certificates, place)
+        effects = None
+        begins = zip(case.kinds, (onset_s, onset_s + case.apart_s), strict=False)
+        texts = [effect_text(kind, generator, CHANNELS, at_s) for kind, at_s in begins if kind.effect]
+        if texts:
+            effects = place / "effects.toml"
+            effects.write_text("\n".join(texts), encoding="utf-8")
+        truth = place / "truth.bin"
+        rig = await start_virtual_rig(
+            seed=generator.randrange(2**31),
+            mode="real",
+            period_s=PERIOD_S,
+            effects=effects,
+            truth=truth,
+            tls=None if certificates is None else certificates.rig,
+        )
+        await stack.enter_async_context(rig)
+        plc = FaultyLink(rig.modbus_port, as_it_comes if certificates else modbus_frames)
+        can = FaultyLink(rig.can_port, can_frames)
+        await stack.enter_async_context(plc)
+        await stack.enter_async_context(can)
+        await prepare(rig.modbus_port, None if certificates is None else certificates.context())
+        while not (moments := read_truth(truth)) or moments[-1].fan_pct < FANS_PCT:  # noqa: ASYNC110
+            await asyncio.sleep(LOOK_EVERY_S)
+        ports = {"plc": plc.port, "thermocouples": can.port}
+        text = rig_text(ports, None if certificates is None else certificates.harness)
+        (place / "rig.toml").write_text(text, encoding="utf-8")
+        (place / "load.csv").write_text(LOAD.format(generator.randrange(300, 600)), encoding="utf-8")
+        disk = await asyncio.to_thread(OwnDisk, place / "disk") if "tmpfs" in case.places else None
+        if disk is not None:
+            stack.callback(disk.close)
+        harness = await _start(case, place, disk)
+        stack.push_async_callback(harness.finish)
+        yield Stage(generator, rig, plc, can, harness, truth, disk)
+
+
+async def _start(case: Case, place: Path, disk: OwnDisk | None) -> Harness:
+    command = [sys.executable, "-m", "hil", "run", str(place / "load.csv"), "--rig", str(place / "rig.toml")]
+    command += ["--calibrator", "least_squares"] if "twin" in case.places else ["--no-twin"]
+    command += ["--viewer"] if "viewer" in case.places else ["--no-viewer"]
+    where = place
+    if disk is not None:
+        command, where = disk.command(command), disk.path
+    command += ["--runs", str((disk.inside if disk is not None else place) / "runs")]
+    return Harness(where, place, await spawn(command, place))
+
+
+async def spawn(command: list[str], place: Path) -> asyncio.subprocess.Process:
+    """A command of ours with a terminal that is two files."""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        environment.pop(name, None)
+    with (place / "out.txt").open("ab") as out, (place / "err.txt").open("ab") as err:
+        return await asyncio.create_subprocess_exec(
+            *command, stdin=asyncio.subprocess.DEVNULL, stdout=out, stderr=err, cwd=place, env=environment,
+            start_new_session=True,
+        )  # fmt: skip
+
+
+def last_line(place: Path) -> str:
+    """What was said last on the terminal in `place`; nothing where nothing was."""
+    return next(iter((place / "err.txt").read_text(encoding="utf-8", errors="replace").splitlines()[-1:]), "")
+
+
+def last_words(place: Path) -> str:
+    """The last lines of the run's terminal, which is in `place`."""
+    lines = [
+        line for name in ("err.txt", "out.txt") if (place / name).is_file()
+        for line in (place / name).read_text(encoding="utf-8", errors="replace").splitlines()[-4:]
+    ]  # fmt: skip
+    return " / ".join(lines)[-400:]

@@ -1,0 +1,1 @@
+"""Mutated files, replies and frames against their readers."""

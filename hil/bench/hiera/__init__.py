@@ -1,0 +1,1 @@
+"""Trials of the network calibrator beside the other calibrators."""

@@ -1,0 +1,182 @@
+"""`hil bench ablations`: what each piece of the network is worth, when all variants are trained for the same CPU time.
+
+Every variant has the same data, seed and schedule; a variant whose step costs more takes fewer of them. What is left
+out is left out of the unseen windows as well.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.bench.measure.report import Cell, Table
+from hil.training.ablation import PIECES, without
+from hil.training.data import Data
+from twin.network import Array
+
+LEFT_OUT = ("hierarchy", "residuals", "gates", "evidence", "hiding")
+PROBED = 8
+"""Steps that tell what one costs."""
+FEWEST = 20
+RESAMPLES = 400
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One trained variant on N unseen windows.
+
+    Attributes:
+        name: the piece that it lacks, or "nothing". weights, steps: how many. cpu_s: of its training.
+        outputs, online: (N,) K, mean absolute error, target hidden (symmetric branch) and seen (causal branch).
+        parameters, moved: (N,) mean absolute error of deviations, and of those that moved; NaN where no label counts.
+        inside, width: share inside raw 90 % intervals of the outputs, blind, and their mean width, K.
+        fit: outputs, parameters and moved of the Gauss-Newton fit alone.
+    """
+
+    name: str
+    weights: int
+    steps: int
+    cpu_s: float
+    outputs: Array
+    online: Array
+    parameters: Array
+    moved: Array
+    inside: float
+    width: float
+    fit: tuple[Array, Array, Array]
+
+
+def measure(
+    data: Data, name: str, seed: int, minutes: float, say: Callable[[float, str], None]
+) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+    """The table, and what was left out.
+
+    Args:
+        name: configuration. minutes: CPU time that every variant is trained for. say: told what is under way.
+    """
+    pieces = ((), *((piece,) for piece in LEFT_OUT))
+    trials = []
+    for k, less in enumerate(pieces):
+        what = less[0] if less else "nothing"
+        say(k / len(pieces), f"without {what}")
+        trials.append(trial(data, name, seed, 60.0 * minutes, less))
+    return (table(trials, rigs(data.test.nominal), minutes, len(data.train)), meanings()), ()
+
+
+def trial(data: Data, name: str, seed: int, budget_s: float, less: tuple[str, ...]) -> Trial:
+    """Train a variant without the pieces `less` for so much CPU time and score it on the test windows."""
+    from twin.calibrators.hiera_unet.binding import config_for, physics_of
+    from twin.calibrators.hiera_unet.plan import Plan
+    from twin.calibrators.hiera_unet.score import MOVED, NINETY, outcome
+    from twin.calibrators.hiera_unet.train import Trainer
+
+    parts = (data.network, data.table, data.deviations)
+    physics = physics_of(*parts)
+
+    def trainer(steps: int) -> tuple[Any, Data]:
+        config, plan, own = without(less, config_for(name, *parts), Plan(steps=steps, seed=seed), data)
+        return Trainer(config, own.train, physics, plan, digest=data.digest), own
+
+    # Half of the probe belongs to the structure and half does not: its mean step is a little cheaper than the rest.
+    probe, _ = trainer(2 * PROBED)
+    each = _cpu_s(probe, PROBED) / PROBED
+    work, own = trainer(max(round(budget_s / each), FEWEST))
+    spent = _cpu_s(work, work.plan.steps)
+    blind, online = (
+        outcome(work.average.eval(), own.test, physics.simulate, physics.told, causal=causal, hidden=hidden)
+        for causal, hidden in ((False, True), (True, False))
+    )
+    moved = np.where(np.abs(blind.theta - blind.theta_error) > MOVED, 1.0, np.nan)
+    wrong, fitted = np.abs(blind.theta_error), np.abs(blind.evidence_error)
+    known = np.isfinite(blind.error)
+    return Trial(
+        less[0] if less else "nothing",
+        sum(p.numel() for p in work.network.parameters()),
+        work.plan.steps,
+        spent,
+        mean(np.abs(blind.error)),
+        mean(np.abs(online.error)),
+        mean(wrong),
+        mean(moved * wrong),
+        float((np.abs(blind.error) <= NINETY * blind.scale)[known].mean()),
+        float(2.0 * NINETY * blind.scale[known].mean()),
+        (mean(np.abs(blind.rival)), mean(fitted), mean(moved * fitted)),
+    )
+
+
+def _cpu_s(trainer: Any, steps: int) -> float:
+    """CPU seconds of so many steps."""
+    began = time.process_time()
+    for _ in range(steps):
+        trainer.step()
+    return time.process_time() - began
+
+
+def mean(values: Array) -> Array:
+    """Mean (N,) over all but the first axis of what is finite; NaN where nothing is."""
+    flat = values.reshape(len(values), -1)
+    good = np.isfinite(flat)
+    count = good.sum(axis=1)
+    return np.where(count > 0, np.where(good, flat, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
+
+
+def rigs(nominal: Array) -> np.ndarray:
+    """Number (N,) of the rig that each window is of, by its commissioned values (N, p)."""
+    found: np.ndarray = np.unique(nominal, axis=0, return_inverse=True)[1].reshape(-1)
+    return found
+
+
+def table(trials: list[Trial], rig: np.ndarray, minutes: float, seen: int) -> Table:
+    """All variants beside the first, which lacks nothing."""
+    whole = trials[0]
+    rows: list[tuple[Cell, ...]] = []
+    for t in trials:
+        row: list[Cell] = [t.name, t.steps, float(np.nanmean(t.outputs)), float(np.nanmean(t.online))]
+        for own, other in ((t.parameters, whole.parameters), (t.moved, whole.moved)):
+            row += [float(np.nanmean(own)), None if t is whole else _span(own - other, rig)]
+        rows.append((*row, t.inside, t.width))
+    _, parameters, moved = whole.fit
+    more = (_span(parameters - whole.parameters, rig), _span(moved - whole.moved, rig))
+    error = [float(np.nanmean(values)) for values in whole.fit]
+    rows.append(("the network", 0, error[0], error[0], error[1], more[0], error[2], more[1], None, None))
+    weights = ", ".join(f"{t.name} {t.weights}" for t in trials if t is whole or t.weights != whole.weights)
+    return Table(
+        "ablations",
+        f"Trained for {minutes:g} CPU minutes each, then on {len(rig)} unseen windows",
+        (
+            "without", "steps", "outputs K", "online K", "parameters", "more, from to", "moved", "more, from to ",
+            "inside", "width K",
+        ),
+        tuple(rows),
+        (
+            f"{seen} windows to train on, 12 a step. Weights: {weights}.",
+            "Mean absolute errors. Outputs: target hidden, symmetric branch; online: target seen, causal branch, as "
+            "the service runs. Parameters: deviations where the data tells them; moved: those beyond 0.05. Inside, "
+            "width: of raw 90 % intervals.",
+            "Without the network: the Gauss-Newton fit that is its evidence.",
+            "More: than with everything, middle 90 % when rigs are drawn again. One seed: it says nothing of how "
+            "another training would end.",
+        ),
+    )  # fmt: skip
+
+
+def _span(more: Array, rig: np.ndarray) -> Cell:
+    """Middle 90 % of the mean of differences (N,) when rigs are drawn again."""
+    rng = np.random.default_rng(43)
+    good = np.isfinite(more)
+    count = np.bincount(rig[good], minlength=rig.max() + 1)
+    total = np.bincount(rig[good], more[good], rig.max() + 1)
+    drawn = rng.integers(0, len(count), (RESAMPLES, len(count)))
+    means = total[drawn].sum(axis=1) / np.maximum(count[drawn].sum(axis=1), 1)
+    low, high = np.quantile(means, [0.05, 0.95])
+    return f"{low:+.3f} to {high:+.3f}"
+
+
+def meanings() -> Table:
+    """What it means to leave a piece out."""
+    rows = tuple((piece, PIECES[piece]) for piece in LEFT_OUT)
+    return Table("meanings", "What is left out", ("without", "meaning"), rows)

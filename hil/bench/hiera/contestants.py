@@ -1,0 +1,206 @@
+"""Who takes part in `hil bench hiera`: each predicts ten minutes from what was known before they began.
+
+The network's calibrators take on what they find within windows, too, and predict the second half from there.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hil.bench.hiera.cases import Case
+from twin.calibrators import NAMES, make
+from twin.calibrators.base import Calibration, Calibrator
+from twin.calibrators.hiera_unet.campaigns import Label
+from twin.calibrators.hiera_unet.evidence import Evidence, estimate, identifiable, least_error, step_noise
+from twin.calibrators.hiera_unet.features import Features, Frame
+from twin.calibrators.hiera_unet.series import STEP_S
+from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
+from twin.gauss_newton import SE90
+from twin.network import Array, Network
+from twin.tracking import TwinTracker
+
+TRAINED = Path(__file__).resolve().parents[3] / "profiles" / "trained" / "loop_small.json"
+SAME = 0.03
+"""Deviations that differ by less are one, for where a label holds from."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What all contestants are given of one case, and what only the scorer may look at.
+
+    Attributes:
+        frames, evidence: of each target, made without looking at it. known, floor: (n, P) which labels count, and the
+            Cramer-Rao bound of each. theta: (n, P) truth. labels: as in training.
+        cpu_s: for one frame, and for one evidence.
+    """
+
+    case: Case
+    frames: tuple[Frame, ...]
+    evidence: tuple[Evidence, ...]
+    known: np.ndarray
+    floor: Array
+    theta: Array
+    labels: tuple[Label, ...]
+    cpu_s: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Predictions of one case's n targets.
+
+    Attributes:
+        readings: (n, 120, Y) degC. theta: (n, P) deviations that it believed in, NaN where it has none.
+        half: (n, 120, Y) K, half widths of its own 90 % intervals, or None. calibrated: (n,) bool, what it said of
+            itself before. cpu_s: a window, features and all.
+    """
+
+    readings: Array
+    theta: Array
+    calibrated: np.ndarray
+    cpu_s: float
+    half: Array | None = None
+    theta_half: Array | None = None
+
+
+Contestant = Callable[[Features, Sheet], Answer]
+
+
+def sheet(features: Features, case: Case) -> Sheet:
+    """Everything about a case that is worked out once."""
+    nominal, series = case.campaign.nominal, case.campaign.series
+    ends = [TARGET * (k + 1) for k in case.targets]
+    began = time.process_time()
+    frames = tuple(features.frame(series, end, nominal) for end in ends)
+    middle = time.process_time()
+    evidence = tuple(estimate(features, frame, nominal) for frame in frames)
+    done = time.process_time()
+    rows = [_labelled(features, case, frame, end) for frame, end in zip(frames, ends, strict=True)]
+    theta, known, floor = (np.stack([row[k] for row in rows]) for k in range(3))
+    labels = tuple(
+        Label(end, t, k, bool(case.campaign.amiss[end - TARGET : end].any()), e.kept())
+        for end, t, k, e in zip(ends, theta, known, evidence, strict=True)
+    )
+    n = max(len(frames), 1)
+    return Sheet(case, frames, evidence, known, floor, theta, labels, ((middle - began) / n, (done - middle) / n))
+
+
+def _labelled(features: Features, case: Case, frame: Frame, end: int) -> tuple[Array, np.ndarray, Array]:
+    """True deviations (P,), which count, and their Cramer-Rao bounds."""
+    campaign = case.campaign
+    rows = campaign.theta[end - TARGET : end]
+    theta = rows.mean(axis=0)
+    if not np.isfinite(theta).any():
+        return theta, np.zeros(theta.size, dtype=bool), np.full(theta.size, np.inf)
+    with np.errstate(invalid="ignore"):
+        away = np.nanmax(np.abs(campaign.theta[:end] - theta), axis=1, initial=0.0) > SAME
+    before = np.flatnonzero(away)
+    since = (int(before[-1]) + 1 if before.size else 0) - (end - CONTEXT)
+    known = identifiable(features, frame, campaign.nominal, since) & np.isfinite(theta)
+    return theta, known, least_error(features, frame, campaign.nominal, theta, since)
+
+
+def commissioned(features: Features, given: Sheet) -> Answer:
+    """The twin as commissioned, begun at the state that the last readings say."""
+    readings = np.stack([frame.base for frame in given.frames])
+    none = np.zeros((len(readings), len(features.deviations)))
+    return Answer(readings, none, np.zeros(len(readings), dtype=bool), given.cpu_s[0])
+
+
+def fitted(features: Features, given: Sheet) -> Answer:
+    """Least squares over the last minutes to two hours: the evidence."""
+    return refit(features, given, given.evidence, sum(given.cpu_s))
+
+
+def refit(features: Features, given: Sheet, found: tuple[Evidence, ...], cpu_s: float) -> Answer:
+    """What fits of every target's context predict."""
+    readings = np.stack([free_run(features, given, i, e.theta, e.state) for i, e in enumerate(found)])
+    noise = float(np.sqrt(np.mean(step_noise(features) ** 2)))
+    calibrated = np.array([np.sqrt(e.chi) * noise < features.network.rules.calibrated_K for e in found])
+    half = np.stack([np.where(e.told, SE90 * e.sd, np.nan) for e in found])
+    return Answer(readings, np.stack([e.theta for e in found]), calibrated, cpu_s, theta_half=half)
+
+
+def free_run(features: Features, given: Sheet, i: int, theta: Array, state: Array) -> Array:
+    """Readings (120, Y) over target `i`."""
+    frame, nominal = given.frames[i], given.case.campaign.nominal
+    full = features.deviations.full(theta, nominal)
+    return features.kernel.trace(full, state, frame.time[-TARGET:], frame.held[-TARGET:])[0][0]
+
+
+def tracked(name: str) -> Contestant:
+    """A calibrator of `hil track`, over the whole record, predicting ahead."""
+
+    def contestant(features: Features, given: Sheet) -> Answer:
+        campaign, targets = given.case.campaign, given.case.targets
+        values = dict(zip(features.network.ids, campaign.nominal.tolist(), strict=True))
+        own = {k: v for k, v in values.items() if not features.network.parameters[k].same_as}
+        network = features.network.with_values(own)
+        tracker = TwinTracker(network, _calibrator(name, network, given.case.seed))
+        stop = TARGET * (targets[-1] + 1)
+        part = campaign.series.part(0, min(stop, len(campaign.series)))
+        began = time.process_time()
+        update = tracker.push(part.time, part.inputs, part.measured)
+        spent = (time.process_time() - began) * TARGET / len(part)
+        done = {_number(c, part.time[0]): c for c in update.calibrations}
+        readings = np.stack([update.tracked[TARGET * k : TARGET * (k + 1)] for k in targets])
+        theta, half, calibrated = zip(*(_before(features, campaign.nominal, done, k) for k in targets), strict=True)
+        return Answer(readings, np.stack(theta), np.array(calibrated), spent, theta_half=np.stack(half))
+
+    return contestant
+
+
+def _calibrator(name: str, network: Network, seed: int) -> Calibrator:
+    """A calibrator that is told the noise of the rows it gets, which are means over a step's readings.
+
+    The network knows that of itself: its steps are such means whatever it is fed with.
+    """
+    noise = {f"{s.name}.sigma": network.parameters[f"{s.name}.sigma"].value / np.sqrt(STEP_S) for s in network.sensors}
+    steps = network.with_values(noise)
+    if name == "hiera_unet":
+        return make(name, network)
+    if name == "hiera_ls":
+        from twin.calibrators.hiera_unet.refined import RefinedCalibrator
+        from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
+
+        return RefinedCalibrator(steps, HieraUNetCalibrator.shipped(network))
+    return make(name, steps, seed=seed)
+
+
+def _number(calibration: Calibration, origin: float) -> int:
+    return round((calibration.start_s - origin) / (TARGET * STEP_S) - 0.02)
+
+
+def _before(features: Features, nominal: Array, done: dict[int, Calibration], target: int) -> tuple[Array, Array, bool]:
+    """What a tracker predicted a target with: deviations and half widths (P,), and whether it said to be calibrated."""
+    earlier = [k for k in done if k < target]
+    unknown = np.full(len(features.deviations), np.nan)
+    if not earlier:
+        return unknown, unknown, False
+    last, deviations = done[max(earlier)], features.deviations
+    there = np.array([name in last.values for name in deviations.ids])
+    own = nominal[deviations.index]
+    values = np.array([last.values.get(name, v) for name, v in zip(deviations.ids, own.tolist(), strict=True)])
+    theta = np.where(there, deviations.theta(values, nominal), np.nan)
+    if last.covariance is None:
+        return theta, unknown, bool(last.calibrated)
+    spread = dict(zip(last.values, np.sqrt(np.diag(last.covariance)).tolist(), strict=True))
+    told = np.array([spread[i] if i in spread and i not in last.frozen else np.nan for i in deviations.ids])
+    return theta, SE90 * told / deviations.scaling(nominal).slope(values), bool(last.calibrated)
+
+
+def _shipped() -> tuple[str, ...]:
+    """The network's calibrators, where a trained ensemble and what it needs are at hand."""
+    there = TRAINED.is_file() and all(importlib.util.find_spec(name) for name in ("torch", "safetensors"))
+    return ("hiera_unet", "hiera_ls") if there else ()
+
+
+def roster(names: tuple[str, ...] = ()) -> dict[str, Contestant]:
+    """Name -> contestant, in the order of the tables; `names` of the trackers, all that are here by default."""
+    trackers = names or tuple(n for n in ("pso", "least_squares", "kalman", *_shipped()) if n in NAMES)
+    return {"commissioned": commissioned, **{n.replace("_", " "): tracked(n) for n in trackers}, "fit of 2 h": fitted}

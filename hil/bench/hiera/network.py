@@ -1,0 +1,89 @@
+"""The network's part in `hil bench hiera`: alone, and as the prior of a fit. Needs torch and a trained ensemble."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hil.bench.hiera.contestants import Answer, Contestant, Sheet, refit
+from twin.calibrators.hiera_unet.binding import identity_of, physics_of
+from twin.calibrators.hiera_unet.ensemble import together
+from twin.calibrators.hiera_unet.evidence import Belief, estimate
+from twin.calibrators.hiera_unet.features import Features
+from twin.calibrators.hiera_unet.holding import NARROWEST
+from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble
+from twin.calibrators.hiera_unet.score import NINETY, Outcome, outcome
+from twin.calibrators.hiera_unet.series import STEP_S
+from twin.calibrators.hiera_unet.service import one
+from twin.calibrators.hiera_unet.train import Physics
+from twin.calibrators.hiera_unet.windows import Windows, concatenate
+
+Z90 = 1.645
+
+
+def contestants(card: Path, features: Features) -> dict[str, Contestant]:
+    """The network alone, and then a fit, for the ensemble of a card.
+
+    Raises:
+        HieraError: there is none, or it belongs to another twin or channel table.
+    """
+    parts = (features.network, features.table, features.deviations)
+    net = _Network(load_ensemble(card, identity_of(*parts)), physics_of(*parts))
+    return {"network": net.alone, "network, fit": net.then_fit}
+
+
+class _Network:
+    """Asks an ensemble once for each case."""
+
+    def __init__(self, ensemble: Ensemble, physics: Physics) -> None:
+        self._ensemble, self._physics = ensemble, physics
+        self._latest: tuple[Sheet, Outcome, float] | None = None
+
+    def _ask(self, features: Features, given: Sheet) -> tuple[Outcome, float]:
+        if self._latest is None or self._latest[0] is not given:
+            windows = _windows(features, given)
+            began = time.process_time()
+            said = together([
+                outcome(m.network, windows, self._physics.simulate, self._physics.told, causal=True)
+                for m in self._ensemble.members
+            ])  # fmt: skip
+            said = replace(said, theta_sd=self._ensemble.calibrated(said.theta_sd, windows.meta))
+            self._latest = (given, said, (time.process_time() - began) / len(windows))
+        return self._latest[1], self._latest[2]
+
+    def alone(self, features: Features, given: Sheet) -> Answer:
+        """Deviations and corrections as they come, target hidden, causal branch."""
+        said, spent = self._ask(features, given)
+        # Against a truth of nought, the errors are the predictions.
+        certain = np.sqrt(np.mean((NINETY * said.scale) ** 2, axis=(1, 2)))
+        calm = certain < features.network.rules.calibrated_K
+        half = NINETY * said.scale
+        if not np.isfinite(given.case.campaign.truth).any():
+            # Intervals are for the rig; what is known of it here are readings with their noise.
+            half = np.hypot(half, Z90 * features.network.sigma / np.sqrt(STEP_S))
+        return Answer(said.error, said.theta, calm, sum(given.cpu_s) + spent, half, Z90 * said.theta_sd)
+
+    def then_fit(self, features: Features, given: Sheet) -> Answer:
+        """Least squares with the network's deviations and their spread as the prior."""
+        said, spent = self._ask(features, given)
+        least = NARROWEST * features.deviations.prior_sd
+        began = time.process_time()
+        found = tuple(
+            estimate(features, frame, given.case.campaign.nominal, belief=Belief(theta, np.maximum(sd, least)))
+            for frame, theta, sd in zip(given.frames, said.theta, said.theta_sd, strict=True)
+        )
+        spent += (time.process_time() - began) / max(len(found), 1)
+        return refit(features, given, found, sum(given.cpu_s) + spent)
+
+
+def _windows(features: Features, given: Sheet) -> Windows:
+    nominal = given.case.campaign.nominal
+    rows = [
+        one(features, features.explained(frame, nominal, found.theta, found.steps), found, nominal)
+        for frame, found in zip(given.frames, given.evidence, strict=True)
+    ]
+    windows = concatenate(rows)
+    return replace(windows, truth=np.zeros_like(windows.truth))

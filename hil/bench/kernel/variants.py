@@ -1,0 +1,39 @@
+"""Other networks than the shipped four-volume loop, for the kernel to be measured on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hil.bench.peers import Absent
+from twin.elements import KINDS
+from twin.network import Network, TwinFileError
+from twin.twinfile import load, parse
+
+TWINS = Path(__file__).resolve().parents[3] / "profiles" / "twins"
+
+RADIATION = """
+[elements.bench_radiation]
+kind = "radiation"
+node = "tank"
+ambient = "T_ambient_C"
+area = 1.5
+"""
+
+
+def nonlinear() -> Network:
+    """The loop with radiation from the tank; raises Absent where this version has no such element."""
+    if "radiation" not in KINDS:
+        raise Absent("nonlinear network: this version has no element 'radiation'")
+    text = (TWINS / "loop.toml").read_text(encoding="utf-8")
+    try:
+        return parse(text + RADIATION, "loop with radiation")
+    except TwinFileError as error:
+        raise Absent(f"nonlinear network: {error}") from None
+
+
+def nine_volumes() -> Network:
+    """The loop of six modules one by one; raises Absent where it does not ship."""
+    path = TWINS / "loop_six.toml"
+    if not path.is_file():
+        raise Absent("six modules one by one: no profiles/twins/loop_six.toml")
+    return load(path)

@@ -1,0 +1,1 @@
+"""Timing of the loop and of the buses."""

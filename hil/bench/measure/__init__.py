@@ -1,0 +1,1 @@
+"""Measurement: machine, processes, tables and manifests."""

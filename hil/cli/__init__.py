@@ -1,0 +1,3 @@
+"""Command line `hil`: one module a command."""
+
+from hil.cli.group import main as main

@@ -1,0 +1,333 @@
+"""`hil check`: say what a file holds and whether it can be used, before anything moves."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+from collections.abc import Callable, Iterator
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.options.paths import INPUT_FILE, INPUT_PATH, VIRTUAL_RIG
+from hil.cli.options.reading import reading
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hil.record.raw import Reading
+
+
+@click.command()
+@click.argument("file", type=INPUT_PATH, required=False)
+@click.option("--rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig that a profile is meant for.")
+@click.option("--catalogue", is_flag=True, help="Of a twin: which effects no record of its rig could tell apart.")
+@click.option("--kinds", is_flag=True, help="Without FILE: every kind of element a twin file may have, with its keys.")
+@click.option("--json", "as_json", is_flag=True, help="Of a rig file: read plan, or what --online saw, as JSON.")
+@click.option("--online", is_flag=True, help="Of a rig file: connect to all buses and show what comes. Writes nothing.")
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0.0),
+    help="Of --online: for so long; default: until Ctrl-C, and of an output that is no terminal one look.",
+)
+@click.option("--picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw a twin's network: .svg or .png.")
+@reading
+def command(
+    file: Path | None,
+    rig: Path,
+    catalogue: bool,
+    kinds: bool,
+    as_json: bool,
+    online: bool,
+    seconds: float | None,
+    picture: Path | None,
+    choice: Reading,
+) -> None:
+    """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
+
+    Of RUN, a folder of runs/, its record is checked; where the run ended without one, that is made from its journal.
+
+    --online exits with 1 where a bus is down or a point is not good at the end of the look.
+
+    \b
+    Example:
+      hil check profiles/rigs/virtual.toml
+      hil check my_rig.toml --online
+      hil check my_rig.toml --online --seconds 10 --json
+      hil check my_rig.toml --json
+      hil check my_load.csv --rig my_rig.toml
+      hil check profiles/twins/loop_six.toml --picture network.svg
+      hil check my_twin.toml --catalogue
+      hil check runs/<a run>
+      hil check --kinds
+    """
+    from hil.record.raw import Reading
+    from hil.run.session.terminal import console
+
+    if kinds:
+        if file is not None:
+            raise click.UsageError(f"--kinds is of no file; leave {file} out")
+        from hil.rig.element_kinds import kinds_table
+
+        console().print(kinds_table())
+        return
+    if file is None:
+        raise click.UsageError(
+            "Missing argument 'FILE'; give a file to check, or --kinds for what a twin file may have"
+        )
+    if file.is_dir():
+        from hil.cli.options.subject import record_of
+
+        file = record_of(file)
+    checker = _checker(file, rig)
+    if picture is not None and checker is not _twin:
+        raise click.UsageError(f"--picture draws twins, and {file} is none")
+    if catalogue and checker is not _twin:
+        raise click.UsageError(f"--catalogue lists what a twin may lack, and {file} is none")
+    if online and checker is not _rig:
+        raise click.UsageError(f"--online connects to the rig of a rig file, and {file} is none")
+    if seconds is not None and not online:
+        raise click.UsageError("--seconds belongs to --online")
+    if as_json and checker is not _rig:
+        raise click.UsageError(f"--json tells the read plan of a rig file, and {file} is none")
+    with _named(file, checker):
+        if online:
+            _online(file, seconds, None if as_json else console())
+            return
+        if as_json:
+            from hil.rig.check import as_json as plan
+
+            click.echo(plan(file))
+            return
+        if checker is _record:
+            _record(file, choice, console())
+        elif choice != Reading():
+            raise click.UsageError(
+                f"--decimal, --dates, --time-column and --time-scale are of a record; {file} is none"
+            )
+        else:
+            checker(file, rig, console())
+    if catalogue:
+        _catalogue(file, console())
+    if picture is not None:
+        from twin.drawing import draw
+        from twin.twinfile import load
+
+        draw(load(file), picture)
+        click.echo(str(picture))
+
+
+@contextlib.contextmanager
+def _named(file: Path, checker: Callable[[Path, Path, Console], None]) -> Iterator[None]:
+    """Name the kind of file before a complaint about it, where it had to be guessed: another may have been meant."""
+    try:
+        yield
+    except Exception:
+        if checker in _GUESSED and not (checker is _rig and _has_rig(file)):
+            click.echo(f"{file}: checked as {_GUESSED[checker]}", err=True)
+        raise
+
+
+def _has_rig(file: Path) -> bool:
+    """Whether a TOML file has a table that only rig files have."""
+    from drivers.toml_lines import tables_of
+
+    return not {"rig", "bus", "point"}.isdisjoint(tables_of(file.read_bytes())[1])
+
+
+def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
+    if file.suffix == ".toml":
+        from drivers.points import ConfigurationError
+        from drivers.toml_lines import tables_of
+
+        try:
+            keys = set(tables_of(file.read_bytes())[1])
+        except ValueError as error:
+            raise ConfigurationError(f"{file}: {error}") from error
+        if not keys:
+            raise ConfigurationError(
+                f"{file}: holds no key; a rig file has [rig], a twin [elements.NAME], an effects file [[effect]], a "
+                "scenario [[system]]"
+            )
+        for key, checker in _TELLING.items():
+            if key in keys:
+                return checker
+        return _rig
+    with file.open("rb") as content:
+        if content.read(4) == b"PAR1" or file.suffix in (".parquet", ".pq"):
+            return _record
+    if file.suffix in (".csv", ".tsv", ".tab", ".txt", ".dat"):
+        return _record if _readings(file, rig) else _profile
+    raise click.UsageError(f"{file}: is no .toml, .csv, .tsv or .parquet file; nothing here knows how to check it")
+
+
+def _readings(file: Path, rig: Path) -> list[str]:
+    """Return the columns of a table that no load profile has: temperatures that are no set-points of the rig, values
+    of one reading a row, and columns besides a separate one of dates.
+    """
+    from hil.record.annotated import is_annotated
+    from hil.record.csv_dialect import DialectError, find_dialect
+    from hil.record.long_format import VALUES
+    from hil.record.times.names import names_dates
+
+    with file.open(encoding="utf-8-sig", errors="replace") as lines:
+        beginning = lines.read(200_000)
+    if is_annotated(beginning):
+        return ["_value"]
+    try:
+        names = list(find_dialect(beginning).names)
+    except DialectError:
+        return []  # the reader of profiles names the line
+    found = [name for name in names if _TEMPERATURE.search(name)]
+    if found and names[0] == "time_s":
+        from drivers.rigfile import load_rig
+        from hil.run.session.request import setpoint_limits
+
+        limits = setpoint_limits(load_rig(rig))
+        return [name for name in found if name not in limits]
+    if names[0] != "time_s":
+        found += [name for name in names if name.lower() in VALUES or names_dates(name)]
+    return found
+
+
+_TEMPERATURE = re.compile(r"^T_|_C$|^T(_.+|\d+)_[KF]$|[\[(]\s*(°|deg)\s*[CFK]\s*[\])]$", re.IGNORECASE)
+
+
+def _rig(file: Path, _: Path, out: Console) -> None:
+    from hil.rig.check import show
+
+    show(file, out)
+
+
+def _online(file: Path, seconds: float | None, out: Console | None) -> None:
+    import asyncio
+    import sys
+
+    from hil.errors import FOUND
+    from hil.rig.check import checked
+    from hil.rig.online import look
+
+    found = asyncio.run(look(checked(file)[0], seconds, out))
+    if out is None:
+        click.echo(json.dumps(found, indent=1))
+    elif found["faults"]:
+        count = len(found["faults"])
+        out.print(f"{file}: {count} fault{'s' if count > 1 else ''} on the rig", style="red")
+        for sentence in found["faults"]:
+            out.print(f"  {sentence}", markup=False, soft_wrap=True)
+    else:
+        out.print(f"{file}: all buses answer and all {len(found['points'])} points are good", style="green")
+    if found["faults"]:
+        sys.exit(FOUND)
+
+
+def _twin(file: Path, _: Path, out: Console) -> None:
+    from rich.table import Table
+
+    from twin.twinfile import load
+
+    network = load(file)
+    table = Table(title=f"{network.name}: {len(network.nodes)} volumes", title_justify="left")
+    for heading in ("parameter", "value", "bounds", "unit", "status", "source"):
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    for name, parameter in network.parameters.items():
+        bounds = f"{parameter.lower:g} to {parameter.upper:g}"
+        table.add_row(name, f"{parameter.value:.5g}", bounds, parameter.unit, parameter.status, parameter.source)
+    out.print(table)
+    out.print(f"needs {', '.join(network.input_columns)}")
+    for sensor, columns in network.sensor_columns.items():
+        out.print(f"predicts {sensor}" + (f" (mean of {', '.join(columns)})" if len(columns) > 1 else ""))
+    revision = network.revision
+    if revision.number:
+        out.print(f"revision {revision.number}, made by {revision.made_by}, parent {revision.parent[:12]}")
+    out.print(f"{file}: no mistakes found", style="green")
+
+
+def _catalogue(file: Path, out: Console) -> None:
+    from twin.discovery.answer.blind_spots import spoken
+    from twin.discovery.effects.catalogue import catalogue
+    from twin.discovery.effects.lint import lint
+    from twin.twinfile import load
+
+    network = load(file)
+    entries = {(c.kind, c.where, c.driver) for c in catalogue(network)}
+    out.print(f"{len(entries)} effects that the twin may lack are looked for in a diagnosis")
+    found = lint(network)
+    for group in found.groups:
+        out.print(f"no input separates: {'; '.join(spoken(x) for x in group)}", soft_wrap=True)
+    for label in found.unseen:
+        out.print(f"no input shows: {spoken(label)}", soft_wrap=True)
+
+
+def _effects(file: Path, _: Path, out: Console) -> None:
+    from drivers.virtual.effects import load_effects
+
+    for number, effect in enumerate(load_effects(file), 1):
+        sizes = {effect.magnitude: effect.value, **effect.shape}
+        sized = ", ".join(f"{key} = {value:g}" for key, value in sizes.items())
+        when = f"from {effect.onset_s:g} s" + (f" to {effect.end_s:g} s" if isfinite(effect.end_s) else " on")
+        grown = f", growing for {effect.ramp_s:g} s" if effect.ramp_s else ""
+        out.print(f"effect {number}: {effect.kind} at {effect.where}, {effect.driver}: {sized}; {when}{grown}")
+    out.print(f"{file}: no mistakes found", style="green")
+
+
+def _scenario(file: Path, _: Path, out: Console) -> None:
+    from hil.profile.scenario import build, read_scenario
+
+    scenario = read_scenario(file)
+    profile = build(scenario, 1)
+    low, high = profile.values[:, 0].min(), profile.values[:, 0].max()
+    out.print(
+        f"{file}: {profile.duration_s / 3600:.1f} h, {len(profile.time_s)} breakpoints, {low:.0f} to {high:.0f} W; "
+        "no mistakes found",
+        style="green",
+    )
+
+
+def _profile(file: Path, rig: Path, out: Console) -> None:
+    from drivers.rigfile import load_rig
+    from hil.profile.load_profile import WINDOW_S, read_profile, validate
+    from hil.run.session.request import setpoint_limits
+
+    target = load_rig(rig)
+    profile = read_profile(file)
+    least_s = 0.0 if target.twin is None else WINDOW_S
+    for note in validate(profile, setpoint_limits(target), min_duration_s=least_s, period_s=target.period_s):
+        out.print(f"  {note}")
+    for index, column in enumerate(profile.columns):
+        low, high = profile.values[:, index].min(), profile.values[:, index].max()
+        out.print(f"  {column}: {low:g} to {high:g}")
+    out.print(f"{file}: {profile.duration_s / 3600:.2f} h, runs on {target.name}", style="green")
+
+
+def _record(file: Path, choice: Reading | Path, out: Console) -> None:
+    import numpy as np
+
+    from hil.record.reader import Reading, read_record
+
+    record = read_record(file, choice=choice if isinstance(choice, Reading) else None)
+    for message in record.messages:
+        out.print(f"  {message}", markup=False, soft_wrap=True)
+    for name, values in record.columns.items():
+        finite = values[np.isfinite(values)]
+        spread = f"{finite.min():g} to {finite.max():g}" if finite.size else "no value"
+        missing = f", {len(values) - finite.size} missing" if finite.size < len(values) else ""
+        out.print(f"  {name}: {spread}{missing}", markup=False)
+    out.print(f"{file}: {len(record.time_s)} samples over {np.ptp(record.time_s) / 3600:.2f} h", style="green")
+
+
+_TELLING: dict[str, Callable[[Path, Path, Console], None]] = {
+    "elements": _twin, "effect": _effects, "effects": _effects, "where": _effects, "system": _scenario,
+    "systems": _scenario,
+}  # fmt: skip
+"""Key at the top of a TOML file -> what it makes of the file; without any of them it is a rig file."""
+
+_GUESSED: dict[Callable[[Path, Path, Console], None], str] = {
+    _rig: "a rig file, since it has no [elements] (twin), [[effect]] (effects file) or [[system]] (scenario)",
+    _profile: "a load profile, since no column is a temperature; a record has columns such as T_tank_C",
+    _record: "a record, since it is Parquet or has a column that is a temperature",
+}
+"""Kind that a check takes a file for where no key names it, with the reason."""

@@ -1,0 +1,80 @@
+"""The `hil` command. Verbs are loaded when they are asked for, so that `hil --help` needs no heavy library."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from typing import Any
+
+import click
+
+from hil import __version__
+
+# Our matrices are small: a second BLAS thread gains nothing, and beside other work (a rig being run) it waits for the
+# first one most of the time: a diagnosis took five times as long. Whoever sets the variable is obeyed.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+VERBS = {
+    "bench": "Measure speed and fits, repeat the paper's experiments",
+    "check": "Check a rig file, twin, profile, scenario or record",
+    "commission": "Fit a twin to a healthy record",
+    "ctl": "Hold, pause, resume, abort or ask a live run",
+    "diagnose": "Trace what a twin gets wrong to the effect that it lacks",
+    "init": "Write a rig file: of what is on the rig, a register table, Telegraf, DBC ...",
+    "profile": "Build and picture load profiles",
+    "report": "Make what is missing of a run's record, review and report",
+    "resume": "Go on with a run that a crash or a fault cut",
+    "review": "Look at a run in Rerun: measured against twin",
+    "rig": "Serve the virtual rig over Modbus and CAN",
+    "run": "Replay a load profile on a rig while twins track it",
+    "track": "Replay the calibrators on a record",
+    "train": "Train the network calibrator",
+    "twin": "Revisions of a twin: log, diff, revert",
+}
+
+
+class _Verbs(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in VERBS:
+            return None
+        module = importlib.import_module("hil.bench.commands.bench" if name == "bench" else f"hil.cli.{name}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(VERBS.items()))
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        import difflib
+
+        near = difflib.get_close_matches(args[0], VERBS, n=1, cutoff=0.5)
+        if args[0] not in VERBS and near:
+            ctx.fail(f"no command {args[0]!r}; did you mean {near[0]}?")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="hil")
+def group() -> None:
+    """Rig harness whose digital twin explains itself.
+
+    \b
+    Example, without any hardware:
+      hil run profiles/loads/battle_10h.csv --virtual --lockstep
+      hil review runs/<the folder that it names>
+    """
+
+
+def main() -> None:
+    """Entry point: errors that a user can mend become one sentence and exit code 2, faults that were found 1."""
+    from hil.errors import explained
+    from hil.files.names import accept_any_name
+
+    accept_any_name()
+    with explained():
+        sys.exit(group.main(standalone_mode=True))

@@ -1,0 +1,47 @@
+"""Where files are looked for: as given, then beside the project's own profiles."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+PROJECT = Path(__file__).resolve().parents[3]
+
+
+class InputPath(click.ParamType[Path]):
+    """A file or a folder that exists; a file of the project's `profiles/` is found from any working directory."""
+
+    name = "path"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        path = Path(value)
+        if path.exists():
+            return path
+        shipped = PROJECT / path
+        if shipped.is_file() and path.parts[:1] == ("profiles",):
+            return shipped
+        return self.fail(f"{path}: there is no such file or folder; check the path", param, ctx)
+
+
+class InputFile(click.ParamType[Path]):
+    """A file that exists; a path of the project's `profiles/` is found from any working directory."""
+
+    name = "file"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        path = Path(value)
+        if path.is_file():
+            return path
+        shipped = PROJECT / path
+        if shipped.is_file() and path.parts[:1] == ("profiles",):
+            return shipped
+        if path.is_dir():
+            self.fail(f"{path} is a folder; give a file", param, ctx)
+        return self.fail(f"{path}: there is no such file; check the path", param, ctx)
+
+
+INPUT_FILE = InputFile()
+INPUT_PATH = InputPath()
+VIRTUAL_RIG = "profiles/rigs/virtual.toml"

@@ -1,0 +1,39 @@
+"""Options of every command that reads a record, for what the record does not show itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+_OPTIONS = (
+    click.option("--decimal", type=click.Choice([".", ","]), help="Decimal sign of RECORD, where it does not show it."),
+    click.option(
+        "--dates", type=click.Choice(["dmy", "mdy", "ymd"]), help="Order of day, month and year in its dates."
+    ),
+    click.option("--time-column", metavar="NAME", help="Column of its times; DATES,TIMES where they are in two."),
+    click.option(
+        "--time-scale", type=click.FloatRange(min=0.0, min_open=True), default=1.0, metavar="N",
+        help="Seconds of the rig in a unit of that column: 60 for a rig that runs 60 times as fast as its clock.",
+    ),
+)  # fmt: skip
+
+
+def reading(command: Command) -> Command:
+    """Give `command` the options, as one argument `choice`, a `hil.record.raw.Reading`."""
+
+    @wraps(command)
+    def with_choice(
+        *given: Any, decimal: Any, dates: Any, time_column: str | None, time_scale: float, **named: Any
+    ) -> Any:
+        from hil.record.raw import Reading
+
+        return command(*given, choice=Reading(decimal, dates, time_column, time_scale), **named)
+
+    for option in reversed(_OPTIONS):
+        with_choice = option(with_choice)
+    return with_choice  # type: ignore[return-value]

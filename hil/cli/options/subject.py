@@ -1,0 +1,78 @@
+"""What a command about a record works on: the record and its twin, named one by one or by the folder of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.journal.export import export_record
+from hil.journal.writer import JournalError
+from hil.run_folder.folder import RunFolder, RunFolderError
+
+
+class SubjectError(ValueError):
+    """The record or its twin is not there; the message is one plain sentence."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The record's file, the twin's file, and the run's folder where they are of one."""
+
+    record: Path
+    twin: Path
+    run: Path | None
+
+    @property
+    def diagnosis(self) -> Path:
+        """Where a diagnosis of it is written, unless told otherwise."""
+        if self.run is not None:
+            return RunFolder(self.run).diagnosis
+        return Path(f"diagnosis-{self.record.parent.name or self.record.stem}-{self.record.stem}")
+
+
+def record_of(target: Path) -> Path:
+    """Resolve a record file, or a run folder to its record, which is made where an ended run has none.
+
+    Raises:
+        SubjectError: the folder has no record and none can be made.
+    """
+    if not target.is_dir():
+        return target
+    folder = RunFolder(target)
+    if not folder.record.is_file():
+        if folder.was_cut:
+            raise SubjectError(f"{target} was cut and has no record yet; `hil resume {target}` goes on with it")
+        _make_record(folder)
+    return folder.record
+
+
+def subject_of(target: Path, twin: Path | None) -> Subject:
+    """Resolve a record file or a run folder; `twin` is another than the run's own.
+
+    Raises:
+        SubjectError: a part is missing.
+    """
+    if not target.is_dir():
+        if twin is None:
+            raise SubjectError(f"{target} is a record and does not say which twin it belongs to; name it with --twin")
+        return Subject(target, twin, None)
+    folder, record = RunFolder(target), record_of(target)
+    chosen = twin or folder.twin
+    if not chosen.is_file():
+        raise SubjectError(f"{target} holds no twin.toml; name the twin with --twin")
+    return Subject(record, chosen, target)
+
+
+def _make_record(folder: RunFolder) -> None:
+    """Make the record of a run that ended without one; raises SubjectError where that is not possible."""
+    if not folder.manifest.is_file() or not folder.journal.is_file():
+        raise SubjectError(f"{folder.path} holds no record.parquet; give a run folder of a finished run, or a record")
+    try:
+        with folder.owned():
+            export_record(folder.journal, folder.record)
+    except RunFolderError as error:
+        raise SubjectError(str(error)) from None
+    except (JournalError, OSError) as error:
+        raise SubjectError(
+            f"{folder.path} holds no record.parquet, and none can be made from its journal: {error}"
+        ) from error

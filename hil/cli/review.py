@@ -1,0 +1,93 @@
+"""`hil review`: look at a run in Rerun."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from hil.run_folder.folder import RunFolder
+
+
+LIVE_REVIEW_S = 180.0
+"""The review of a live viewer may be older than its journal by this: what a run does after its last tick."""
+
+
+@click.command()
+@click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--follow", is_flag=True, help="Show a run that is still going on, live.")
+@click.option("--rebuild", is_flag=True, help="Make review.rrd anew from the journal.")
+@click.option("--tab", help="Of the screenshot, by its title: Overview, Diagnosis, ...")
+@click.option("--screenshot", type=click.Path(dir_okay=False, path_type=Path), help="Write a PNG without a display.")
+def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot: Path | None) -> None:
+    """Show RUN, a folder of runs/: measured against static and tracked twin, residuals, parameters, events.
+
+    Where RUN has been diagnosed, one tab shows that. A folder that `hil diagnose` wrote may be given too.
+
+    \b
+    Example:
+      hil review runs/20260520T120000Z-battle_40h
+      hil review runs/20260520T120000Z-battle_40h --screenshot picture.png
+    """
+    from hil.diagnosis.store import REVIEW, has_diagnosis
+    from hil.files.folder_check import require_plain
+    from hil.review import has_display, write_review
+    from hil.run_folder.folder import RunFolder, RunFolderError
+
+    folder = RunFolder(run)
+    if not folder.manifest.is_file() and has_diagnosis(run):
+        require_plain(run, RunFolderError)
+        from hil.review import write_findings_review
+
+        write_findings_review(run, run / REVIEW)
+        _show(run, run / REVIEW, tab, screenshot)
+        return
+    finished = folder.read_manifest()["exit_status"] != "running"
+    if follow:
+        if not has_display():
+            raise click.UsageError(
+                "--follow opens a window and there is no display; use --screenshot on the finished run"
+            )
+        from hil.review import follow_review
+
+        follow_review(folder.journal)
+        return
+    # A live viewer closes the file before the journal gets its last rows about how the run ended.
+    if rebuild or not folder.is_current(folder.review, LIVE_REVIEW_S if finished else 0.0) or _older(folder):
+        cut = f" (the run was cut: what there is of it; `hil resume {run}` goes on with it)"
+        so_far = "" if finished else cut if folder.was_cut else " (the run goes on: what there is so far)"
+        click.echo(f"writing {folder.review}{so_far}", err=True)
+        write_review(folder.journal, folder.review)
+    _show(run, folder.review, tab, screenshot)
+
+
+def _older(folder: RunFolder) -> bool:
+    """Whether the review was made before the diagnosis that it is to show."""
+    from hil.diagnosis.store import CURVES
+
+    curves = folder.diagnosis / CURVES
+    return curves.is_file() and curves.stat().st_mtime > folder.review.stat().st_mtime
+
+
+def _show(run: Path, rrd: Path, tab: str | None, screenshot: Path | None) -> None:
+    """A picture where one is asked for, else a window, else what to do without a display."""
+    from hil.review import has_display, screenshot_review, show_review
+
+    if screenshot is not None:
+        try:
+            problems = screenshot_review(rrd, screenshot, tab=tab)
+        except KeyError as error:
+            raise click.UsageError(str(error.args[0])) from None
+        for problem in problems:
+            click.echo(f"hil: {problem}", err=True)
+        click.echo(f"{screenshot}")
+        sys.exit(1 if problems else 0)
+    if has_display():
+        show_review(rrd)
+        return
+    click.echo(f"{rrd} is ready, but there is no display here. On a machine with one:")
+    click.echo(f"  rerun {rrd}")
+    click.echo(f"or take a picture of it: hil review {run} --screenshot picture.png")

@@ -1,0 +1,77 @@
+"""`hil rig`: serve the virtual rig."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from hil.cli.options.paths import INPUT_FILE
+
+
+@click.command()
+@click.option("--modbus-port", default=5020, show_default=True, help="Modbus/TCP port of the PLC; 0 picks a free one.")
+@click.option("--rtu-port", type=int, help="Serve Modbus RTU over TCP on this port, too; 0 picks a free one.")
+@click.option("--serial", is_flag=True, help="Serve Modbus RTU on a pseudo-terminal, too, whose path is printed.")
+@click.option("--can-port", default=29536, show_default=True, help="socketcand port of the CAN bus vcan0.")
+@click.option("--control-port", default=0, show_default="free", help="Port that grants steps in lockstep.")
+@click.option("--mode", type=click.Choice(["real", "scaled", "lockstep"]), default="real", show_default=True)
+@click.option("--speed", default=1.0, show_default=True, help="Times real time, with --mode scaled.")
+@click.option("--period", default=1.0, show_default=True, help="Seconds between samples.")
+@click.option("--seed", default=0, show_default=True, help="Seed of noise, offsets and draughts.")
+@click.option("--with", "effects", type=INPUT_FILE, help="TOML file of effects that no twin knows of.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
+@click.option("--tls-certificate", type=INPUT_FILE, help="Serve Modbus over TLS with this certificate (PEM).")
+@click.option("--tls-key", type=INPUT_FILE, help="Its key.")
+@click.option("--tls-ca", type=INPUT_FILE, help="Authority that signs the certificates of clients.")
+def command(
+    modbus_port: int,
+    rtu_port: int | None,
+    serial: bool,
+    can_port: int,
+    control_port: int,
+    mode: str,
+    speed: float,
+    period: float,
+    seed: int,
+    effects: Path | None,
+    host: str,
+    tls_certificate: Path | None,
+    tls_key: Path | None,
+    tls_ca: Path | None,
+) -> None:
+    """Serve the virtual rig: a PLC on Modbus/TCP and a thermocouple module on CAN, in processes of their own.
+
+    \b
+    Example:
+      hil rig --with profiles/effects/modules_heat.toml
+      mbpoll -m tcp -a 1 -t 3 -r 1 -c 12 -p 5020 127.0.0.1
+      cantools monitor -i socketcand -c vcan0 --bus-kwargs host=127.0.0.1 port=29536 -- \\
+          profiles/rigs/thermocouples.dbc
+    """
+    from drivers.virtual.rig import serve
+
+    tls = None
+    if tls_certificate is not None and tls_key is not None and tls_ca is not None:
+        tls = (tls_certificate, tls_key, tls_ca)
+    elif tls_certificate is not None or tls_key is not None or tls_ca is not None:
+        raise click.UsageError("TLS needs --tls-certificate, --tls-key and --tls-ca; give all three or none")
+    try:
+        code = serve(
+            modbus_port=modbus_port,
+            rtu_port=rtu_port,
+            serial=serial,
+            can_port=can_port,
+            control_port=control_port,
+            mode=mode,
+            speed=speed,
+            period_s=period,
+            seed=seed,
+            effects=effects,
+            host=host,
+            tls=tls,
+        )
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    sys.exit(code)

@@ -1,0 +1,145 @@
+"""`hil run`: replay a load profile on a rig while twins track it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.options.paths import INPUT_FILE, VIRTUAL_RIG
+from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
+
+if TYPE_CHECKING:
+    from hil.run.session.session import RunResult
+    from hil.tracking.adoption import NetworkMode
+
+
+@click.command()
+@click.argument("profile", type=INPUT_FILE)
+@click.option("--rig", "rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig file.")
+@click.option("--twin", type=INPUT_FILE, help="Twin file; default: the one that the rig file names.")
+@click.option("--no-twin", is_flag=True, help="Run and record only.")
+@click.option("--virtual", is_flag=True, help="Start a virtual rig and run on that.")
+@click.option("--lockstep", is_flag=True, help="As fast as the machine can, the same every time (virtual rig).")
+@click.option("--speed", type=float, help="This many times real time, up to 100 (virtual rig).")
+@click.option("--control", help="host:port that grants steps, of a `hil rig --mode lockstep` that runs already.")
+@click.option("--rearm", is_flag=True, help="Acknowledge a trip that the rig brings along; find its cause before.")
+@click.option("--no-guardian", is_flag=True, help="Nobody makes the rig safe if this process is killed or hangs.")
+@click.option("--no-lock", is_flag=True, help="Run even if locks do not keep a second run off this rig.")
+@click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not know of (virtual rig).")
+@CALIBRATORS
+@NETWORK
+@NETWORK_MODE
+@click.option("--seed", default=0, show_default=True, help="Seed of the virtual rig and of the calibrators.")
+@click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
+@click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
+@click.option("--diagnose", metavar="INTERVAL", help="Diagnose the record so far: hourly, 30min, 2h of profile time.")
+@click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, for --diagnose.")
+@click.option("--adopt", is_flag=True, help="Save a sure finding of --diagnose as the twin's next revision.")
+@click.option("--check-only", is_flag=True, help="Validate everything, move nothing.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def command(
+    profile: Path,
+    rig: Path,
+    twin: Path | None,
+    no_twin: bool,
+    virtual: bool,
+    lockstep: bool,
+    speed: float | None,
+    control: str | None,
+    rearm: bool,
+    no_guardian: bool,
+    no_lock: bool,
+    effects: Path | None,
+    calibrators: tuple[str, ...],
+    card: Path | None,
+    network_mode: NetworkMode,
+    seed: int,
+    runs: Path,
+    viewer: bool | None,
+    diagnose: str | None,
+    healthy: Path | None,
+    adopt: bool,
+    check_only: bool,
+    as_json: bool,
+) -> None:
+    """Replay PROFILE on a rig while a static twin and tracked ones run beside it.
+
+    Ctrl-C ends the run with the heater at its safe value; a second Ctrl-C shortens the waits. `hil ctl` holds, pauses,
+    resumes and aborts it from a second terminal.
+
+    \b
+    Example:
+      hil run profiles/loads/battle_40h.csv --virtual --lockstep
+      hil run my_load.csv --rig my_rig.toml --twin my_twin.toml
+      hil run my_load.csv --virtual --lockstep --diagnose hourly --healthy runs/<a healthy run>/record.parquet
+    """
+    from hil.diagnosis.live import interval_of
+    from hil.run.session.request import RunRequest
+    from hil.run.session.session import check_session, run_session
+
+    if lockstep and speed is not None:
+        raise click.UsageError("--lockstep and --speed exclude each other; choose one")
+    if control is not None and virtual:
+        raise click.UsageError("--control and --virtual exclude each other: one rig runs already, the other is started")
+    if diagnose is None and (healthy is not None or adopt):
+        raise click.UsageError("--healthy and --adopt belong to --diagnose; add --diagnose hourly")
+    mode = "lockstep" if lockstep or control is not None else "scaled" if speed is not None else "real"
+    request = RunRequest(
+        profile=profile,
+        rig=rig,
+        twin=twin,
+        use_twin=not no_twin,
+        runs=runs,
+        virtual=virtual,
+        mode=mode,  # type: ignore[arg-type]
+        speed=1.0 if speed is None else speed,
+        seed=seed,
+        effects=effects,
+        calibrators=calibrators or None,
+        card=card,
+        network_mode=network_mode,
+        viewer=viewer,
+        control=None if control is None else address(control),
+        rearm=rearm,
+        no_lock=no_lock,
+        diagnose_s=None if diagnose is None else interval_of(diagnose),
+        healthy=healthy,
+        adopt=adopt,
+        guardian=not no_guardian,
+    )
+    if check_only:
+        ready = check_session(request)
+        click.echo(f"{profile}: {ready.profile.duration_s / 3600:.1f} h on {ready.rig.name}: nothing stands in the way")
+        for note in ready.notes:
+            click.echo(f"  {note}")
+        return
+    from hil.run.session.terminal import LiveRun
+
+    with LiveRun(quiet=as_json) as live:
+        result = asyncio.run(run_session(request, live.update, live.announce))
+    if as_json:
+        click.echo(json.dumps(as_json_document(result), indent=1))
+    else:
+        live.show_result(result)
+    if result.exit_code:
+        sys.exit(result.exit_code)
+
+
+def address(text: str) -> tuple[str, int]:
+    """Host and port of `host:port`; raises UsageError."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit():
+        raise click.UsageError(f"--control {text!r} is no host:port; give what `hil rig --mode lockstep` printed")
+    return host, int(port)
+
+
+def as_json_document(result: RunResult) -> dict[str, object]:
+    """A finished run for scripts."""
+    document: dict[str, object] = result.folder.read_manifest()
+    document["folder"] = str(result.folder.path)
+    return document

@@ -1,0 +1,163 @@
+"""`hil track`: replay the calibrators on a record."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.options.paths import INPUT_FILE, INPUT_PATH
+from hil.cli.options.reading import reading
+from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hil.record.reader import Reading, Record
+    from hil.tracking.adoption import Adoption, NetworkMode
+    from hil.tracking.twins import Proposed
+
+BLOCK_ROWS = 1200
+
+
+@click.command()
+@click.argument("target", type=INPUT_PATH, metavar="RUN|RECORD")
+@click.option("--twin", type=INPUT_FILE, help="Twin file; of a run, the one that it ran with.")
+@CALIBRATORS
+@NETWORK
+@NETWORK_MODE
+@click.option("--seed", default=0, show_default=True, help="Seed of the calibrators.")
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path), help="Write predictions there, .parquet or .csv."
+)
+@reading
+@click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
+def command(
+    target: Path,
+    twin: Path | None,
+    calibrators: tuple[str, ...],
+    card: Path | None,
+    network_mode: NetworkMode,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+    choice: Reading,
+) -> None:
+    """Replay RUN or RECORD (Parquet or CSV) past a static twin and tracked ones, and print their errors per sensor.
+
+    \b
+    Example:
+      hil commission commissioning.parquet --datasheet datasheet.json --out my_twin.toml
+      hil track campaign.parquet --twin my_twin.toml
+      hil track runs/<a run>
+    """
+    import time
+
+    from hil.cli.options.subject import subject_of
+    from hil.record.reader import read_record, require_record_suffix
+    from hil.run.session.request import check_calibrators, chosen
+    from hil.run.session.terminal import Steps, console, show_comparison
+    from hil.tracking.adoption import Advice, closed_gates
+    from hil.tracking.adoption import manifest as adoption_manifest
+    from hil.tracking.twins import TrackingConfig, Twins, disturbance, too_coarse, window_kind, window_words
+
+    if out is not None:
+        require_record_suffix(out)
+    check_calibrators(calibrators)
+    names, optional = chosen(calibrators or None, card)
+    subject = subject_of(target, twin)
+    data = read_record(subject.record, choice=choice)
+    twins = Twins(TrackingConfig(subject.twin, tuple(data.columns), names, seed, optional, card=card))
+    data.require(*twins.network.input_columns)
+    began = time.monotonic()
+    outputs: dict[str, list[NDArray[np.float64]]] = {}
+    windows: dict[str, dict[str, int]] = {name: {} for name in twins.calibrators}
+    disturbed: list[dict[str, object]] = []
+    proposals: list[Proposed] = []
+    with Steps("tracking", len(data.time_s), quiet=as_json) as steps:
+        for name, why in twins.left_out.items():
+            steps.say(f"{name} is left out: {why}")
+        for message in (*data.messages, *(f"{c} is not in the record" for c in twins.network.unread(data.columns))):
+            steps.say(message)
+        for done, block in twins.over(data.time_s, data.columns, BLOCK_ROWS):
+            for name, values in block.outputs.items():
+                outputs.setdefault(name, []).append(values)
+            for window in block.calibrations:
+                kind = window_kind(window.document)
+                windows[window.calibrator][kind] = windows[window.calibrator].get(kind, 0) + 1
+                if (found := disturbance(window.document)) is not None:
+                    disturbed.append(
+                        {"calibrator": window.calibrator, "window_end_s": window.end_s, "found": found}
+                    )  # fmt: skip
+            proposals += block.proposals
+            steps.update(done)
+    comparison = twins.comparison()
+    if out is not None:
+        _write_predictions(out, data.time_s, twins.network.sensor_names, outputs)
+    advise = Advice(twins.network).news
+    advice = [] if network_mode == "shadow" else [(p.time_s, said) for p in proposals if (said := advise(p))]
+    adopted = _adopted(network_mode, subject.twin, data, proposals)
+    if as_json:
+        document = {
+            "errors_K": dataclasses.asdict(comparison.errors),
+            "bands": comparison.bands,
+            "parameters": comparison.parameters,
+            "left_out": twins.left_out,
+            "tuned": twins.tuning(),
+            "outdone": comparison.outdone,
+            "windows": windows,
+            "disturbed": disturbed,
+            "proposals": [p.document for p in proposals],
+            "advice": [said for _, said in advice],
+            "adoption": adoption_manifest(adopted),
+        }
+        click.echo(json.dumps(document, indent=1))
+        return
+    to = console()
+    show_comparison(to, comparison, f"RMSE in K over {data.time_s[-1] / 3600:.1f} h of {subject.record}")
+    for line in twins.tuning():
+        to.print(line, markup=False, soft_wrap=True)
+    for name, counts in windows.items():
+        listed = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none complete"
+        to.print(f"{name}: windows: {listed}")
+    if kinds := {kind for counts in windows.values() for kind in counts}:
+        to.print(window_words(kinds, twins.network.rules), markup=False, soft_wrap=True)
+    if kinds == {"skipped"} and (sentence := too_coarse(data.period_s, twins.network.rules)):
+        to.print(sentence, markup=False, soft_wrap=True)
+    if proposals:
+        to.print(closed_gates(proposals), markup=False, soft_wrap=True)
+    for item in (d for d in disturbed if d["calibrator"] == twins.calibrators[0]):
+        to.print(f"{item['calibrator']}, window to {float(str(item['window_end_s'])) / 3600:.2f} h: {item['found']}")
+    for time_s, said in advice:
+        to.print(f"{time_s / 3600:.2f} h: {said}", markup=False, soft_wrap=True)
+    if adopted is not None:
+        to.print(adopted.sentence, markup=False, soft_wrap=True)
+    to.print(f"{len(data.time_s)} samples in {time.monotonic() - began:.1f} s")
+
+
+def _adopted(mode: NetworkMode, twin: Path, record: Record, proposals: list[Proposed]) -> Adoption | None:
+    """In controlled mode, what was accepted as the next revision of the twin."""
+    from hil.tracking.adoption import adopt
+
+    if mode != "controlled":
+        return None
+    name = record.path.name if record.path is not None else "a record"
+    return adopt(twin, record, proposals, f"hil track {name} --network-mode controlled")
+
+
+def _write_predictions(
+    out: Path, time_s: NDArray[np.float64], sensors: tuple[str, ...], outputs: dict[str, list[NDArray[np.float64]]]
+) -> None:
+    import numpy as np
+
+    from hil.record.reader import Record, write_record
+
+    columns: dict[str, NDArray[np.float64]] = {}
+    for name, blocks in outputs.items():
+        values = np.concatenate(blocks)
+        columns |= {f"{sensor.removesuffix('_C')}_{name}_C": values[:, i] for i, sensor in enumerate(sensors)}
+    write_record(Record(time_s, columns), out)

@@ -1,0 +1,1 @@
+"""Diagnosis of a record or a run: hand-over, results as files, page."""

@@ -1,0 +1,70 @@
+"""The next experiment of a diagnosis as a load profile, within the limits of a rig file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.rigfile import file_sha256, load_rig
+from hil.profile.load_profile import Profile, SetpointLimit, validate, write_profile
+from hil.run.outputs.setpoints import setpoint_columns
+from twin.discovery.diagnosis import Diagnosis
+from twin.discovery.planning.experiment import Limits
+
+EXPERIMENT = "experiment.csv"
+
+
+def limits_of(rig: Path) -> Limits:
+    """What the rig file allows: set-point limits, and the lowest of the thermometers' upper alarm limits.
+
+    Raises:
+        ConfigurationError: the rig file cannot be used.
+    """
+    loaded = load_rig(rig)
+    driven = {column: p.limits for column, p in setpoint_columns(loaded).items() if p.limits is not None}
+    alarms = [p.alarm[1] for p in loaded.point if p.alarm is not None and p.unit == "degC"]
+    return Limits(driven, min(alarms, default=float("nan")), loaded.name)
+
+
+def rig_of(run: Path) -> Path | None:
+    """The rig file that a run folder names, where it is still as it was; else None."""
+    try:
+        about = json.loads((run / "run.json").read_text(encoding="utf-8"))["files"]["rig"]
+        path = Path(str(about["path"]))
+        return path if file_sha256(path) == about["sha256"] else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def write_experiment(diagnosis: Diagnosis, out: Path, rig: Path | None = None) -> Path | None:
+    """Write the next experiment as a load profile, `experiment.csv`; None where there is none.
+
+    Raises:
+        ProfileError: the rig does not allow it.
+    """
+    plan = diagnosis.next_experiment
+    if not plan or not plan.get("possible"):
+        return None
+    profile = profile_of(plan)
+    if rig is not None:
+        loaded = load_rig(rig)
+        limits = {
+            column: SetpointLimit(*p.limits, p.max_rate, p.unit)
+            for column, p in setpoint_columns(loaded).items()
+            if p.limits is not None
+        }
+        validate(profile, limits, period_s=loaded.period_s)
+    path = out / EXPERIMENT
+    write_profile(profile, path, (f"{plan['name']}: {plan['why']}",))
+    return path
+
+
+def profile_of(plan: dict[str, Any] | Any) -> Profile:
+    """The steps of a planned experiment as a profile; the last one is its end."""
+    steps = plan["steps"]
+    columns = tuple(sorted({c for step in steps for c in step if c != "time_s"}))
+    values = np.array([[float(step[c]) for c in columns] for step in steps])
+    return Profile("experiment", np.array([float(s["time_s"]) for s in steps]), columns, values)

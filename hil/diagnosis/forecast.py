@@ -1,0 +1,126 @@
+"""`hil diagnose --forecast`: what a record, or a planned load profile, could show, before anything is diagnosed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.hand_over import CLOCK, DiagnosingError, read_columns
+from hil.profile.load_profile import Profile, ProfileError, read_profile
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from twin.discovery.effects.lint import Label
+    from twin.discovery.healthy.basis import Columns
+    from twin.discovery.planning.forecast import Forecast
+    from twin.network import Network
+
+STEP_S = 10.0
+_MOST_PAIRS = 20
+
+
+def foretell(
+    to: Console, network: Network, path: Path, healthy: Columns | None, hour: float | None, *, as_json: bool
+) -> None:
+    """Print the least size of each effect that would be seen, what would not be, and what would look alike.
+
+    Raises:
+        DiagnosingError: a plan without a healthy record.
+        RecordError, TwinFileError: as `hil.diagnosis.hand_over.read_columns`.
+    """
+    from twin.discovery.engine import foresee, foresee_plan
+
+    plan = _plan_at(path, network)
+    notes: list[str] = []
+    if plan is None:
+        found = foresee(network, read_columns(network, path, hour)[0], healthy)
+    elif healthy is None:
+        raise DiagnosingError(
+            f"{path} is a load profile; a forecast for it needs the noise of the rig, so give a record with --healthy"
+        )
+    else:
+        time, inputs, notes = planned_inputs(network, plan, hour)
+        found = foresee_plan(network, time, inputs, healthy)
+    if as_json:
+        print(json.dumps({**document(found), "notes": notes}, indent=1))
+        return
+    for note in notes:
+        to.print(note, soft_wrap=True)
+    _show(to, found, "profile" if plan is not None else "record")
+
+
+def _plan_at(path: Path, network: Network) -> Profile | None:
+    """The load profile at `path`, or None where that is a record."""
+    if path.suffix != ".csv":
+        return None
+    try:
+        profile = read_profile(path)
+    except ProfileError:
+        return None
+    measured = {column for columns in network.sensor_columns.values() for column in columns}
+    return None if measured & set(profile.columns) else profile
+
+
+def planned_inputs(
+    network: Network, plan: Profile, hour: float | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
+    """Time (n,) s and inputs (n, c) of a profile, and what was assumed for inputs that it does not set."""
+    time = np.arange(0.0, plan.duration_s, STEP_S)
+    values = plan.sample(time)
+    inputs = np.empty((len(time), len(network.input_columns)))
+    notes = []
+    for j, (column, spec) in enumerate(network.inputs.items()):
+        if column in plan.columns:
+            inputs[:, j] = values[:, plan.columns.index(column)]
+        elif column == CLOCK:
+            inputs[:, j] = ((hour or 0.0) + time / 3600.0) % 24.0
+        else:
+            inputs[:, j] = spec.nominal
+            notes.append(f"{column} is not in {plan.name}: taken as {spec.nominal:g} {spec.unit}".rstrip())
+    return time, inputs, notes
+
+
+def document(found: Forecast) -> dict[str, object]:
+    """A forecast for scripts."""
+    return {
+        "seen": [
+            {"kind": s.candidate.kind, "where": s.candidate.where, "driver": s.candidate.driver, "least": s.least,
+             "unit": s.candidate.unit, "kept": s.kept}
+            for s in found.seen
+        ],
+        "unseen": [c.id for c in found.unseen],
+        "confused": [[a.id, b.id, rho] for a, b, rho in found.confused],
+    }  # fmt: skip
+
+
+def _show(to: Console, found: Forecast, what: str) -> None:
+    from rich.table import Table
+
+    from twin.discovery.answer.blind_spots import spoken
+
+    table = Table(title=f"Least effect that this {what} could show, present all along", title_justify="left")
+    for heading in ("kind", "where", "driver", "from", "that tunables leave"):
+        table.add_column(heading, justify="right" if heading.startswith(("from", "that")) else "left")
+    shown = set()
+    for s in found.seen:
+        c = s.candidate
+        if (c.kind, c.where, c.driver) in shown:
+            continue
+        shown.add((c.kind, c.where, c.driver))
+        table.add_row(c.kind, c.where, c.driver, f"{s.least:.3g} {c.unit}", f"{100.0 * s.kept:.0f} %")
+    to.print(table)
+    for label in dict.fromkeys((c.kind, c.where, c.driver) for c in found.unseen):
+        if label not in shown:
+            to.print(f"cannot be seen: {spoken(label)}")
+    pairs: dict[tuple[Label, Label], float] = {}
+    for a, b, rho in found.confused:
+        pairs.setdefault(((a.kind, a.where, a.driver), (b.kind, b.where, b.driver)), rho)
+    for (one, other), rho in list(pairs.items())[:_MOST_PAIRS]:
+        to.print(f"look alike ({rho:+.3f}): {spoken(one)} and {spoken(other)}")
+    if len(pairs) > _MOST_PAIRS:
+        to.print(f"and {len(pairs) - _MOST_PAIRS} further pairs")

@@ -1,0 +1,372 @@
+"""A diagnosis of the record so far, while the run goes on, in a process of its own with the lowest priority.
+
+The process reads the journal itself; the engine only says now and then how far the run has come, and never waits. One
+diagnosis is under way at a time, of the newest data when it begins. What it finds becomes an event when it differs
+from what was said before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import re
+import shlex
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.points import ConfigurationError, Quality
+from hil.journal.rows import Samples
+from hil.journal.writer import JournalReader, JournalWriter
+from hil.record.segments import Parts
+from hil.tracking.child_process import Child
+
+if TYPE_CHECKING:
+    from twin.discovery.diagnosis import Diagnosis
+    from twin.discovery.healthy.basis import Columns
+
+SURE = 0.9
+"""Confidence of every effect that an adoption asks for."""
+WORSE = 1.02
+"""Times the re-tuned twin's held-out error that a sensor may have with the effects, for noise alone."""
+LEAST_INTERVAL_S = 60.0
+FINISH_TIMEOUT_S = 900.0
+_LOWEST_PRIORITY = 19
+_RESIZED = 0.2
+_SHIFTED_S = 1800.0
+
+
+@dataclass(frozen=True, slots=True)
+class LiveConfig:
+    """What is diagnosed: the twin file, the journal, a healthy record, every how many seconds of profile time."""
+
+    twin: Path
+    journal: Path
+    healthy: Path | None
+    every_s: float
+    adopt: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Sized:
+    """An effect as far as it matters for saying it again; `value` with its 90 % interval in its unit."""
+
+    kind: str
+    where: str
+    value: float
+    low: float
+    high: float
+    onset_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What one diagnosis said of the record up to `until_s`; `sentence` is the verdict in words."""
+
+    verdict: str
+    sentence: str
+    effects: tuple[Sized, ...]
+    until_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The process's answer: what was found, or why there was no diagnosis; what became of an adoption.
+
+    `adopted` is the file of a revision that this diagnosis saved, `revision` that of the last one that any did.
+    """
+
+    found: Found | None = None
+    problem: str = ""
+    adopted: Path | None = None
+    refusal: str = ""
+    page: Path | None = None
+    revision: Path | None = None
+
+
+def interval_of(text: str) -> float:
+    """Seconds of `hourly`, `30min`, `2h`; raises ConfigurationError."""
+    if text == "hourly":
+        return 3600.0
+    match = re.fullmatch(r"(\d+(?:\.\d+)?) ?(min|h)", text)
+    seconds = 0.0 if match is None else float(match[1]) * {"min": 60.0, "h": 3600.0}[match[2]]
+    if seconds < LEAST_INTERVAL_S:
+        raise ConfigurationError(f"--diagnose {text!r} is no interval; write hourly, 30min or 2h (at least 1min)")
+    return seconds
+
+
+def found_of(diagnosis: Diagnosis, until_s: float) -> Found:
+    """The part of a diagnosis that an operator is told while the run goes on."""
+    effects = tuple(
+        Sized(e.kind, e.where, e.value, e.interval90[0], e.interval90[1], e.onset_s) for e in diagnosis.effects
+    )
+    said = ". ".join(e.says for e in diagnosis.effects if e.says)
+    if diagnosis.verdict == "ambiguous":
+        named = {(e.kind, e.where) for e in diagnosis.effects}
+        left = dict.fromkeys((a.kind, a.where) for a in diagnosis.indistinguishable if (a.kind, a.where) not in named)
+        others = ", ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in left)
+        said = f"{said}; the record so far cannot tell that from {others}" if others else said
+    if diagnosis.verdict in ("adequate", "unexplained") or not said:
+        said = diagnosis.summary.rstrip(".")
+    return Found(diagnosis.verdict, said, effects, until_s)
+
+
+def changed(before: Found | None, now: Found) -> bool:
+    """Whether `now` is news: another verdict or place, a size or an onset that moved by more than its uncertainty."""
+    if before is None:
+        return now.verdict != "adequate"
+    if before.verdict != now.verdict or len(before.effects) != len(now.effects):
+        return True
+    for a, b in zip(_ordered(before), _ordered(now), strict=True):
+        if (a.kind, a.where) != (b.kind, b.where):
+            return True
+        spread = max(a.high - a.low, b.high - b.low)
+        if abs(b.value - a.value) > max(spread, _RESIZED * abs(a.value)) or abs(b.onset_s - a.onset_s) > _SHIFTED_S:
+            return True
+    return False
+
+
+def _ordered(found: Found) -> list[Sized]:
+    return sorted(found.effects, key=lambda e: (e.kind, e.where))
+
+
+def refusal(diagnosis: Diagnosis) -> str | None:
+    """Why a diagnosis may not be adopted, or None where it may."""
+    if diagnosis.verdict != "effect found":
+        return f"the verdict is {diagnosis.verdict}"
+    if diagnosis.network is None:
+        return "there is nothing to add to the twin"
+    least = min(e.confidence for e in diagnosis.effects)
+    if least < SURE:
+        return f"the confidence is {least:.2f}, less than {SURE:g}"
+    errors = diagnosis.errors
+    worse = [name for name, e in errors.items() if not e.after <= WORSE * e.before]
+    if worse:
+        return f"on held-out data {', '.join(worse)} is worse with the effect than re-tuned"
+    if not sum((e.after / e.noise) ** 2 for e in errors.values()) < sum(
+        (e.before / e.noise) ** 2 for e in errors.values()
+    ):
+        return "on held-out data the effect is no better than re-tuning"
+    return None
+
+
+class _Worker:
+    """The work in the other process: reads what is new in the journal and diagnoses all of it."""
+
+    def __init__(self, config: LiveConfig) -> None:
+        from hil.diagnosis.experiment_file import limits_of, rig_of
+        from hil.diagnosis.hand_over import read_healthy
+        from twin.twinfile import load
+
+        self._config = config
+        self._network = load(config.twin)
+        self._healthy = read_healthy(self._network, config.twin, config.healthy, None) if config.healthy else None
+        rig = rig_of(config.journal.parent)
+        self._limits = limits_of(rig) if rig is not None else None
+        self._blocks: list[Samples] = []
+        self._adopted: Found | None = None
+        self._revision: Path | None = None
+
+    def look(self, out: Path | None) -> Reply:
+        """Diagnose the journal as it is; `out` is the folder for the results of the last one."""
+        from hil.record.reader import RecordError
+        from twin.discovery.engine import diagnose
+        from twin.network import TwinFileError
+
+        try:
+            record = self._read()
+            if record is None:
+                return Reply(problem="there are no samples yet")
+            diagnosis = diagnose(self._network, record, self._healthy, limits=self._limits)
+        except (TwinFileError, RecordError) as error:
+            return Reply(problem=str(error))
+        found = found_of(diagnosis, float(record.time_s[-1]))
+        adopted, why = self._adopt(diagnosis, found) if self._config.adopt else (None, "")
+        page = None if out is None else self._write(diagnosis, out)
+        return Reply(found, adopted=adopted, refusal=why, page=page, revision=self._revision)
+
+    def _read(self) -> Columns | None:
+        from hil.diagnosis.hand_over import columns_of
+        from hil.record.reader import Record
+
+        reader = JournalReader(self._config.journal)
+        try:
+            new = reader.samples(int(self._blocks[-1].tick[-1]) if self._blocks else -1)
+            names = [signal.column for signal in reader.header.signals]
+            begins = [row.tick for row in reader.segments()]
+        finally:
+            reader.close()
+        if len(new.tick):
+            self._blocks.append(new)
+        if not self._blocks:
+            return None
+        time_s = np.concatenate([b.time_s for b in self._blocks])
+        ticks = np.concatenate([b.tick for b in self._blocks])
+        parts = Parts.of(time_s, np.searchsorted(begins, ticks, side="right"))
+        good = np.concatenate([np.where(b.quality == Quality.GOOD, b.values, np.nan) for b in self._blocks])
+        values = np.where(parts.aside[:, None], np.nan, good[parts.rows])
+        return columns_of(self._network, Record(time_s[parts.rows], dict(zip(names, values.T, strict=True))), None)
+
+    def _adopt(self, diagnosis: Diagnosis, found: Found) -> tuple[Path | None, str]:
+        """File of a new revision, or why there is none."""
+        from hil.diagnosis.hand_over import revise
+
+        why = refusal(diagnosis)
+        if why is not None:
+            return None, why if found.verdict != "adequate" else ""
+        if not changed(self._adopted, found):
+            return None, ""
+        self._revision = revise(diagnosis, self._network, self._config.twin, self._config.journal)
+        self._adopted = found
+        return self._revision, ""
+
+    def _write(self, diagnosis: Diagnosis, out: Path) -> Path:
+        from hil.diagnosis.experiment_file import rig_of, write_experiment
+        from hil.diagnosis.hand_over import provenance, write
+
+        run = self._config.journal.parent
+        extra: dict[str, object] = {
+            "record": str(run / "record.parquet"),
+            "twin": str(self._config.twin),
+            "revision": str(self._revision) if self._revision else None,
+            "healthy": str(self._config.healthy) if self._config.healthy else None,
+            "provenance": provenance({"twin": self._config.twin, "healthy record": self._config.healthy}),
+        }
+        page = write(diagnosis, self._network.sensor_names, out, extra)
+        write_experiment(diagnosis, out, rig_of(run))
+        return page
+
+
+def _serve(connection: Connection, config: LiveConfig) -> None:
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
+        signal.signal(number, signal.SIG_IGN)  # these belong to the engine, which ends this process in order
+    with contextlib.suppress(OSError):
+        os.nice(_LOWEST_PRIORITY)
+    try:
+        worker = _Worker(config)
+        connection.send(Reply())
+        while (asked := connection.recv()) is not None:
+            connection.send(worker.look(asked or None))
+    except (EOFError, BrokenPipeError):
+        return
+    except Exception as error:
+        with contextlib.suppress(OSError):
+            connection.send(error)
+
+
+class LiveDiagnosis:
+    """Publisher of the engine that has the record so far diagnosed and journals what is new. It never waits."""
+
+    def __init__(self, config: LiveConfig, journal: JournalWriter, say: Callable[[str], None]) -> None:
+        self._config = config
+        self._journal = journal
+        self._say = say
+        self._child: Child | None = None
+        self._free = False
+        self._due_s = config.every_s
+        self._tick, self._time_s = -1, 0.0
+        self._last: Found | None = None
+        self._refused = ""
+        self._answer = asyncio.Event()
+        self._reply: Reply | None = None
+        self._failure: str | None = None
+
+    def start(self) -> None:
+        """Start the process; it says by itself when it is ready."""
+        self._child = Child(_serve, self._config, "diagnosis")
+        self._child.listen(self._receive)
+        if self._config.healthy is None:
+            self._event("WARN", "diagnosis: no healthy record, so small effects are not seen")
+
+    def _event(self, level: str, text: str) -> None:
+        self._journal.event(self._tick, self._time_s, level, text)
+        self._say(text)
+
+    async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
+        """Take note of how far the run is, and have it diagnosed when that is due and the process is free."""
+        self._tick, self._time_s = ticks[-1], time_s[-1]
+        if self._free and self._time_s >= self._due_s:
+            self._due_s = (self._time_s // self._config.every_s + 1) * self._config.every_s
+            self._ask("")
+
+    def _ask(self, what: Path | str) -> None:
+        assert self._child is not None
+        self._free = False
+        try:
+            self._child.connection.send(what)
+        except OSError as error:
+            self._fail(str(error))
+
+    async def finish(self, out: Path) -> Reply:
+        """Diagnose the whole run into the folder `out`; the run is over, so this waits."""
+        self._journal.commit()
+        try:
+            async with asyncio.timeout(FINISH_TIMEOUT_S):
+                await self._until_free()
+                if self._failure is None:
+                    self._ask(out)
+                    await self._until_free()
+        except TimeoutError:
+            self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
+        return self._reply if self._failure is None and self._reply else Reply(problem=self._failure or "no result")
+
+    def give_up(self) -> None:
+        """End `finish` without the diagnosis of the whole run."""
+        self._failure = "skipped by the operator"
+        self._answer.set()
+
+    async def _until_free(self) -> None:
+        while not self._free and self._failure is None:
+            self._answer.clear()
+            await self._answer.wait()
+
+    def _receive(self) -> None:
+        assert self._child is not None
+        try:
+            message = self._child.connection.recv()
+        except (EOFError, OSError):
+            self._fail("the process ended")
+            return
+        if isinstance(message, Reply):
+            self._free = True
+            self._reply = message
+            self._tell(message)
+        else:
+            self._fail(f"{type(message).__name__}: {message}")
+        self._answer.set()
+
+    def _tell(self, reply: Reply) -> None:
+        now = reply.found
+        if now is None:
+            return
+        if changed(self._last, now):
+            level, ahead = ("INFO", "") if now.verdict == "adequate" else ("WARN", f", {now.verdict}")
+            self._event(level, f"diagnosis of the first {now.until_s / 3600.0:.1f} h{ahead}: {now.sentence}")
+        self._last = now
+        if reply.adopted is not None:
+            where = shlex.quote(str(reply.adopted))
+            self._event("INFO", f"diagnosis: the static twin of this run goes on as it is; adopted as {where}")
+        elif reply.refusal and reply.refusal != self._refused:
+            self._event("INFO", f"diagnosis: not adopted, {reply.refusal}")
+        self._refused = reply.refusal
+
+    def _fail(self, why: str) -> None:
+        if self._failure is None:
+            self._failure = why
+            self._event("ERROR", f"the live diagnosis stopped, the run goes on without it: {why}")
+        self._free = False
+        if self._child is not None:
+            self._child.ignore()
+        self._answer.set()
+
+    async def close(self) -> None:
+        """End the process, whatever it is doing; harmless when repeated."""
+        child, self._child = self._child, None
+        if child is not None:
+            await child.end()

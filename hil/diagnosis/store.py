@@ -1,0 +1,149 @@
+"""The results of a diagnosis as files: what the page and the review show, without another diagnosis.
+
+`diagnosis.json` holds the words and numbers, `diagnosis.parquet` the curves: `time_s`, per sensor `residual.<sensor>`
+and `after.<sensor>` in K, per site `unknown.<site>` and `unknown_sd.<site>` in the site's unit; bands and units are in
+its metadata.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from hil.files.atomic import replacing
+from hil.files.folder_check import read_json
+from hil.files.limits import read_parquet, require_size
+from twin.discovery.diagnosis import Diagnosis
+
+DOCUMENT, CURVES, PAGE, REVIEW = "diagnosis.json", "diagnosis.parquet", "diagnosis.html", "diagnosis.rrd"
+_KEY = b"hil.diagnosis"
+
+Floats = NDArray[np.float64]
+
+
+class DiagnosisFolderError(ValueError):
+    """The folder holds no diagnosis or a damaged one; the message says what to do."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """An unknown quantity acting at one site alone: `mean` and `sd` (b,) in `unit`; K is a thermometer's offset."""
+
+    site: str
+    unit: str
+    mean: Floats
+    sd: Floats
+    log_evidence: float
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Block means at `time_s` (b,): residuals (b,) in K by sensor, and unknowns, the likeliest first.
+
+    residual: measured minus the twin as it was. after: with what was found. band: sd of a healthy one, K.
+    """
+
+    time_s: Floats
+    residual: dict[str, Floats]
+    after: dict[str, Floats]
+    band: dict[str, float]
+    unknowns: tuple[Unknown, ...]
+
+
+@dataclass(frozen=True)
+class Findings:
+    """A diagnosis read back: the document of `diagnosis.json` and its curves."""
+
+    document: dict[str, Any]
+    curves: Curves
+
+
+def curves_of(diagnosis: Diagnosis, sensors: tuple[str, ...]) -> Curves:
+    """The curves of a diagnosis; `sensors` are the twin's, in their order."""
+    return Curves(
+        time_s=np.asarray(diagnosis.hours, dtype=np.float64) * 3600.0,
+        residual={name: diagnosis.residual[:, j] for j, name in enumerate(sensors)},
+        after={name: diagnosis.residual_after[:, j] for j, name in enumerate(sensors)},
+        band={name: float(diagnosis.band[j]) for j, name in enumerate(sensors)},
+        unknowns=tuple(Unknown(c.site, c.unit, c.mean, c.sd, float(c.log_evidence)) for c in diagnosis.courses),
+    )
+
+
+def write_curves(curves: Curves, path: Path) -> None:
+    """Write the curves as Parquet."""
+    columns: dict[str, Floats] = {"time_s": curves.time_s}
+    columns |= {f"residual.{name}": values for name, values in curves.residual.items()}
+    columns |= {f"after.{name}": values for name, values in curves.after.items()}
+    for u in curves.unknowns:
+        columns[f"unknown.{u.site}"], columns[f"unknown_sd.{u.site}"] = u.mean, u.sd
+    about = {
+        "band_K": curves.band,
+        "unknowns": [{"site": u.site, "unit": u.unit, "log_evidence": u.log_evidence} for u in curves.unknowns],
+    }
+    table = pa.table({name: pa.array(np.ascontiguousarray(values)) for name, values in columns.items()})
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        pq.write_table(table.replace_schema_metadata({_KEY: json.dumps(about).encode()}), file)
+
+
+def read_curves(path: Path) -> Curves:
+    """Read what `write_curves` wrote; raises DiagnosisFolderError."""
+    try:
+        require_size(path, DiagnosisFolderError, 1)
+        table = read_parquet(path, pa.BufferReader(path.read_bytes()), DiagnosisFolderError)
+        about = json.loads(table.schema.metadata[_KEY])
+    except DiagnosisFolderError:
+        raise
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise DiagnosisFolderError(f"{path} holds no curves of a diagnosis ({error}); diagnose again") from error
+    try:
+        return _curves_of(table, about)
+    except (pa.ArrowException, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DiagnosisFolderError(f"{path} holds no curves of a diagnosis ({error}); diagnose again") from error
+
+
+def _curves_of(table: pa.Table, about: Any) -> Curves:
+    columns = {name: table.column(name).to_numpy().astype(np.float64) for name in table.column_names}
+    band = {name: float(value) for name, value in about["band_K"].items()}
+    return Curves(
+        time_s=columns["time_s"],
+        residual={name: columns[f"residual.{name}"] for name in band},
+        after={name: columns[f"after.{name}"] for name in band},
+        band=band,
+        unknowns=tuple(
+            Unknown(u["site"], u["unit"], columns[f"unknown.{u['site']}"], columns[f"unknown_sd.{u['site']}"],
+                    float(u["log_evidence"]))
+            for u in about["unknowns"]
+        ),
+    )  # fmt: skip
+
+
+def write_document(document: dict[str, Any], out: Path) -> Path:
+    """Write `diagnosis.json` into the folder."""
+    path = out / DOCUMENT
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return path
+
+
+def has_diagnosis(folder: Path) -> bool:
+    """Whether the folder holds a whole diagnosis."""
+    return (folder / DOCUMENT).is_file() and (folder / CURVES).is_file()
+
+
+def read_findings(folder: Path) -> Findings:
+    """Read a results folder; raises DiagnosisFolderError."""
+    path = folder / DOCUMENT
+    try:
+        document = read_json(path, DiagnosisFolderError)
+    except OSError as error:
+        raise DiagnosisFolderError(f"{path} cannot be read ({error}); diagnose again") from error
+    if not isinstance(document, dict):
+        raise DiagnosisFolderError(f"{path} is no diagnosis; diagnose again")
+    return Findings(document, read_curves(folder / CURVES))

@@ -1,0 +1,26 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from hil.files.names import LONGEST_NAME
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A path to write to instead of `path`, moved over it when the block ends well and removed when it does not."""
+    ending = f".{os.getpid()}.part"
+    # A name as long as the file system allows has no room for the ending.
+    kept = os.fsencode(path.name)[: LONGEST_NAME - len(ending) - 1]
+    unfinished = path.with_name(f".{os.fsdecode(kept)}{ending}")
+    try:
+        yield unfinished
+        with unfinished.open("rb") as handle:
+            os.fsync(handle.fileno())
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)

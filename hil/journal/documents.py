@@ -1,0 +1,67 @@
+"""The shape of the documents in a journal: what reports and reviews rely on in windows, proposals and bands.
+
+Keys that they do not read may be anything.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from hil.run_folder.manifest_check import wrong_place
+
+Numbers = dict[str, float | None]
+
+
+class ShapeError(ValueError):
+    """A value of a journal is of another kind than its writer makes; the message names the value in one line."""
+
+
+class _Shape(BaseModel):
+    model_config = ConfigDict(extra="allow", strict=True)
+
+
+class _Calibration(_Shape):
+    kind: str = "window"
+    rmse_K: float | None = None
+    rmse_before_K: float | None = None
+    parameters: Numbers = {}
+    standard_errors: Numbers | None = None
+    flags: list[str] = []
+
+
+class _Doubt(_Shape):
+    sensor: str
+    off_K: float
+
+
+class _Proposal(_Shape):
+    values: dict[str, float]
+    standard_errors: dict[str, float]
+    held: dict[str, str]
+    reasons: list[str]
+    doubted: list[_Doubt] = []
+
+
+class _Band(_Shape):
+    mean_K: Numbers
+    half_width_K: Numbers
+
+
+_SHAPES: dict[str, type[_Shape]] = {"CalibrationRow": _Calibration, "ProposalRow": _Proposal, "BandRow": _Band}
+
+
+def require_document(row: str, document: dict[str, Any]) -> None:
+    """Check the document of a row of this class; raises ShapeError."""
+    shape = _SHAPES.get(row)
+    if shape is None:
+        return
+    try:
+        found = shape.model_validate(document)
+    except ValidationError as error:
+        raise ShapeError(f"{row}: {wrong_place(error)}") from None
+    if isinstance(found, _Band) and found.mean_K.keys() != found.half_width_K.keys():
+        raise ShapeError("BandRow: its tables are of different sensors")
+    if isinstance(found, _Proposal) and not found.held.keys() <= found.values.keys() == found.standard_errors.keys():
+        raise ShapeError("ProposalRow: its tables are of different parameters")

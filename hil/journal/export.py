@@ -1,0 +1,112 @@
+"""The record of a run, made from its journal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.points import Quality
+from hil.files.atomic import replacing
+from hil.journal.profile_clock import profile_times
+from hil.journal.writer import JournalReader
+
+PAGE = 16_384
+"""Ticks read from the journal at a time: the rows of SQLite are Python objects, many times the size of the arrays."""
+
+_KIND_ORDER = {"measured": 0, "setpoint": 1, "status": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written: rows, columns besides `time_s`, bytes, and the signals that were not always good."""
+
+    path: Path
+    rows: int
+    columns: int
+    size: int
+    not_always_good: tuple[str, ...]
+
+
+def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | None = None) -> Exported:
+    """Write the record `parquet` from the run's `journal`, atomically.
+
+    Columns: `time_s`, then measured signals, set-points and status signals in the rig's order, float64. A value whose
+    quality is not GOOD becomes missing (the journal keeps what was received) and the signal gets a column
+    `<column>_quality`, uint8, at the end. Where the profile's clock did not go with the record's (a run that waited, or
+    was cut and resumed) `profile_s` says where it stood, and `segment`, from 1, which rows belong together. The unit,
+    kind, role and bus of each column go into its field's metadata; `metadata` (run uid, hashes, ...), as JSON, into the
+    schema's under `hil`, with the journal's own header. Without `metadata` the `run.json` beside the journal is taken,
+    where there is one.
+
+    Raises JournalError for an unreadable journal, OSError for an unwritable target.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    reader = JournalReader(journal)
+    try:
+        header = reader.header
+        tick, time_s, values, quality = _all_samples(reader)
+        states = reader.states()
+        profile_s = profile_times(states, tick, header.period_s) if states else time_s
+        begins = [row.tick for row in reader.segments()]
+    finally:
+        reader.close()
+    if metadata is None:
+        manifest = journal.with_name("run.json")
+        metadata = json.loads(manifest.read_text(encoding="utf-8")) if manifest.is_file() else {}
+    about = {"profile": header.profile, "period_s": header.period_s, "noise_K": header.noise_K, "run": dict(metadata)}
+    order = sorted(range(len(header.signals)), key=lambda index: _KIND_ORDER[header.signals[index].kind])
+    fields = [pa.field("time_s", pa.float64(), nullable=False, metadata={"unit": "s"})]
+    arrays = [pa.array(time_s)]
+    doubtful = []
+    for index in order:
+        signal = header.signals[index]
+        told = {"unit": signal.unit, "kind": signal.kind, "role": signal.role or "", "bus": signal.bus}
+        fields.append(pa.field(signal.column, pa.float64(), metadata=told))
+        bad = quality[:, index] != Quality.GOOD
+        arrays.append(pa.array(values[:, index], mask=bad | np.isnan(values[:, index])))
+        if bad.any():
+            doubtful.append(index)
+    for index in doubtful:
+        codes = ", ".join(f"{member.value} {member.name}" for member in Quality)
+        fields.append(pa.field(header.signals[index].column + "_quality", pa.uint8(), metadata={"codes": codes}))
+        arrays.append(pa.array(quality[:, index]))
+    if not np.allclose(profile_s, time_s):
+        fields.append(pa.field("profile_s", pa.float64(), metadata={"unit": "s"}))
+        arrays.append(pa.array(profile_s))
+        fields.append(pa.field("segment", pa.float64(), metadata={"unit": "1"}))
+        arrays.append(pa.array(1.0 + np.searchsorted(begins, tick, side="right")))
+    schema = pa.schema(fields, metadata={"hil": json.dumps(about, default=str)})
+    # Arrow takes paths in UTF-8 alone, an open file takes any.
+    with replacing(parquet) as unfinished, unfinished.open("wb") as file:
+        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), file, compression="zstd")
+    return Exported(
+        parquet,
+        len(time_s),
+        len(arrays) - 1,
+        parquet.stat().st_size,
+        tuple(header.signals[index].column for index in doubtful),
+    )
+
+
+def _all_samples(
+    reader: JournalReader,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
+    """`tick (n,)`, `time_s (n,)`, `values (n, k)` and `quality (n, k)` of the whole journal."""
+    pages = []
+    after = -1
+    while True:
+        page = reader.samples(after_tick=after, limit=PAGE)
+        pages.append((page.tick, page.time_s, page.values, page.quality))
+        if len(page.tick) < PAGE:
+            break
+        after = int(page.tick[-1])
+    tick, time_s, values, quality = (np.concatenate(parts) for parts in zip(*pages, strict=True))
+    return tick, time_s, values, quality

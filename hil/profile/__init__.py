@@ -1,0 +1,1 @@
+"""Load profiles, and the scenarios of ship systems that make them."""

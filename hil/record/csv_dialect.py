@@ -1,0 +1,212 @@
+"""Dialect of a CSV: what separates its columns, which line names them, and where the first row stands.
+
+Loggers and spreadsheets write lines above the names (`sep=;`, the logger's own data) and below them (units, kinds of
+processing). The rows of a table are alike; the lines above them are not. So the rows are found first, by the number of
+fields that most lines have and by the columns that hold numbers or times, and the names above them.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from drivers.units import canonical_unit
+from hil.record.times.names import SECONDS_PER, is_time_name
+from hil.record.values.numbers import MARKS, MISSING, readings
+
+DELIMITERS = (",", ";", "\t", "|")
+BLANKS = " "
+"""Delimiter of a table whose columns are separated by runs of blanks."""
+SAMPLE = 200
+"""Lines from the beginning from which the dialect is found: far more than any logger writes above its rows."""
+MOST_BELOW = 3
+"""Lines between names and rows: units, kinds of processing and places of sensors, as loggers write them."""
+
+FAHRENHEIT = ("°f", "degf", "deg f", "fahrenheit")
+"""Ways to write degrees Fahrenheit, lower case; no signal of this project is in them."""
+
+_SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
+_MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d{2})?.*|\d{4}-\d{2}-\d{2}T.*", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the file: its number, from 1, and its text."""
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a CSV is laid out.
+
+    Attributes:
+        delimiter: between columns. names: of the columns, as written.
+        header_line: number of the line that names them. rows_from: lines above the first row.
+        units: by place of the column, where a line below the names gives them.
+        messages: lines that were left out.
+    """
+
+    delimiter: str
+    names: tuple[str, ...]
+    header_line: int
+    rows_from: int
+    units: dict[int, str] = field(default_factory=dict)
+    messages: tuple[str, ...] = ()
+
+
+class DialectError(ValueError):
+    """The layout cannot be found; the message lacks only the file."""
+
+
+def find_dialect(text: str) -> Dialect:
+    """Return the dialect of the CSV `text`; its beginning is enough.
+
+    Raises:
+        DialectError: no line names the columns.
+    """
+    lines, commented, only = _sample(text)
+    if not lines:
+        raise DialectError(" holds nothing but comments; give a record with a header and at least one row")
+    found = [d for mark in only or (*DELIMITERS, BLANKS) if (d := _with(mark, lines, commented)) is not None]
+    if found:
+        return max(found, key=lambda d: (d.delimiter != BLANKS, len(d.names)))
+    return _first_line(lines[0], only)
+
+
+def _sample(text: str) -> tuple[list[Line], Line | None, tuple[str, ...]]:
+    """Return the first lines that are neither blank nor comments, the last comment above them, the named delimiter."""
+    lines: list[Line] = []
+    commented: Line | None = None
+    only: tuple[str, ...] = ()
+    start = number = 0
+    while start < len(text) and len(lines) < SAMPLE:
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        line = text[start:end].strip("\r")
+        number, start = number + 1, end + 1
+        if not line.strip():
+            continue
+        if line.startswith("#"):
+            commented = commented if lines else Line(number, line.lstrip("# "))
+        elif not lines and (named := _SEPARATOR_LINE.fullmatch(line.strip())):
+            only = (named[1],)
+        else:
+            lines.append(Line(number, line))
+    return lines, commented, only
+
+
+def split(line: str, delimiter: str) -> list[str] | None:
+    """Return the fields of a line without blanks around them, None for one with a quote that does not end."""
+    if delimiter == BLANKS:
+        return line.split()
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, strict=True), [""])]
+    except csv.Error:
+        return None
+
+
+def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dialect | None:
+    """Return the dialect with this delimiter, None where no line can name the columns that it makes."""
+    fields = [split(line.text, delimiter) for line in lines]
+    width = Counter(len(row) for row in fields if row is not None).most_common(1)
+    if not width or width[0][0] < 2:
+        return None
+    k = width[0][0]
+    table = [(line, row) for line, row in zip(lines, fields, strict=True) if row is not None and len(row) == k]
+    numeric = _numeric([row for _, row in table], k)
+    if not numeric or len(table) < 2:
+        return None
+    first = next((i for i, (_, row) in enumerate(table) if _is_row(row, numeric)), None)
+    if first is None:
+        return None
+    above = table[:first]
+    if not above and commented is not None:
+        # numpy.savetxt and its like comment their heading out
+        names = split(commented.text, delimiter)
+        if names is not None and len(names) == k:
+            return Dialect(delimiter, tuple(names), commented.number, table[0][0].number - 1)
+    if not above:
+        return None
+    heading = _heading(above)
+    line, names = above[heading]
+    below = [row for _, row in above[heading + 1 :]]
+    if len(below) > MOST_BELOW:
+        return None
+    left_out = [str(one.number) for one in lines if one.number < table[first][0].number and one.number != line.number]
+    units = next((found for row in below if (found := _units(row, names))), {})
+    said: tuple[str, ...] = ()
+    if left_out:
+        which = "line" if len(left_out) == 1 else "lines"
+        told = ", and a line below it gives units" if units else ""
+        said = (f"line {line.number} is taken for the heading{told}; {which} {', '.join(left_out)} left out",)
+    return Dialect(delimiter, tuple(names), line.number, max(above[-1][0].number, line.number), units, said)
+
+
+def _numeric(rows: Sequence[Sequence[str]], k: int) -> list[int]:
+    """Return the columns most of whose cells, in the later half of the sample, are numbers or times."""
+    later = rows[len(rows) // 2 :]
+    found = []
+    for column in range(k):
+        cells = [row[column] for row in later if row[column].lower() not in MISSING]
+        if cells and sum(is_value(cell) for cell in cells) > len(cells) / 2:
+            found.append(column)
+    return found
+
+
+def _is_row(row: Sequence[str], numeric: Sequence[int]) -> bool:
+    """Return True for a line with numbers or times in at least half of the cells that it has there."""
+    cells = [row[column] for column in numeric if row[column].lower() not in (*MISSING, *MARKS)]
+    return bool(cells) and sum(is_value(cell) for cell in cells) >= len(cells) / 2
+
+
+def is_value(cell: str) -> bool:
+    """Return True for a cell of a number, a date or a time of day."""
+    return readings(cell) != (None, None) or _MOMENT.fullmatch(cell) is not None
+
+
+def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
+    """Return which of the lines above the rows names the columns: one with a time, else one that leaves no name out."""
+    for i, (_, row) in enumerate(above):
+        if any(is_time_name(cell) for cell in row):
+            return i
+    for i, (_, row) in enumerate(above):
+        if all(row) and len(set(row)) == len(row):
+            return i
+    return 0
+
+
+def _units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
+    """Return the units that a line below the names gives, by column; empty where it gives none."""
+    found = {}
+    for place, cell in enumerate(row):
+        symbol = cell.strip("[]() ").replace("Deg", "deg")
+        if symbol.lower() in FAHRENHEIT:
+            found[place] = "degF"
+            continue
+        if is_time_name(names[place]) and symbol.lower() in SECONDS_PER:
+            found[place] = symbol.lower()
+            continue
+        try:
+            unit = canonical_unit(symbol)
+        except ValueError:
+            continue
+        if unit != "1":
+            found[place] = unit
+    return found
+
+
+def _first_line(line: Line, only: Sequence[str]) -> Dialect:
+    """Return the dialect that the first line shows alone: a file of a heading, or one whose rows do not fit it."""
+    delimiter = only[0] if only else max(DELIMITERS, key=line.text.count)
+    try:
+        names = [cell.strip() for cell in next(csv.reader([line.text], delimiter=delimiter, strict=True))]
+    except csv.Error as error:
+        raise DialectError(f" line {line.number} is no header ({error}); name the columns there") from error
+    if all(readings(name) != (None, None) for name in names):
+        raise DialectError(f" line {line.number} holds numbers where column names should stand; add a header line")
+    return Dialect(delimiter, tuple(names), line.number, line.number)

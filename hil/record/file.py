@@ -1,0 +1,93 @@
+"""Bytes of a record, Parquet or CSV, to named columns of cells; `hil.record.reader` decides what the numbers mean."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from hil.files.limits import TEXT_COPIES, read_parquet, require_size
+from hil.record.csv_table import read_csv
+from hil.record.long_format import one_column_a_series
+from hil.record.raw import RawRecord, RecordError, unique
+
+_FOREIGN = (
+    (b"SQLite format 3", "is a journal, not a record; `hil export` makes the record from it"),
+    (b"PK\x03\x04", "is a zip file or a spreadsheet; unpack it or save the sheet as CSV"),
+    (b"\x1f\x8b", "is gzip-compressed; unpack it first"),
+    (b"\x89HDF", "is an HDF5 file; export it as Parquet or CSV"),
+    (b"TDSm", "is a TDMS file; export it as Parquet or CSV"),
+    (b"ARROW1", "is a Feather file; save it as Parquet or CSV"),
+    (b"\xff\xfe", "is UTF-16 text; save it as CSV in UTF-8"),
+    (b"\xfe\xff", "is UTF-16 text; save it as CSV in UTF-8"),
+)
+
+
+def read_raw(path: Path) -> RawRecord:
+    """The columns of the file at `path`, told Parquet or CSV by its content; raises RecordError."""
+    try:
+        require_size(path, RecordError, 1 if path.suffix == ".parquet" else TEXT_COPIES)
+        content = path.read_bytes()
+    except OSError as error:
+        raise RecordError(
+            f"{path} cannot be read ({error.strerror}); give the path of a Parquet or CSV file"
+        ) from error
+    if not content:
+        raise RecordError(f"{path} is empty; give a record with a header and at least one row")
+    digest = hashlib.sha256(content).hexdigest()
+    if content.startswith(b"PAR1"):
+        return _with_rows(one_column_a_series(_parquet(path, content, digest)))
+    for magic, what in _FOREIGN:
+        if content.startswith(magic):
+            raise RecordError(f"{path} {what}")
+    if path.suffix == ".parquet":
+        raise RecordError(f"{path} is not a Parquet file; if it is text, give it the suffix .csv")
+    if b"\0" in content[:65536]:
+        raise RecordError(f"{path} is neither Parquet nor text; export the record as Parquet or CSV")
+    return _with_rows(one_column_a_series(read_csv(path, content, digest)))
+
+
+def _with_rows(raw: RawRecord) -> RawRecord:
+    if not raw.cells or not len(raw.cells[0]):
+        raise RecordError(f"{raw.path} holds no samples, only a header; give a record with at least one row")
+    return raw
+
+
+def _parquet(path: Path, content: bytes, digest: str) -> RawRecord:
+    import pyarrow as pa
+
+    if not content.endswith(b"PAR1"):
+        raise RecordError(
+            f"{path} is cut off (its Parquet footer is missing); copy it again, or export it again from its journal"
+        )
+    try:
+        table = read_parquet(path, pa.BufferReader(content), RecordError)
+        given = table.column_names
+        units = {f.name: told for f in table.schema if (told := _told(f.metadata, b"unit"))}
+        declared = {f.name: _range(_told(f.metadata, b"plausible")) for f in table.schema}
+    except RecordError:
+        raise
+    except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError, OverflowError) as error:
+        why = (str(error).splitlines() or [type(error).__name__])[0]
+        raise RecordError(f"{path} is a damaged Parquet file ({why}); copy it again") from error
+    metadata = {
+        key.decode(errors="replace"): value.decode(errors="replace")
+        for key, value in (table.schema.metadata or {}).items()
+    }
+    names, messages = unique(given)
+    plausible = {name: limits for name, limits in declared.items() if limits is not None}
+    return RawRecord(path, digest, names, tuple(table.columns), messages, metadata, units, plausible=plausible)
+
+
+def _told(metadata: Mapping[bytes, bytes] | None, key: bytes) -> str:
+    return (metadata or {}).get(key, b"").decode(errors="replace")
+
+
+def _range(text: str) -> tuple[float, float] | None:
+    """Return the range that a column's metadata declares as a JSON list of two numbers; None where it declares none."""
+    try:
+        low, high = json.loads(text)
+        return float(low), float(high)
+    except (ValueError, TypeError):
+        return None

@@ -1,0 +1,377 @@
+"""Records: what a rig did, one row a sample, as Parquet or CSV.
+
+The first column is `time_s`, the others are signals with the unit as suffix (`heater_power_W`, `T_tank_C`). Real
+records have gaps, missing values, repeated and out-of-order stamps, irregular rates and columns that nobody asked
+for: `read_record` copes with all of them and says what it met, in `Record.messages`.
+
+`<column>_quality` beside a column tells why its values are missing (`drivers.points.Quality`); `export_record` writes
+such columns only for signals that were ever not good.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.points import Quality
+from drivers.units import column_name, split_column
+from hil.files.atomic import replacing
+from hil.journal.export import Exported, export_record
+from hil.profile.load_profile import WRITTEN_UNITS
+from hil.record.file import read_raw
+from hil.record.order import describe_steps, order
+from hil.record.plausibility import SENTINELS, without_implausible
+from hil.record.quality import codes_of_words, reasons, valued_by
+from hil.record.raw import RawRecord, Reading, RecordError
+from hil.record.times.time_axis import numbered, read_time, span
+from hil.record.values.cell_units import without_cell_units
+from hil.record.values.numbers import LOST, DecimalSignError, Numbers, Sign, decimal_signs, may_be_lost, parse
+from hil.record.values.units import of_a_room, remarks
+from twin.column_names import hint
+
+__all__ = ["SENTINELS", "Exported", "Reading", "Record", "RecordError", "export_record", "read_record", "write_record"]
+
+QUALITY = "_quality"
+"""Ending of a column that holds the quality of the column before it."""
+
+HOTTEST_ROOM_C = 45.0
+"""Above this the median of a room is asked about."""
+COLDEST_C = -100.0
+"""Below this the median of what was converted from kelvin is."""
+
+_COMPOUND_SUFFIXES = {"_kg_s": "kg/s", "_m3_h": "m3/h", "_L_min": "L/min", "_l_min": "L/min"}
+_STANDARD_UNITS = {"heater_power": "W", "pump_speed": "%", "fan_speed": "%"}
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Samples at `time_s (n,)`, strictly increasing: `columns` by name, each `(n,)` float64, NaN where missing.
+
+    `quality` holds, for columns that come with one, the reason `(n,)` of what is missing. `start` is the UTC time of
+    0 s where the record tells it. `messages` is what reading met, a sentence each.
+    """
+
+    time_s: NDArray[np.float64]
+    columns: dict[str, NDArray[np.float64]]
+    messages: tuple[str, ...] = ()
+    path: Path | None = None
+    sha256: str = ""
+    quality: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
+    start: datetime.datetime | None = None
+    metadata: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def period_s(self) -> float:
+        """Typical step between samples, s; NaN for a single one."""
+        return float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else float("nan")
+
+    def require(self, *names: str) -> None:
+        """Raise RecordError naming the columns of `names` that are missing or hold no value at all."""
+        problems = []
+        for name in names:
+            if f"column '{name}' holds text: dropped" in self.messages:
+                problems.append(f"{name} (there, but as text)")
+            elif name not in self.columns:
+                said = hint(name, [c for c in self.columns if c not in names])
+                problems.append(f"{name} ({said})" if said else name)
+            elif np.isnan(self.columns[name]).all():
+                problems.append(f"{name} (there, but without a value)")
+        if problems:
+            raise RecordError(
+                f"{self.path or 'the record'} lacks {', '.join(problems)}; it has {', '.join(self.columns)}"
+            )
+
+
+def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = None) -> Record:
+    """Return the record in the Parquet or CSV file at `path`, cleaned.
+
+    With `at_rest` each row is a steady state of its own: all are kept in the order of the file, and their times, where
+    there are any, are left aside for their numbers. `choice` is what the user says of the file.
+
+    Rows are sorted by time. Of rows with the same stamp one is kept, with each column's last value that is not
+    missing: a logger sends a correction after the original, or one row a device. Readings that cannot be are missing
+    (`hil.record.plausibility`).
+
+    Raises:
+        RecordError: nothing can be read, something can be read in two ways, or reading would drop more than
+            `record_numbers.may_be_lost` of the rows or of a column.
+    """
+    choice = choice or Reading()
+    raw = without_cell_units(read_raw(path))
+    messages = list(raw.messages)
+    try:
+        signs = decimal_signs(
+            dict(zip(raw.names, raw.cells, strict=True)), raw.place, delimiter=raw.delimiter, given=choice.decimal
+        )
+    except DecimalSignError as error:
+        raise RecordError(f"{path}: {error}") from error
+    axis = numbered(raw) if at_rest else read_time(raw, signs, choice)
+    messages += axis.messages
+    rows, moved = order(raw, axis)
+    messages += moved
+    stamps = axis.seconds[rows]
+    last_of_stamp = np.append(np.flatnonzero(np.diff(stamps) > 0), len(stamps) - 1)
+    time_s = stamps[last_of_stamp]
+    repeats = len(stamps) - len(time_s)
+    if repeats:
+        messages.append(f"{repeats} repeated time stamps: the last value of each column is kept")
+    messages += [] if at_rest else describe_steps(time_s)
+    columns: dict[str, NDArray[np.float64]] = {}
+    quality: dict[str, NDArray[np.uint8]] = {}
+    unmarked: list[str] = []
+    graded: dict[str, NDArray[np.float64]] = {}
+    read_as: dict[str, str] = {}
+    for name, cells in zip(raw.names, raw.cells, strict=True):
+        if name in axis.columns:
+            continue
+        rated = name if name.lower() == "quality" else valued_by(name, raw.names)
+        words = codes_of_words(cells) if rated else None
+        if words is not None:
+            graded[name] = _last_known(name, words[rows], last_of_stamp, path, messages) if repeats else words[rows]
+            continue
+        values = _numbers(name, cells, signs.get(name, "."), raw, messages)
+        if values is None:
+            messages += [f"column '{name}' may report which values are bad: not used"] if rated else []
+            continue
+        written = name
+        is_quality = name.endswith(QUALITY) and name.removesuffix(QUALITY) in raw.names
+        if not is_quality:
+            name, values = _in_unit(name, values, raw, messages, unmarked)
+            values = without_implausible(name, values, raw.place, messages, raw.plausible.get(written))
+        values = values[rows]
+        if repeats:
+            values = _last_known(written, values, last_of_stamp, path, messages)
+        if is_quality:
+            quality[name.removesuffix(QUALITY)] = np.clip(np.nan_to_num(values, nan=0.0), 0, 255).astype(np.uint8)
+        if rated:
+            graded[name] = values
+        if is_quality:
+            continue
+        messages += _asked(name, written, values)
+        columns[name] = values
+        read_as[written] = name
+    messages += _graded(graded, raw, read_as, columns, quality)
+    if not columns:
+        raise RecordError(f"{path} has no column of numbers besides {axis.column}; give a record with signals")
+    if unmarked:
+        messages.append(f"no unit suffix: {', '.join(unmarked)} (kept as they are)")
+    messages += remarks(columns)
+    messages += _describe_missing(time_s, columns, quality)
+    return Record(time_s, columns, tuple(messages), path, raw.sha256, quality, axis.start, raw.metadata or {})
+
+
+def _graded(
+    graded: Mapping[str, NDArray[np.float64]],
+    raw: RawRecord,
+    read_as: Mapping[str, str],
+    columns: dict[str, NDArray[np.float64]],
+    quality: dict[str, NDArray[np.uint8]],
+) -> list[str]:
+    """Make values missing in `columns` that the codes of `graded` call bad, and return what was done."""
+    said = []
+    for name, codes in graded.items():
+        rated = valued_by(name, raw.names)
+        target = read_as.get(rated or "", "")
+        found = reasons(codes)
+        held = [c for c in columns if c != name] if rated is None else [target] if target in columns else []
+        good = not codes.any() or codes.min() >= 192  # nothing is bad by either kind of codes
+        if found is None or not held:
+            there = [c for c in held if np.isfinite(columns[c][np.nan_to_num(codes) != 0]).any()]
+            said += [f"column '{name}' has codes of no known kind: not used"] if there and not good else []
+            continue
+        for column in held:
+            bad = (found[0] != 0) & np.isfinite(columns[column])
+            if bad.any():
+                columns[column] = np.where(bad, np.nan, columns[column])
+                count = "1 value is" if bad.sum() == 1 else f"{bad.sum()} values are"
+                said.append(f"{column}: {count} bad by '{name}' ({found[1]}): missing")
+            quality[column] = found[0]
+    return said
+
+
+def _numbers(name: str, cells: Any, sign: Sign, raw: RawRecord, messages: list[str]) -> NDArray[np.float64] | None:
+    """Return the numbers of a column, None for one of text; raises RecordError where too many cells are no numbers."""
+    numbers = parse(cells, sign)
+    if numbers is None or _is_text(name, numbers):
+        kind = "text" if numbers else str(cells.type)
+        messages.append(f"column '{name}' holds {kind}: dropped")
+        return None
+    if numbers.bad - numbers.marked > may_be_lost(numbers.present):
+        raise RecordError(
+            f"{raw.path}: column '{name}' has {numbers.bad} of {numbers.present} cells that are no numbers (the first, "
+            f"{raw.place(numbers.row)}, is '{numbers.text[:20]}'); leave cells without a value empty, or take the "
+            "column out"
+        )
+    if numbers.bad:
+        cells_are = "1 cell is no number" if numbers.bad == 1 else f"{numbers.bad} cells are no numbers"
+        messages.append(f"{name}: {cells_are} (the first, {raw.place(numbers.row)}, is '{numbers.text[:20]}'): missing")
+    if numbers.commas:
+        messages.append(f"{name}: {numbers.commas} decimal commas read as points")
+    if numbers.thousands:
+        messages.append(f"{name}: {numbers.thousands} numbers with marks between thousands read without them")
+    values = numbers.values
+    if np.isinf(values).any():
+        messages.append(f"{name}: {np.isinf(values).sum()} values are infinite: missing")
+        values = np.where(np.isinf(values), np.nan, values)
+    return values
+
+
+def _is_text(name: str, numbers: Numbers) -> bool:
+    """Return True for a column of words: next to no numbers, or fewer than half of them and no unit in its name."""
+    words = numbers.bad / max(numbers.present, 1)
+    return words >= 1.0 - LOST or (words > 0.5 and split_column(name) is None)
+
+
+def _last_known(
+    name: str, values: NDArray[np.float64], last_of_stamp: NDArray[np.int64], path: Path, messages: list[str]
+) -> NDArray[np.float64]:
+    """Return the last known value (k,) of each stamp; raises RecordError where too many others would be lost."""
+    known = np.where(np.isnan(values), -1, np.arange(len(values)))
+    latest = np.maximum.accumulate(known)[last_of_stamp]
+    first_of_stamp = np.append(0, last_of_stamp[:-1] + 1)
+    kept = np.where(latest >= first_of_stamp, values[np.maximum(latest, 0)], np.nan)
+    stamp = np.repeat(np.arange(len(kept)), last_of_stamp - first_of_stamp + 1)
+    with np.errstate(invalid="ignore"):
+        lost = int((np.isfinite(values) & (values != kept[stamp])).sum())
+    present = int(np.isfinite(values).sum())
+    if lost > may_be_lost(present):
+        raise RecordError(
+            f"{path}: {lost} of {present} values of column '{name}' stand at a time that another row has too; write "
+            "times with fractions of a second or with their date, and if these are two records in one file, split it"
+        )
+    return kept
+
+
+def _in_unit(
+    name: str, values: NDArray[np.float64], raw: RawRecord, messages: list[str], unmarked: list[str]
+) -> tuple[str, NDArray[np.float64]]:
+    """Return `name` and `values` in the contract's unit, where the name says another or writes it otherwise."""
+    written = _rewritten(name)
+    if written and written not in raw.names:
+        if _standard_unit(written) is None:
+            messages.append(f"{name}: its unit would be told from the name {written}; kept as it is")
+            return name, values
+        messages.append(f"column '{name}' is read as {written}")
+        name = written
+    parts = split_column(name)
+    if parts is None:
+        if name not in (raw.units or {}):
+            unmarked.append(name)
+        return name, values
+    signal, unit = parts
+    wanted = _standard_unit(name) or unit
+    if wanted != unit:
+        target = column_name(signal, wanted)
+        convert = {("kW", "W"): (1000.0, 0.0), ("K", "degC"): (1.0, -273.15)}.get((unit, wanted))
+        if convert is None or target in raw.names:
+            messages.append(f"{name} is in {unit} where a record has {target}: kept as it is")
+        else:
+            messages.append(f"{name} is in {unit}: converted to {target}")
+            name, values = target, values * convert[0] + convert[1]
+    return name, values
+
+
+def _asked(name: str, written: str, values: NDArray[np.float64]) -> list[str]:
+    """Return questions about a column whose numbers do not fit the unit of its `name`; it was `written` in the file."""
+    if not np.isfinite(values).any() or split_column(name) is None:
+        return []
+    said = []
+    middle = float(np.nanmedian(values))
+    if _standard_unit(name) == "degC":
+        if middle > 200:
+            said.append(f"{name} has a median of {middle:.4g}: is it in kelvin?")
+        elif (split_column(written) or ("", ""))[1] == "K" and middle < COLDEST_C:
+            said.append(f"{name} has a median of {middle:.4g}: was it in degC before?")
+        elif middle > HOTTEST_ROOM_C and of_a_room(name):
+            said.append(f"{name} has a median of {middle:.4g}: is it in degrees Fahrenheit?")
+    if name.startswith("T_") and name.endswith("_C") and len(values) > 100 and np.ptp(values) == 0:
+        told = f"is constant at {values[0]:g} degC: assumed, or" if of_a_room(name) else f"is {values[0]:g} throughout:"
+        said.append(f"{name} {told} is the channel dead?")
+    return said
+
+
+def _standard_unit(column: str) -> str | None:
+    """Unit that the contract gives the signal of `column`, None where it says nothing of it."""
+    signal, _ = split_column(column) or (column, "")
+    return _STANDARD_UNITS.get(signal) or ("degC" if signal.startswith("T_") else None)
+
+
+def _rewritten(name: str) -> str | None:
+    for ending, unit in _COMPOUND_SUFFIXES.items():
+        if name.endswith(ending) and len(name) > len(ending):
+            return column_name(name.removesuffix(ending), unit)
+    stem, _, tail = name.rpartition("_")
+    if split_column(name) is None and stem and tail.lower() in WRITTEN_UNITS:
+        return column_name(stem, WRITTEN_UNITS[tail.lower()])
+    return None
+
+
+def _describe_missing(
+    time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]], quality: Mapping[str, NDArray[np.uint8]]
+) -> list[str]:
+    alike: dict[bytes, list[str]] = defaultdict(list)
+    for name, values in columns.items():
+        alike[np.packbits(np.isnan(values)).tobytes()].append(name)
+    messages = []
+    for names in alike.values():
+        missing = np.isnan(columns[names[0]])
+        count = int(missing.sum())
+        if not count:
+            continue
+        who = ", ".join(names) if len(names) < 6 else f"{', '.join(names[:3])} and {len(names) - 3} others"
+        if count == len(time_s):
+            messages.append(f"{who}: no value at all")
+            continue
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.int8), [0]])))
+        starts, ends = edges[::2], edges[1::2]
+        longest = int(np.argmax(ends - starts))
+        reasons = _reasons([quality[name][missing] for name in names if name in quality])
+        each = " each" if len(names) > 1 else ""
+        messages.append(
+            f"{who}: {count} of {len(time_s)} values missing{each}{reasons}, the longest stretch "
+            f"{ends[longest] - starts[longest]} samples at {span(time_s[starts[longest]])}"
+        )
+    return messages
+
+
+def _reasons(codes: list[NDArray[np.uint8]]) -> str:
+    if not codes:
+        return ""
+    known = {member.value: member.name.lower().replace("_", " ") for member in Quality if member is not Quality.GOOD}
+    found = [known[code] for code in np.unique(np.concatenate(codes)).tolist() if code in known]
+    return f" ({', '.join(found)})" if found else ""
+
+
+def require_record_suffix(path: Path) -> None:
+    """Raise RecordError unless a record can be written under this name."""
+    if path.suffix not in (".parquet", ".csv"):
+        raise RecordError(f"{path} has suffix '{path.suffix}'; a record is written as .parquet or .csv")
+
+
+def write_record(record: Record, path: Path) -> None:
+    """Write `record` to `path`, Parquet or CSV by its suffix, atomically; every number reads back exactly."""
+    import pyarrow as pa
+    import pyarrow.csv as pacsv
+    import pyarrow.parquet as pq
+
+    arrays = {"time_s": pa.array(record.time_s)}
+    # A missing value is null, not NaN, so that a CSV has an empty cell and Parquet's statistics stay usable.
+    for name, values in record.columns.items():
+        arrays[name] = pa.array(values, mask=np.isnan(values))
+    for name, codes in record.quality.items():
+        arrays[name + QUALITY] = pa.array(codes)
+    table = pa.table(arrays)
+    require_record_suffix(path)
+    with replacing(path) as unfinished, unfinished.open("wb") as file:
+        if path.suffix == ".csv":
+            options = pacsv.WriteOptions(quoting_style="none")
+            pacsv.write_csv(table, file, options)
+        else:
+            pq.write_table(table.replace_schema_metadata(record.metadata), file, compression="zstd")

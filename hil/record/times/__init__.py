@@ -1,0 +1,1 @@
+"""Time axis of a record in seconds."""

@@ -1,0 +1,1 @@
+"""Cells of a record as numbers with a unit."""

@@ -1,0 +1,199 @@
+"""Pictures of a report: twins against what was measured, every other signal by unit, set-points and read-backs."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.files.html import Html, element, image, joined
+from hil.journal.rows import Header, Samples
+from hil.report.actuators import pair_actuators
+from hil.report.statistics import TimeUnit, good_values, symbol
+
+MEASURED, STATIC = "#30343a", "#e07b1f"
+TRACKED = ("#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b")
+_OTHERS = ("#a8322a", "#1f77c9", "#2a9d6f", "#b8860b", "#8a4fbf", "#0f8b8d", "#b03a5b", "#6b705c", "#e07b1f", "#30343a")
+_MOST_POINTS = 4000
+"""Points of a curve: a picture of 1200 pixels shows no more."""
+_MEAN_OVER_S = 300.0
+"""Residuals are means of five minutes, or of a twentieth of a run that is shorter than 100 minutes."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Curve:
+    label: str
+    values: Floats
+    colour: str
+    width: float = 0.9
+    above: int = 2
+    dashed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Plot:
+    title: str
+    curves: tuple[_Curve, ...]
+    height: float = 2.2
+    own_legend: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """Everything to be drawn: samples of a run, `measured` by twin sensor (n,), `twins` by name (n, m), and the rows
+    before which the run was cut."""
+
+    header: Header
+    samples: Samples
+    measured: Mapping[str, Floats]
+    twins: Mapping[str, Floats]
+    cuts: NDArray[np.int64]
+    unit: TimeUnit
+
+
+def pictures(drawn: Curves) -> Html:
+    """Return headings and pictures as HTML; nothing for a run of fewer than two ticks, no plot without a value."""
+    if len(drawn.samples.tick) < 2:
+        return joined([])
+    import matplotlib
+
+    with matplotlib.rc_context({"text.parse_math": False}):  # a $ in somebody's name is a $
+        return joined(_pictures(drawn))
+
+
+def _pictures(drawn: Curves) -> Iterator[Html]:
+    if drawn.measured:
+        yield _picture("Measured against twin", _against_twin(drawn), drawn)
+        residuals, width_s = _residuals(drawn)
+        what = f"{width_s / 60:.0f} min" if width_s >= 60 else f"{width_s:g} s"
+        yield _picture(f"Residual (measured - twin), means of {what}", residuals[1], drawn, residuals[0])
+    yield _picture("Signals", _others(drawn), drawn)
+    yield _picture("Set-points and read-backs", _actuators(drawn), drawn)
+
+
+def twin_colours(names: Sequence[str]) -> dict[str, str]:
+    """Return a colour for every twin: orange for the static one, the palette in turn for the tracked ones."""
+    tracked = [name for name in names if name != "static"]
+    return {"static": STATIC} | {name: TRACKED[k % len(TRACKED)] for k, name in enumerate(tracked)}
+
+
+def _against_twin(drawn: Curves) -> Iterator[_Plot]:
+    colours = twin_colours(tuple(drawn.twins))
+    for position, (sensor, values) in enumerate(drawn.measured.items()):
+        # The measured curve is thin and on top, so that those below it are seen beside it.
+        curves = [
+            _Curve(name, outputs[:, position], colours[name], 2.4 - 0.5 * min(k, 2))
+            for k, (name, outputs) in enumerate(drawn.twins.items())
+        ]
+        curves.append(_Curve("measured", values, MEASURED, 0.7, above=5))
+        yield _Plot(f"{sensor.removesuffix('_C')} / °C", tuple(curves), 2.6, own_legend=False)
+
+
+def _residuals(drawn: Curves) -> tuple[tuple[Floats, list[_Plot]], float]:
+    """Return the time (b,) and plots of mean residuals, and the length in s over which they are means."""
+    time_s, period_s = drawn.samples.time_s, drawn.header.period_s
+    width_s = min(_MEAN_OVER_S, period_s * max(1.0, np.ceil((time_s[-1] - time_s[0]) / 20.0 / period_s)))
+    part = np.floor((time_s - time_s[0]) / width_s).astype(np.int64)
+    # A cut ends a mean: the rows on both sides of a gap are of different states of the rig.
+    part += np.searchsorted(drawn.cuts, np.arange(len(part)), side="right")
+    kept, where = np.unique(part, return_inverse=True)
+    middle = np.bincount(where, weights=time_s) / np.bincount(where)
+    # A gap is a break in the curve: an empty part stands for it.
+    breaks = np.flatnonzero(np.diff(middle) > 2.5 * width_s) + 1
+    colours, plots = twin_colours(tuple(drawn.twins)), []
+    for position, (sensor, values) in enumerate(drawn.measured.items()):
+        curves = []
+        for name, outputs in drawn.twins.items():
+            off = values - outputs[:, position]
+            good = np.isfinite(off)
+            count = np.bincount(where[good], minlength=len(kept))
+            total = np.bincount(where[good], weights=off[good], minlength=len(kept))
+            mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+            curves.append(_Curve(name, np.insert(mean, breaks, np.nan), colours[name], 1.1))
+        plots.append(_Plot(f"{sensor.removesuffix('_C')} / K", tuple(curves), 1.7, own_legend=False))
+    return (np.insert(middle, breaks, middle[breaks] - width_s), plots), float(width_s)
+
+
+def _others(drawn: Curves) -> Iterator[_Plot]:
+    """Yield measured signals that no twin predicts and no set-point has as its read-back, a plot a unit."""
+    values = good_values(drawn.samples)
+    told = {column for columns in drawn.header.twin_sensors.values() for column in columns} if drawn.measured else set()
+    told |= {signal.column for pair in pair_actuators(drawn.header.signals).values() for signal in pair}
+    units: dict[str, list[_Curve]] = {}
+    for k, signal in enumerate(drawn.header.signals):
+        if signal.kind == "measured" and signal.column not in told:
+            group = units.setdefault(signal.unit, [])
+            group.append(_Curve(signal.name, values[:, k], _OTHERS[len(group) % len(_OTHERS)]))
+    for unit, curves in units.items():
+        yield _Plot(symbol(unit), tuple(curves), 2.6 if len(curves) > 4 else 2.0)
+
+
+def _actuators(drawn: Curves) -> Iterator[_Plot]:
+    """Yield every set-point with its read-back, a plot each."""
+    values = good_values(drawn.samples)
+    index = {signal.name: k for k, signal in enumerate(drawn.header.signals)}
+    for number, (stem, pair) in enumerate(pair_actuators(drawn.header.signals).items()):
+        colour = _OTHERS[number % len(_OTHERS)]
+        curves = [_Curve("set", values[:, index[pair[0].name]], MEASURED, 1.6, dashed=True)]
+        curves += [_Curve("read", values[:, index[read.name]], colour, 0.9, above=3) for read in pair[1:]]
+        unit = symbol(pair[0].unit)
+        yield _Plot(f"{stem} / {unit}" if unit else stem, tuple(curves), 1.6)
+
+
+def _picture(heading: str, plots: Any, drawn: Curves, time_s: Floats | None = None) -> Html:
+    """Return the plots above one another with one time axis, as HTML; nothing where none has a value."""
+    known = []
+    for plot in plots:
+        curves = tuple(curve for curve in plot.curves if np.isfinite(curve.values).any())
+        if curves:
+            known.append((plot, curves))
+    if not known:
+        return joined([])
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, sum(plot.height for plot, _ in known) + 0.8), layout="constrained")
+    ratios = [plot.height for plot, _ in known]
+    rows = np.atleast_1d(figure.subplots(len(known), 1, sharex=True, gridspec_kw={"height_ratios": ratios}))
+    for axes, (plot, curves) in zip(rows, known, strict=True):
+        for curve in curves:
+            at, values = (time_s, curve.values) if time_s is not None else _thinned(drawn, curve.values)
+            style = "--" if curve.dashed else "-"
+            axes.plot(
+                at / drawn.unit.seconds, values, style, color=curve.colour, linewidth=curve.width,
+                label=curve.label, zorder=curve.above,
+            )  # fmt: skip
+        if time_s is not None:
+            axes.axhline(0, color=MEASURED, linewidth=0.6)
+        axes.set_ylabel(plot.title)
+        axes.grid(alpha=0.25)
+        if plot.own_legend:
+            # Beside the axes, where it covers no curve.
+            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+    if not known[0][0].own_legend:
+        drawn_as = [pair for axes in rows for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
+        handles = {label: handle for handle, label in drawn_as}
+        figure.legend(handles.values(), handles, loc="outside upper right", ncols=6, frameon=False)
+    rows[-1].set_xlabel(f"time / {drawn.unit.symbol}")
+    return joined([element("h2", heading), _embedded(figure)])
+
+
+def _thinned(drawn: Curves, values: Floats) -> tuple[Floats, Floats]:
+    """Return time (p,) s and values (p,), thinned to what a picture shows, with a break before each cut."""
+    step = max(1, len(values) // _MOST_POINTS)
+    kept = np.arange(0, len(values), step)
+    cuts = drawn.cuts[(drawn.cuts > 0) & (drawn.cuts < len(values))]
+    at = np.searchsorted(kept, cuts)
+    time_s = np.insert(drawn.samples.time_s[kept], at, drawn.samples.time_s[cuts])
+    return time_s, np.insert(values[kept], at, np.nan)
+
+
+def _embedded(figure: Any) -> Html:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return image("png", buffer.getvalue())

@@ -1,0 +1,258 @@
+"""The report of a run: one HTML file that needs nothing else, made from the journal and `run.json`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.points import Quality
+from hil.files.atomic import replacing
+from hil.files.html import Html, document, element, joined, table
+from hil.journal.rows import Samples, TwinOutput
+from hil.journal.writer import JournalReader
+from hil.report.figures import Curves, pictures
+from hil.report.statistics import (
+    NONE,
+    SETTLED_AFTER_S,
+    TimeUnit,
+    number,
+    set_against_read,
+    signal_statistics,
+    time_unit,
+)
+from hil.run_folder.folder import RunFolder
+from hil.tracking.adoption import accepted, closed_gates
+from hil.tracking.twins import Proposed, parameter_cell, window_kind
+
+LEVELS = ("ERROR", "WARN")
+"""Levels of events that are coloured."""
+_STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
+h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem } img { width: 100% }
+table { border-collapse: collapse }
+td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: right }
+td:first-child, th:first-child { text-align: left; white-space: nowrap } td.text { text-align: left }
+.ERROR { color: #b3261e } .WARN { color: #9a6700 }
+p.note { color: #5b636b; font-size: .9rem }
+"""
+
+
+def measured_sensors(reader: JournalReader, samples: Samples) -> dict[str, NDArray[np.float64]]:
+    """Each twin sensor's measured value in degC, shape (n,): mean of its good columns, NaN where none is good."""
+    index = {signal.column: position for position, signal in enumerate(reader.header.signals)}
+    good = np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
+    found = {}
+    for sensor, columns in reader.header.twin_sensors.items():
+        block = good[:, [index[column] for column in columns]]
+        count = np.isfinite(block).sum(axis=1)
+        total = np.nansum(block, axis=1)
+        found[sensor] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return found
+
+
+def write_report(folder: RunFolder) -> None:
+    """Write `report.html` of a finished run; raises JournalError or RunFolderError where there is none."""
+    manifest = folder.read_manifest()
+    reader = JournalReader(folder.journal)
+    try:
+        samples = reader.samples()
+        unit = time_unit(float(np.ptp(samples.time_s)) if len(samples.tick) else 0.0)
+        body = [
+            _summary(manifest),
+            _segments(manifest, unit),
+            _error_table(manifest),
+            _band_table(manifest),
+            _parameter_table(manifest),
+            _pictures(reader, samples, unit),
+            _signals(reader, samples),
+            _calibrations(reader),
+            _gates(reader, unit),
+            _timing(manifest, reader),
+            _events(reader, unit),
+            _provenance(manifest),
+        ]
+    finally:
+        reader.close()
+    page = document(folder.path.name, _STYLE, [element("h1", folder.path.name), *body])
+    with replacing(folder.report) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _part(title: str, *content: Html) -> Html:
+    return joined([element("h2", title), *content])
+
+
+def _note(text: str) -> Html:
+    return element("p", text, class_="note")
+
+
+def _summary(manifest: dict[str, Any]) -> Html:
+    reason = f": {manifest['reason']}" if manifest["reason"] else ""
+    is_safe = manifest.get("safe") and not manifest.get("away")
+    safe = "The heater was left at its safe value, read back." if is_safe else "NOT confirmed safe."
+    problems = (element("p", problem, class_="WARN") for problem in manifest.get("problems", []))
+    return joined([element("p", element("b", manifest["exit_status"]), f"{reason}. {safe}"), *problems])
+
+
+def _segments(manifest: dict[str, Any], unit: TimeUnit) -> Html:
+    segments = manifest.get("segments")
+    if not segments:
+        return joined([])
+    rows = [
+        [
+            str(item["number"]),
+            *(unit.of(item.get(key)) for key in ("from_s", "gap_s", "soaked_s", "profile_s")),
+            item["why"],
+            " ".join(filter(None, (item["exit_status"], item.get("reason", "")))),
+        ]
+        for item in segments
+    ]
+    times = [f"{what} / {unit.symbol}" for what in ("from", "gap before", "soaked", "profile")]
+    head = ["segment", *times, "why", "ended"]
+    note = (
+        "The run was cut and resumed. Nothing is known of the gaps: curves and errors leave them out. The profile's "
+        "clock stood while the rig was led back to where it was; the samples of that time are in the record."
+    )
+    return _part("Segments", table(head, rows), _note(note))
+
+
+def _error_table(manifest: dict[str, Any]) -> Html:
+    errors = manifest.get("errors_K")
+    if not errors:
+        return joined([])
+    rows = [
+        [sensor, *(number(cell, ".3f") for cell in (*cells, errors["noise_K"].get(sensor)))]
+        for sensor, cells in errors["rows"].items()
+    ]
+    note = (
+        "static: as commissioned. ahead: predicted with the parameters of earlier windows, before the data came. "
+        "fitted: the same window after its calibration."
+    )
+    head = ["sensor", *errors["columns"], "noise"]
+    return _part("RMSE in K", table(head, rows), _note(note))
+
+
+def _band_table(manifest: dict[str, Any]) -> Html:
+    bands = manifest.get("bands")
+    if not bands:
+        return joined([])
+    sensors = next(iter(bands.values()))
+    rows = [[sensor, *(_band(*bands[twin][sensor]) for twin in bands)] for sensor in sensors]
+    note = "Foretold for ten minutes from the twin's own misses in the two hours before; in brackets the share held."
+    return _part("90 % bands, ± K", table(["sensor", *bands], rows), _note(note))
+
+
+def _band(half: float | None, inside: float | None) -> str:
+    return NONE if number(half) == NONE else f"{number(half, '.3f')} ({number(inside, '.0%')})"
+
+
+def _parameter_table(manifest: dict[str, Any]) -> Html:
+    parameters = manifest.get("parameters")
+    if not parameters:
+        return joined([])
+    names = dict.fromkeys(name for values in parameters.values() for name in values)
+    rows = [[name, *(parameter_cell(values.get(name)) for values in parameters.values())] for name in names]
+    note = "held: the record does not tell it, or a gate is closed; the value is older than the end."
+    adopted = manifest.get("adoption")
+    became = [element("p", adopted["sentence"])] if adopted else []
+    return _part("Parameters at the end, ± 90 %", table(["parameter", *parameters], rows), _note(note), *became)
+
+
+def _gates(reader: JournalReader, unit: TimeUnit) -> Html:
+    proposals = [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
+    if not proposals:
+        return joined([])
+    rows = [
+        [name, f"{a.value:.4g} ± {a.half_width:.2g}", f"{a.count}", unit.of(a.first_s), unit.of(a.last_s)]
+        for name, a in accepted(proposals).items()
+    ]
+    head = ["parameter", "accepted last", "in a row", f"since / {unit.symbol}", f"last / {unit.symbol}"]
+    return _part("What the network's gates let through", table(head, rows), _note(closed_gates(proposals)))
+
+
+def _pictures(reader: JournalReader, samples: Samples, unit: TimeUnit) -> Html:
+    cuts = np.searchsorted(samples.tick, [row.tick for row in reader.segments()])
+    measured = measured_sensors(reader, samples)
+    twins = {name: _at_ticks(reader.twin_outputs(name), samples) for name in reader.header.twin_names}
+    twins = {name: values for name, values in twins.items() if np.isfinite(values).any()}
+    return pictures(Curves(reader.header, samples, measured if twins else {}, twins, cuts, unit))
+
+
+def _at_ticks(output: TwinOutput, samples: Samples) -> NDArray[np.float64]:
+    """Return a twin's predictions (n, m) at the ticks of `samples`, NaN where it had not answered yet."""
+    found = np.full((len(samples.tick), output.values.shape[1]), np.nan)
+    known = np.isin(output.tick, samples.tick)
+    found[np.searchsorted(samples.tick, output.tick[known])] = output.values[known]
+    return found
+
+
+def _signals(reader: JournalReader, samples: Samples) -> Html:
+    rows = [
+        [s.name, s.unit, number(s.least), number(s.mean), number(s.greatest), f"{s.good:.1%}"]
+        for s in signal_statistics(reader.header, samples)
+    ]
+    head = ["signal", "unit", "min", "mean", "max", "good"]
+    body = [_part("Signals in numbers", table(head, rows), _note("Over all good values; - for a signal without any."))]
+    pairs = [
+        [p.name, p.unit, *map(number, (p.set_mean, p.read_mean, p.settled_difference, p.settled_greatest))]
+        for p in set_against_read(reader.header, samples)
+    ]
+    if pairs:
+        head = ["set-point", "unit", "set, mean", "read, mean", "read - set, mean", "read - set, greatest"]
+        note = f"Differences on ticks on which the set-point had stood for {SETTLED_AFTER_S:g} s."
+        body.append(_part("Set against read", table(head, pairs), _note(note)))
+    return joined(body)
+
+
+def _calibrations(reader: JournalReader) -> Html:
+    kinds: dict[str, dict[str, int]] = {}
+    for row in reader.calibrations():
+        kind = window_kind(row.document)
+        counts = kinds.setdefault(row.calibrator, {})
+        counts[kind] = counts.get(kind, 0) + 1
+        counts["flagged calibrated"] = counts.get("flagged calibrated", 0) + bool(row.document.get("calibrated"))
+    if not kinds:
+        return joined([])
+    rows = [[name, ", ".join(f"{count} {kind}" for kind, count in counts.items())] for name, counts in kinds.items()]
+    return _part("Windows", table(["calibrator", "windows"], rows))
+
+
+def _timing(manifest: dict[str, Any], reader: JournalReader) -> Html:
+    latency = reader.latencies() * 1e3
+    if not len(latency):
+        return joined([])
+    p50, p99 = np.percentile(latency, [50, 99])
+    header = reader.header
+    factor = len(latency) * header.period_s / reader.wall_s()
+    rows = [
+        ["ticks", f"{len(latency)}"],
+        ["work in a tick, median / 99 % / longest", f"{p50:.2f} / {p99:.2f} / {latency.max():.2f} ms"],
+        ["ticks that began late", f"{manifest.get('overruns', 0)}"],
+        ["restarts of the rig's program", f"{manifest.get('rig_restarts', 0)}"],
+        ["times real time", number(factor, ".1f")],
+    ]
+    return _part("Timing", table(["", ""], rows))
+
+
+def _events(reader: JournalReader, unit: TimeUnit) -> Html:
+    lines = (
+        element(
+            "tr",
+            element("td", f"{unit.of(row.time_s)} {unit.symbol}"),
+            element("td", row.level),
+            element("td", row.text, class_="text"),
+            class_=row.level if row.level in LEVELS else "",
+        )
+        for row in reader.events()
+    )
+    return _part("Events", element("table", *lines))
+
+
+def _provenance(manifest: dict[str, Any]) -> Html:
+    rows = [["run", manifest["uid"]], ["started", manifest["started"]], ["host", manifest["host"]]]
+    rows += [[name, f"{item['path']}  sha256 {item['sha256'][:16]}"] for name, item in manifest["files"].items()]
+    rows += [[name, version] for name, version in manifest["versions"].items()]
+    rows += [[name, str(value)] for name, value in manifest["settings"].items()]
+    return _part("Provenance", table(["", ""], rows))

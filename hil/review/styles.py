@@ -1,0 +1,158 @@
+"""Colours, names and the plain parts of which a review's plan is made: curves, lanes, panels, stacks."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import dataclass, field
+from typing import Literal
+
+from drivers.points import Quality
+from hil.journal.rows import Header
+from hil.journal.states import State
+
+Colour = tuple[int, int, int]
+NEUTRAL: Colour = (158, 163, 170)
+FAINT: Colour = (96, 100, 108)
+ORANGE: Colour = (245, 140, 30)
+TRACKED: dict[str, Colour] = {
+    "blue": (45, 150, 255),
+    "green": (60, 200, 120),
+    "violet": (180, 120, 255),
+    "cyan": (20, 200, 210),
+}
+ACTUATORS: tuple[Colour, ...] = ((240, 110, 90), (90, 170, 250), (110, 210, 140), (220, 180, 90), (190, 140, 240))
+ACTUATOR_WORDS = ("red", "blue", "green", "yellow", "violet")
+"""Names of `ACTUATORS`, for titles of panels without a legend."""
+RED: Colour = (235, 70, 70)
+GREEN: Colour = (60, 140, 90)
+YELLOW: Colour = (230, 200, 60)
+VIOLET: Colour = (170, 90, 210)
+
+QUALITY_NAMES = {quality: quality.name.lower().replace("_", " ") for quality in Quality}
+QUALITY_COLOURS = {
+    Quality.GOOD: (52, 74, 62),
+    Quality.STALE: YELLOW,
+    Quality.OUT_OF_RANGE: ORANGE,
+    Quality.SENSOR_FAULT: RED,
+    Quality.LINK_FAULT: VIOLET,
+}
+WINDOW_COLOURS = {"calibrated": GREEN, "recovery": ORANGE, "stall": RED}
+GATE_COLOURS = {
+    "open": GREEN,
+    "some held": (45, 95, 120),
+    **dict.fromkeys(("SHORT_RECORD", "UNCONFIRMED"), FAINT),
+    "MISSING_REQUIRED": YELLOW,
+    "LOW_SENSITIVITY": (120, 100, 60),
+    "HIGH_UNCERTAINTY": ORANGE,
+    "OUT_OF_ENVELOPE": VIOLET,
+    **dict.fromkeys(("CONTRADICTORY_EVENT", "FLAT_RECORD", "SHUFFLED_RECORD", "LEAKAGE"), RED),
+}
+STATE_COLOURS = {
+    State.IDLE: FAINT,
+    State.VALIDATING: FAINT,
+    State.CONNECTING: FAINT,
+    State.SOAKING: (45, 95, 120),
+    State.RUNNING: GREEN,
+    State.HELD: (45, 150, 255),
+    State.PAUSED: YELLOW,
+    State.SUSPENDED: ORANGE,
+    State.FINISHING: (45, 95, 120),
+    State.DONE: FAINT,
+    State.ABORTED: VIOLET,
+    State.FAULTED: RED,
+}
+FLAG_COLOURS = {"calibrated": GREEN, "not calibrated": RED}
+_UNIT_SYMBOLS = {"degC": "°C", "1": "", "m3/h": "m³/h"}
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """Curves of one entity; `extremes` keeps peaks when many samples share a pixel (else they are averaged)."""
+
+    entity: str
+    names: tuple[str, ...]
+    colours: tuple[Colour, ...] = ()
+    widths: tuple[float, ...] = (1.5,)
+    extremes: bool = False
+    steps: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Lane:
+    """A lane of states over time, with the colour of each known state."""
+
+    entity: str
+    colours: dict[str, Colour]
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One view: `kind` of content, the entities (Rerun query expressions) and the share of room it gets."""
+
+    kind: Literal["lines", "lanes", "texts", "note"]
+    title: str
+    contents: tuple[str, ...]
+    share: float = 1.0
+    legend: bool = True
+    reach: float | None = None
+    """Of the value axis, to either side of 0; None as far as the values go."""
+    margin: float = 0.0
+    """Part of the time axis that is left free before the run, beside that of the stacks around it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """Panels above one another (`rows`), beside one another (`columns`), or in a grid.
+
+    `margin` is the part of the time axis that is left free before the run, where legends cover no curve.
+    """
+
+    arrange: Literal["rows", "columns", "grid"]
+    parts: tuple[Panel | Stack, ...]
+    share: float = 1.0
+    title: str = ""
+    margin: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """All looks and the tabs; `columns_of` says which columns of a sample row go to which entity, `colours` how
+    estimates that belong to no twin are drawn."""
+
+    header: Header
+    lines: tuple[Lines, ...]
+    lanes: tuple[Lane, ...]
+    tabs: tuple[Stack, ...]
+    columns_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    colours: dict[str, Colour] = field(default_factory=dict)
+
+
+def path(*parts: str) -> str:
+    """Entity path of `parts`, with every character escaped that Rerun gives a meaning."""
+    return "".join("/" + re.sub(r"([^A-Za-z0-9_.-])", r"\\\1", part) for part in parts)
+
+
+def symbol(unit: str) -> str:
+    """A unit as an operator writes it: `degC` -> `°C`."""
+    return _UNIT_SYMBOLS.get(unit, unit)
+
+
+def titled(name: str, unit: str) -> str:
+    """`name [unit]`, or the name alone for a pure number."""
+    return f"{name} [{symbol(unit)}]" if symbol(unit) else name
+
+
+def twin_colours(twins: tuple[str, ...]) -> dict[str, Colour]:
+    """Orange for the twin that is never updated, blue, green .. for those that are."""
+    tracked = [twin for twin in twins if twin != "static"]
+    return {"static": ORANGE} | dict(zip(tracked, itertools.cycle(TRACKED.values()), strict=False))
+
+
+def colour_key(twins: tuple[str, ...]) -> str:
+    """Return in one line which colour stands for what."""
+    tracked = [twin for twin in twins if twin != "static"]
+    parts = ["grey: measured", *(["orange: static twin"] if "static" in twins else [])]
+    parts += [f"{name}: tracked by {twin}" for twin, name in zip(tracked, itertools.cycle(TRACKED), strict=False)]
+    parts += ["thin lines: 90 % band, or ±2σ of the sensor's noise", "gap: no good value"]
+    return " · ".join([*parts, "set-points: dim, read back: bright"])

@@ -1,0 +1,103 @@
+"""Twins beside one another: their bands, and what the network proposes between windows, as batches for the review."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from hil.journal.rows import BandRow, ProposalRow
+from hil.review.batches import Batch, Estimates, Rows, States, Texts
+from hil.review.styles import path
+from hil.tracking.adoption import accepted, away
+from hil.tracking.bands import NORMAL90
+from hil.tracking.twins import Proposed
+
+OPEN, SOME = "open", "some held"
+
+
+def band_batches(bands: list[BandRow]) -> Iterator[Batch]:
+    """Mean miss (n, 1) of ten minutes, and the band (n, 2) that was foretold for them, by sensor and twin."""
+    for twin in dict.fromkeys(band.twin for band in bands):
+        mine = [band for band in bands if band.twin == twin]
+        start_s = np.array([band.start_s for band in mine])
+        for sensor in mine[0].document["mean_K"]:
+            mean, half = (_column(mine, key, sensor) for key in ("mean_K", "half_width_K"))
+            yield Rows(path("sensors", sensor, "miss", twin), start_s, mean[:, None])
+            yield Rows(path("sensors", sensor, "band", twin), start_s, np.column_stack([half, -half]))
+
+
+def _column(bands: list[BandRow], key: str, sensor: str) -> np.ndarray:
+    cells = (band.document[key][sensor] for band in bands)
+    return np.array([np.nan if cell is None else cell for cell in cells])
+
+
+def gate_state(document: Mapping[str, object]) -> str:
+    """What the lane of gates says: open, some held, or the code that holds everything."""
+    values, held = document["values"], document["held"]
+    assert isinstance(values, dict) and isinstance(held, dict)
+    if not held:
+        return OPEN
+    return SOME if len(held) < len(values) else str(next(iter(held.values())))
+
+
+def told(proposed: Proposed) -> str:
+    """A proposal in one line: what it changes, and what holds the rest."""
+    taken = [f"{name} = {a.value:.4g} ± {a.half_width:.2g}" for name, a in accepted([proposed]).items()]
+    codes: dict[str, list[str]] = {}
+    for name, code in proposed.document["held"].items():
+        codes.setdefault(code, []).append(name)
+    parts = [f"takes on {', '.join(taken)}"] if taken else []
+    if taken or len(codes) > 1:
+        parts += [f"{code} holds {', '.join(names)}" for code, names in codes.items()]
+    else:
+        parts += [str(proposed.document["reasons"][0]) + ": all held"]
+    if proposed.document.get("adrift"):
+        parts += ["the live twin is far off, and takes on what is held too"]
+    parts += [f"{d['sensor']} is left aside: {away(d['off_K'])}" for d in proposed.document.get("doubted", ())]
+    return "; ".join(parts)
+
+
+class Proposals:
+    """Turns proposals into lanes, parameters with bands, and a line whenever other gates are closed than before, the
+    live twin has come to be far off or other thermometers are left aside."""
+
+    def __init__(self) -> None:
+        self._told: dict[str, tuple[dict[str, str], bool, list[str]]] = {}
+        self._state: dict[str, str] = {}
+
+    @property
+    def calibrators(self) -> tuple[str, ...]:
+        """Those that have proposed."""
+        return tuple(self._told)
+
+    def batches(self, proposals: list[ProposalRow], units: Mapping[str, str]) -> Iterator[Batch]:
+        """`units`: of parameters, as far as known."""
+        for calibrator in dict.fromkeys(row.calibrator for row in proposals):
+            mine = [row for row in proposals if row.calibrator == calibrator]
+            time_s = np.array([row.time_s for row in mine])
+            changes, texts = [], []
+            for row in mine:
+                state = gate_state(row.document)
+                if state != self._state.get(calibrator):
+                    changes.append((row.time_s, state))
+                doubted = [d["sensor"] for d in row.document.get("doubted", ())]
+                now = row.document["held"], bool(row.document.get("adrift")), doubted
+                if now != self._told.get(calibrator):
+                    texts.append((row.time_s, told(Proposed(calibrator, row.time_s, row.document))))
+                self._state[calibrator], self._told[calibrator] = state, now
+            if changes:
+                yield States(path("gates", calibrator), np.array([t for t, _ in changes]), [s for _, s in changes])
+            if texts:
+                lines = [text for _, text in texts]
+                yield Texts(
+                    path("proposals", calibrator), np.array([t for t, _ in texts]), lines, ["INFO"] * len(lines)
+                )
+            for name in mine[0].document["values"]:
+                # What a gate holds back is no estimate: it would only widen the axis.
+                known = [name not in row.document["held"] for row in mine]
+                values = np.where(known, [row.document["values"][name] for row in mine], np.nan)
+                half = np.array([NORMAL90 * row.document["standard_errors"][name] for row in mine])
+                entity = path("proposed", name, calibrator)
+                label = f"{calibrator} proposes"
+                yield Estimates(entity, label, units.get(name, "1"), time_s, values, np.where(known, half, np.nan) ** 2)

@@ -1,0 +1,1 @@
+"""Checks of a rig file, before a run and online."""

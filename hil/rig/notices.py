@@ -1,0 +1,90 @@
+"""Notes on a rig file that is allowed and most likely not meant: a sentence each, with the line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from drivers.rig_model import Point, Rig
+from drivers.roles import HEATER, ROLES, nearest_role
+from drivers.toml_lines import line_of
+from hil.run.restore.thermal_restore import has_memory, role_of, unled
+
+
+def notices(rig: Rig, file: Path) -> list[str]:
+    """Heaters that stay on, roles that are none, and a rig that `hil resume` cannot lead back."""
+    text = file.read_text(encoding="utf-8")
+    found = []
+    for index, point in enumerate(rig.point):
+        for key, what in (("safe_value", _stays_on(rig, point)), ("role", _no_role(point))):
+            if what is not None:
+                found.append(f"{file}, line {line_of(text, ('point', index, key))}: {what}")
+    if any(has_memory(point.as_signal()) for point in rig.point) and (what := unled(rig, rig.setpoints)) is not None:
+        found.append(f"{file}: {what}")
+    return [*found, *_entity_numbers(rig, file, text), *unguarded(rig, file)]
+
+
+_ENTITY_NUMBERS = {"holding": 40000, "input": 30000, "discrete": 10000}
+"""First number of a table where manuals have it as leading digit: 40001 is the first holding register, address 0."""
+_NUMBERS_OF_A_TABLE = 10000
+
+
+def _entity_numbers(rig: Rig, file: Path, text: str) -> list[str]:
+    """Return a note for every bus and table whose addresses look like numbers of a manual that count from 40001."""
+    seen: dict[tuple[str, str], list[int]] = {}
+    for index, point in enumerate(rig.point):
+        first = _ENTITY_NUMBERS.get(str(point.table))
+        if first is not None and point.address is not None and 0 <= point.address - first < _NUMBERS_OF_A_TABLE:
+            seen.setdefault((point.bus, str(point.table)), []).append(index)
+    found = []
+    for (bus, table), indices in seen.items():
+        names = ", ".join(rig.point[index].name for index in indices)
+        first = _ENTITY_NUMBERS[table] + 1
+        found.append(
+            f"{file}, line {line_of(text, ('point', indices[0], 'address'))}: addresses of {names} in table {table} of "
+            f"bus {bus} look like numbers of a manual, where {first} is the first one; addresses here count from zero, "
+            f"so subtract {first} unless the device has them so high, as SunSpec devices do"
+        )
+    return found
+
+
+def unguarded(rig: Rig, file: Path) -> list[str]:
+    """Return notes on a rig with set-points that nothing resets or trips: no heartbeat, no alarm."""
+    if not rig.setpoints:
+        return []
+    found = []
+    if rig.heartbeat is None:
+        names = ", ".join(point.name for point in rig.setpoints)
+        found.append(
+            f"{file}: there is no [heartbeat], so that the device has no watchdog that hil knows: it keeps {names} "
+            "when this machine loses power or hangs. The guardian process sets the safe values after `kill -9`, as "
+            "long as this machine runs. Add [heartbeat] with the device's watchdog, or switch on a time-out in the "
+            "device"
+        )
+    if all(point.alarm is None for point in rig.point) and all(spec.level != "alarm" for spec in rig.interlock):
+        found.append(
+            f"{file}: no point has alarm limits and no [[interlock]] is an alarm, so that nothing trips the run when "
+            "the rig gets too hot; give alarm to the points that show it"
+        )
+    return found
+
+
+def _stays_on(rig: Rig, point: Point) -> str | None:
+    role = role_of(rig, point)
+    # With another role that is known, what is set in W is a fan or a pump.
+    is_heater = role == HEATER or (point.unit in ("W", "kW") and role not in ROLES)
+    if not point.is_setpoint or not is_heater or not point.safe_value:
+        return None
+    if_so, remedy = ("it stays", "") if role == HEATER else ("a heater would stay", " if it heats")
+    return (
+        f"safe_value of {point.name} is {point.safe_value:g} {point.unit}, so that {if_so} on when a run is paused, "
+        f"trips or ends; set safe_value = 0{remedy}"
+    )
+
+
+def _no_role(point: Point) -> str | None:
+    if point.role is None or point.role in ROLES:
+        return None
+    return (
+        f"role {point.role!r} of {point.name} is none that hil knows; did you mean "
+        f"{nearest_role(point.role, point.unit)!r}? The known ones are {', '.join(ROLES)}"
+    )

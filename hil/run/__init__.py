@@ -1,0 +1,1 @@
+"""One run on a rig: engine, outputs, locks, restore, session."""

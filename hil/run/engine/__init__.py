@@ -1,0 +1,1 @@
+"""Engine of a run: ticks, states, interlocks, requests of operators."""

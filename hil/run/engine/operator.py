@@ -1,0 +1,97 @@
+"""What operators ask of a live run: asked from anywhere on the loop, obeyed and answered by the engine in its tick."""
+
+from __future__ import annotations
+
+import asyncio
+import enum
+from collections import deque
+from dataclasses import dataclass
+
+from hil.journal.states import LIVE, UNTOUCHED, Event, State, following
+
+
+class Verb(enum.StrEnum):
+    """What an operator may ask."""
+
+    HOLD = "hold"
+    PAUSE = "pause"
+    RESUME = "resume"
+    ABORT = "abort"
+    ACK = "ack"
+
+
+_EVENTS = {Verb.HOLD: Event.HOLD, Verb.PAUSE: Event.PAUSE, Verb.RESUME: Event.RESUME}
+_ALREADY = {
+    Verb.HOLD: {State.HELD},
+    Verb.PAUSE: {State.PAUSED},
+    Verb.RESUME: {State.RUNNING, State.SOAKING},
+}
+
+
+class RefusedError(Exception):
+    """The run cannot do what is asked; the message says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One thing that was asked; `answer` is what the operator gets to read."""
+
+    verb: Verb
+    reason: str
+    answer: asyncio.Future[str]
+
+    def done(self, text: str) -> None:
+        """Answer that it is done."""
+        if not self.answer.done():
+            self.answer.set_result(text)
+
+    def refuse(self, why: str) -> None:
+        """Answer that it cannot be."""
+        if not self.answer.done():
+            self.answer.set_exception(RefusedError(why))
+
+
+class Desk:
+    """Requests between two ticks, in the order in which they came."""
+
+    def __init__(self) -> None:
+        self._asked: deque[Request] = deque()
+
+    async def ask(self, verb: Verb, reason: str) -> str:
+        """Ask, and wait for the tick that obeys; raises RefusedError."""
+        request = Request(verb, reason, asyncio.get_running_loop().create_future())
+        self._asked.append(request)
+        return await request.answer
+
+    def take(self) -> list[Request]:
+        """What was asked since the last call."""
+        asked = list(self._asked)
+        self._asked.clear()
+        return asked
+
+
+def event_of(verb: Verb, *, soaks: bool) -> Event:
+    """What `verb` is to the state table; one that `soaks`, led back to where it was cut, resumes its soak."""
+    return Event.SOAK if soaks and verb is Verb.RESUME else _EVENTS[verb]
+
+
+def unheard(state: State) -> str | None:
+    """Why a run in `state` takes no verb but abort, or None where it takes them on its next tick."""
+    if state in UNTOUCHED:
+        return f"a run that is {state} can only be aborted; ask again when it runs"
+    if state in LIVE or state is State.SOAKING:
+        return None
+    return f"the run is {state}: its outputs go to their safe values, and it takes no verb any more"
+
+
+def refusal(state: State, verb: Verb, trips: tuple[str, ...], *, soaks: bool) -> str | None:
+    """Why a run in `state` with latched `trips` does not obey `verb`, or None."""
+    if verb is Verb.ACK:
+        return None if trips else "nothing has tripped, so there is nothing to acknowledge"
+    if verb is Verb.RESUME and trips:
+        return f"tripped: {trips[0]}; remove the cause, then `hil ctl ack`, then resume"
+    if verb is Verb.RESUME and state is State.SUSPENDED:
+        return "a warning suspends the run; it goes on by itself when that is gone (`hil ctl status` names it)"
+    if following(state, event_of(verb, soaks=soaks)) is None and state not in _ALREADY[verb]:
+        return f"a run that is {state} cannot {verb}: its outputs are at their safe values"
+    return None

@@ -1,0 +1,145 @@
+"""What is told of a run while it goes on: rows of the journal, blocks for calibration, lines in the terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from drivers.points import Quality, Snapshot
+from hil.journal.rows import SegmentRow
+from hil.journal.states import Transition, level_of
+from hil.journal.writer import JournalError, JournalWriter
+
+PUBLISH_TICKS = 60
+PUBLISH_WALL_S = 0.5
+BACKLOG_IN_LOCKSTEP = 2000
+BEHIND_S = 1.0
+
+
+class Publisher(Protocol):
+    """Where blocks of ticks go for calibration; must not delay a tick in real time."""
+
+    async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
+        """Take a block: `rows (n, k)` in the order of the journal's signals, NaN where a value is not good."""
+
+
+class Position:
+    """Where a run is: `tick` since its beginning, gaps included, and how far the profile's clock has gone."""
+
+    def __init__(self, period_s: float, tick: int = 0, profile_s: float = 0.0) -> None:
+        self.tick = tick
+        self.profile_ticks = round(profile_s / period_s)
+        self._period_s = period_s
+
+    @property
+    def time_s(self) -> float:
+        """Record time, s."""
+        return self.tick * self._period_s
+
+    @property
+    def profile_s(self) -> float:
+        """Profile time, s."""
+        return self.profile_ticks * self._period_s
+
+
+class Recorder:
+    """Writes what happens at `position` to `journal`, and hands blocks of ticks to `publisher`.
+
+    `told` is told every transition as a sentence. `problems` are sentences about what could not be journaled.
+    """
+
+    def __init__(
+        self,
+        journal: JournalWriter,
+        position: Position,
+        *,
+        publisher: Publisher | None = None,
+        told: Callable[[str], None] | None = None,
+        lockstep: bool = False,
+    ) -> None:
+        self.problems: list[str] = []
+        self._journal = journal
+        self._at = position
+        self._publisher = publisher
+        self._told = told
+        self._lockstep = lockstep
+        self._pending: tuple[list[int], list[float], list[list[float]]] = ([], [], [])
+        self._published = time.monotonic()
+        self._behind = False
+
+    def sample(
+        self, snapshot: Snapshot, commanded: Mapping[str, float], now_s: float, wall_s: float, began: float
+    ) -> None:
+        """Append the tick: what was read, at `now_s` of rig time and `wall_s` of the wall clock, and what is commanded.
+        `began` is when the tick's work began, of `perf_counter`.
+
+        Raises JournalError.
+        """
+        values = snapshot.values + list(commanded.values())
+        quality = snapshot.quality + [int(Quality.GOOD)] * len(commanded)
+        source = snapshot.source_time_s + [now_s] * len(commanded)
+        latency = time.perf_counter() - began
+        self._journal.sample(self._at.tick, self._at.time_s, wall_s, latency, values, quality, source)
+        self._journal.check()
+        behind = self._journal.behind_s > BEHIND_S
+        if behind and not self._behind:
+            self.event("WARN", "the journal is held by another program: rows wait in memory until it lets go")
+        self._behind = behind
+        if self._lockstep and self._journal.backlog > BACKLOG_IN_LOCKSTEP:
+            self._journal.commit()  # nobody waits for a tick in lockstep, and memory has an end
+        ticks, times, rows = self._pending
+        ticks.append(self._at.tick)
+        times.append(self._at.time_s)
+        rows.append([v if q == 0 else math.nan for v, q in zip(values, quality, strict=True)])
+
+    async def publish_if_due(self) -> None:
+        """Hand on what has come together, often enough."""
+        full = len(self._pending[0]) >= PUBLISH_TICKS
+        late = not self._lockstep and time.monotonic() - self._published > PUBLISH_WALL_S
+        if full or late:
+            await self.flush()
+
+    async def flush(self) -> None:
+        """Hand on what has come together."""
+        block, self._pending = self._pending, ([], [], [])
+        self._published = time.monotonic()
+        if self._publisher is not None and block[0]:
+            await self._publisher.publish(*block)
+
+    def written(self, before: Mapping[str, float], after: Mapping[str, float], reason: str) -> None:
+        """Set-points that have changed, and why."""
+        for name, value in after.items():
+            if value != before[name]:
+                self._journal.write(self._at.tick, self._at.time_s, name, value, reason)
+
+    def transition(self, step: Transition) -> None:
+        """Every transition: a row of the journal, an event, a line in the terminal."""
+        at = self._at
+        self._journal.state(
+            at.tick, at.time_s, at.profile_s, step.source.value, step.event.value, step.target.value, step.reason
+        )
+        self.event(level_of(step), f"{step.source} → {step.target}: {step.reason}")
+        if self._told is not None:
+            # Nothing that a person sees may come between a fault and safe outputs.
+            with contextlib.suppress(BaseException):
+                self._told(f"{at.time_s:8.0f} s  {step.target}: {step.reason}")
+
+    def segment(self, number: int, gap_s: float, aim_tick: int, reason: str) -> None:
+        """The run goes on here after a gap; raises JournalError."""
+        at = self._at
+        self._journal.segment(
+            SegmentRow(number, at.tick, at.time_s, time.time(), gap_s, at.profile_s, aim_tick, reason)
+        )
+        self.event(
+            "WARN", f"segment {number}: goes on at {at.profile_s:g} s of the profile, {gap_s:g} s without a row before"
+        )
+
+    def event(self, level: str, text: str) -> None:
+        """Record an event; a journal that fails must not keep the rig from being made safe."""
+        try:
+            self._journal.event(self._at.tick, self._at.time_s, level, text)
+        except JournalError as error:
+            self.problems.append(str(error))

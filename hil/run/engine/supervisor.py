@@ -1,0 +1,192 @@
+"""Where a run is and what is next: the state table moved by operators, interlocks and stop requests, once a tick.
+
+Operators come first, interlocks have the last word. A trip ends the run, unless the rig file lets it wait for an
+acknowledgement (`acknowledge_within_s`): then the run is paused, and nothing moves until the trip is acknowledged with
+its cause gone, the rig armed again, and the run resumed. With a trip while a rig is led back to where a run was cut
+nobody is waited for: the run can be resumed again. Hold, pause and resume are obeyed there as elsewhere.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+
+from drivers.points import Snapshot
+from drivers.rig_model import Point, Rig
+from hil.journal.states import HEATED, Event, Machine, State, Transition, following
+from hil.run.engine.operator import Desk, RefusedError, Request, Verb, event_of, refusal, unheard
+from hil.run.interlocks.conditions import Residuals
+from hil.run.interlocks.interlocks import Interlocks, Judgement
+from hil.run.outputs.outputs import ARMING_TICKS
+
+SECOND_REQUEST_S = 0.5
+
+End = tuple[Event, str]
+"""COMPLETE, ABORT or FAIL, and why."""
+
+
+class Supervisor:
+    """State, interlocks and operators of one run; `log` is told every transition, `note` what else happens."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        points: tuple[Point, ...],
+        *,
+        log: Callable[[Transition], None],
+        note: Callable[[str, str], None],
+    ) -> None:
+        self.machine = Machine(log)
+        self.interlocks = Interlocks(rig, points)
+        self.hurried = False
+        self.stopping = asyncio.Event()
+        self.soaks = False  # whether a rig is led back to where a run was cut
+        self._waits_s = rig.acknowledge_within_s
+        self._suspends_s = rig.suspend_at_most_s
+        self._suspended_s: float | None = None
+        self._note = note
+        self._desk = Desk()
+        self._obeyed: list[Request] = []
+        self._aborting: list[Request] = []
+        self._acking: tuple[Request, int] | None = None
+        self._trips: tuple[str, ...] = ()
+        self._tripped_s = 0.0
+        self._stop_reason: str | None = None
+        self._stop_asked = 0.0
+
+    @property
+    def state(self) -> State:
+        """Where the run is."""
+        return self.machine.state
+
+    @property
+    def arming(self) -> bool:
+        """Whether a trip is being acknowledged, for which the rig is armed again."""
+        return self._acking is not None
+
+    @property
+    def stop(self) -> End | None:
+        """The end that was asked for, where one was."""
+        return None if self._stop_reason is None else (Event.ABORT, self._stop_reason)
+
+    def request_stop(self, reason: str) -> None:
+        """End the run at the next tick. A second request shortens the waits of making safe, and skips nothing.
+
+        One that comes within `SECOND_REQUEST_S` is taken for an echo of the first: a terminal and a supervisor may
+        both pass on the same Ctrl-C.
+        """
+        self.stopping.set()
+        if self._stop_reason is None:
+            self._stop_reason, self._stop_asked = reason, time.monotonic()
+        elif time.monotonic() - self._stop_asked > SECOND_REQUEST_S:
+            self.hurried = True
+
+    async def ask(self, verb: Verb, reason: str) -> str:
+        """Have `verb` obeyed on the next tick, and what came of it as a sentence; raises RefusedError."""
+        if verb is Verb.ABORT:
+            self.request_stop(reason)
+            request = Request(verb, reason, asyncio.get_running_loop().create_future())
+            self._aborting.append(request)
+            return await request.answer
+        why_not = unheard(self.state)
+        if why_not is not None:
+            raise RefusedError(why_not)
+        return await self._desk.ask(verb, reason)
+
+    def step(
+        self, snapshot: Snapshot, now_s: float, commanded: Mapping[str, float], residuals: Residuals
+    ) -> End | None:
+        """One tick: judge, obey, protect; how the run ends, where it does."""
+        judgement = self.interlocks.judge(snapshot, now_s, commanded, residuals)
+        self._acknowledge()
+        self._obey(judgement)
+        return self._protect(self.interlocks.standing(), now_s) or self._overdue(now_s) or self.stop
+
+    @property
+    def owes_answers(self) -> bool:
+        """Whether operators wait for what came of what they asked."""
+        return bool(self._obeyed)
+
+    @property
+    def owes_end(self) -> bool:
+        """Whether operators wait to read that the run has ended safe."""
+        return bool(self._aborting)
+
+    def answer(self, said: str) -> None:
+        """Tell operators what came of what they asked, now that it is written."""
+        for request in self._obeyed:
+            request.done(said)
+        self._obeyed.clear()
+
+    def stopped(self, said: str) -> None:
+        """Tell operators who asked for an end what the rig holds and its meters read."""
+        for request in self._aborting:
+            request.done(said)
+        self._aborting.clear()
+
+    def close(self) -> None:
+        """The run has ended: nobody is left waiting."""
+        self.stopped(f"the run is {self.state}")
+        acking = [] if self._acking is None else [self._acking[0]]
+        for request in [*self._desk.take(), *self._obeyed, *acking]:
+            request.refuse(f"the run is {self.state}")
+
+    def _obey(self, judgement: Judgement) -> None:
+        for request in self._desk.take():
+            why_not = refusal(self.state, request.verb, self.interlocks.standing().trips, soaks=self.soaks)
+            if why_not is not None:
+                request.refuse(why_not)
+            elif request.verb is Verb.ACK and self._acking is not None:
+                request.refuse("an acknowledgement is under way; see `hil ctl status`")
+            elif request.verb is Verb.ACK:
+                self._acking = request, ARMING_TICKS
+                self._note("INFO", f"acknowledged {request.reason}: {'; '.join(judgement.trips)}")
+            else:
+                event = event_of(request.verb, soaks=self.soaks)
+                if following(self.state, event) is not None:
+                    self.machine.take(event, request.reason)
+                self._obeyed.append(request)
+
+    def _acknowledge(self) -> None:
+        """Let go of trips whose causes are gone. The rig's own goes when it is armed again, which takes a tick."""
+        if self._acking is None:
+            return
+        request, left = self._acking
+        stay = self.interlocks.acknowledge()
+        self._acking = None if not stay or left == 0 else (request, left - 1)
+        if not stay:
+            self._trips = ()
+            request.done(f"acknowledged; the run is {self.state}, `hil ctl resume` lets it go on")
+        elif left == 0:
+            request.refuse(f"still there: {'; '.join(stay)}")
+
+    def _overdue(self, now_s: float) -> End | None:
+        """The end of a run that a warning has suspended for too long."""
+        if self.state is not State.SUSPENDED:
+            self._suspended_s = None
+            return None
+        self._suspended_s = now_s if self._suspended_s is None else self._suspended_s
+        if self._suspends_s <= 0 or now_s - self._suspended_s <= self._suspends_s:
+            return None
+        why = "; ".join(self.interlocks.standing().warnings) or self.machine.reason
+        return Event.FAIL, f"{why}; suspended for longer than {self._suspends_s:g} s"
+
+    def _protect(self, judgement: Judgement, now_s: float) -> End | None:
+        trips = judgement.trips
+        if trips:
+            said = trips[0] + (f" (and {len(trips) - 1} more)" if len(trips) > 1 else "")
+            if self._waits_s <= 0 or self.soaks:
+                return Event.FAIL, said
+            if not self._trips:
+                self._tripped_s = now_s
+            if set(trips) - set(self._trips):
+                self.machine.take(Event.TRIP, f"tripped: {said}")
+            self._trips = trips
+            if now_s - self._tripped_s > self._waits_s:
+                return Event.FAIL, f"{said}; not acknowledged within {self._waits_s:g} s"
+        elif judgement.warnings and self.state in HEATED:
+            self.machine.take(Event.WARN, "; ".join(judgement.warnings))
+        elif not judgement.warnings and self.state is State.SUSPENDED:
+            self.machine.take(Event.SOAK if self.soaks else Event.CLEAR, "all warnings are gone")
+        return None

@@ -1,0 +1,1 @@
+"""Interlocks of a run and the conditions that they watch."""

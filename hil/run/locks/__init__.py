@@ -1,0 +1,1 @@
+"""Locks that let one run drive a rig."""

@@ -1,0 +1,1 @@
+"""Outputs of a rig: set-points, read-back, heaters, safe values."""

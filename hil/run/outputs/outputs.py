@@ -1,0 +1,125 @@
+"""What the rig is told on a tick: set-points, heartbeat, arming. The heartbeat comes last, after everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+
+from drivers.points import DeviceExceptionError, DriverError, LinkError, Snapshot
+from drivers.rig import RigConnection
+from hil.run.outputs.safing import write_safe
+from hil.run.outputs.setpoints import Setpoints
+
+ARMING_TICKS = 3
+_HELD = 0.01
+"""How far a time-out that is read back may be from what was written, of it: what a float loses on the way."""
+
+
+class Outputs:
+    """Set-points of a rig from its safe values on; `values` is what the rig was told last, by point."""
+
+    def __init__(self, connection: RigConnection) -> None:
+        self._connection = connection
+        self._rig = connection.rig
+        self._setpoints = Setpoints(self._rig)
+        self._beat = 0
+        self._safe_held = False
+
+    @property
+    def values(self) -> dict[str, float]:
+        """What the rig was told last."""
+        return self._setpoints.values
+
+    @property
+    def safe_values(self) -> dict[str, float]:
+        """Safe value of each set-point, in the order in which they are applied."""
+        return self._setpoints.safe_values()
+
+    @property
+    def safe_held(self) -> bool:
+        """Whether the rig holds the safe values, read back from it."""
+        return self._safe_held
+
+    def heartbeat(self) -> dict[str, float]:
+        """The next beat; nothing for a rig that wants none."""
+        if self._rig.heartbeat is None:
+            return {}
+        self._beat = (self._beat + 1) % 65536
+        return {self._rig.heartbeat.point: float(self._beat)}
+
+    async def arm(self, advance: Callable[[], Awaitable[None]], tripped: Callable[[Snapshot], str | None]) -> None:
+        """Write safe set-points, give the rig's watchdog its time-out, start the heartbeat, arm the outputs.
+
+        Raises LinkError where the rig does not hold that time-out or stays tripped.
+        """
+        await self._connection.write(self.values)
+        if self._rig.heartbeat is None:
+            return
+        await self._set_watchdog()
+        why: str | None = None
+        for _ in range(ARMING_TICKS):
+            await self._connection.write(self.heartbeat())
+            await self._write_arm()
+            await advance()
+            why = tripped(await self._connection.read())
+            if why is None:
+                return
+        raise LinkError(f"not started: {why}")
+
+    async def move(self, targets: Mapping[str, float], elapsed_s: float) -> dict[str, float]:
+        """Move towards `targets` for `elapsed_s`, or keep what is where there are none; the values that changed.
+
+        What a lost or garbled write did not confirm has not moved: when the link is back, the slew rate counts from
+        here. Raises a DriverError.
+        """
+        self._safe_held = False
+        before = dict(self.values)
+        changed = self._setpoints.move(dict(targets), elapsed_s)
+        try:
+            await self._connection.write(self.values | self.heartbeat())
+        except DeviceExceptionError:
+            raise
+        except DriverError:
+            self.values.update(before)
+            raise
+        return changed
+
+    async def put_safe(self, *, arm: bool, hot: str = "") -> None:
+        """Write the safe values in their order and read them back, once; then keep them, and `arm` where asked.
+
+        Until they are held, and while a meter contradicts them (`hot`), the rig gets no heartbeat, so that its watchdog
+        may act. Raises a DriverError.
+        """
+        self._setpoints.put_safe()
+        if not self._safe_held:
+            problem = await write_safe(self._connection, self.safe_values)
+            if problem:
+                raise LinkError(f"not safe yet, trying again: {problem}")
+        self._safe_held = False
+        await self._connection.write(self.values | ({} if hot and not arm else self.heartbeat()))
+        self._safe_held = True
+        if arm:
+            await self._set_watchdog()  # a rig that began anew has forgotten it
+            await self._write_arm()
+
+    async def _set_watchdog(self) -> None:
+        """Have the rig hold the time-out of its own watchdog, read back; nothing where it is not told how."""
+        seconds = self._rig.watchdog_s
+        if seconds is None:
+            return
+        assert self._rig.heartbeat is not None and self._rig.heartbeat.watchdog is not None
+        name = self._rig.heartbeat.watchdog
+        try:
+            held = (await self._connection.write_and_read_back({name: seconds}, (name,)))[name]
+        except DeviceExceptionError as error:
+            raise LinkError(
+                f"not armed: the rig refuses a watchdog time-out of {seconds:g} s ({error}); correct watchdog_s"
+            ) from error
+        if not abs(held - seconds) <= _HELD * seconds:
+            raise LinkError(
+                f"not armed: {name} holds {held:g} s instead of the {seconds:g} s that the rig's own watchdog is to "
+                "wait; it may be locked in the rig: have it released, or take watchdog out of the rig file"
+            )
+
+    async def _write_arm(self) -> None:
+        if self._rig.heartbeat is not None and self._rig.heartbeat.arm is not None:
+            await self._connection.write({self._rig.heartbeat.arm: 1.0})

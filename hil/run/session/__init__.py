@@ -1,0 +1,1 @@
+"""Session of a run from its request to its folder."""

@@ -1,0 +1,244 @@
+"""Files that are made from the journal when a run has ended: record, adopted revision, review and report.
+
+Each is made by itself, so that a failure or a signal in one leaves the others. `run.json` names those that are missing
+and why, and `hil report RUN` makes them later. The journal is read and never written here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shlex
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from hil.errors import exit_code
+from hil.files.atomic import replacing
+from hil.files.names import printable
+from hil.journal.writer import JournalError, JournalReader
+from hil.record.reader import export_record, read_record
+from hil.run_folder.folder import FolderLostError, RunFolder
+from hil.tracking import adoption
+from hil.tracking.adoption import Adoption
+from hil.tracking.twins import Proposed
+
+RECORD, REVIEW, REPORT, REVISION = "record.parquet", "review.rrd", "report.html", "adopted revision"
+_NOT_YET = "not made yet"
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+
+
+@dataclass(slots=True)
+class Derived:
+    """Files made from a run: `folder` is where they lie, `missing` says of each that could not be made why.
+
+    `stopped_by` is the signal that ended the making, `adopted` the revision of the twin.
+    """
+
+    folder: RunFolder
+    missing: dict[str, str] = field(default_factory=dict)
+    stopped_by: signal.Signals | None = None
+    adopted: Adoption | None = None
+
+    @property
+    def gates(self) -> str | None:
+        """Which proposals the network's gates held, as a sentence; None where it proposed nothing."""
+        try:
+            proposals = _proposals(self.folder)
+        except JournalError:
+            return None
+        return adoption.closed_gates(proposals) if proposals else None
+
+    def exit_code(self, in_order: bool) -> int:
+        """Return the exit code of a command that ran `in_order`: 128 and the signal's number where one ended the
+        making of files, 1 where a file is missing or the run was not in order, else 0."""
+        if self.stopped_by is not None and self.missing:
+            return 128 + self.stopped_by
+        return 0 if in_order and not self.missing else 1
+
+
+class _StoppedError(BaseException):
+    """A signal asks the making of files to end; no handler of `Exception` may hold it back."""
+
+
+class _Signals:
+    """The first signal that asks this process to end, which interrupts whatever runs `armed`."""
+
+    def __init__(self) -> None:
+        self.received: signal.Signals | None = None
+        self._armed = False
+
+    @contextlib.contextmanager
+    def armed(self) -> Iterator[None]:
+        """Raise _StoppedError in the block when a signal comes; afterwards it is only remembered."""
+        self._armed = True
+        try:
+            if self.received is not None:
+                raise _StoppedError
+            yield
+        finally:
+            self._armed = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.received = self.received or signal.Signals(number)
+        if self._armed:
+            raise _StoppedError
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[_Signals]:
+    """Take over the signals that end a process; does nothing in a thread, where Python allows no handler."""
+    taken = _Signals()
+    if threading.current_thread() is not threading.main_thread():
+        yield taken
+        return
+    before = {number: signal.signal(number, taken) for number in _ENDING}
+    try:
+        yield taken
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+
+def derive_files(
+    folder: RunFolder,
+    manifest: dict[str, Any],
+    announce: Callable[[str], None],
+    *,
+    there: Collection[str] = (),
+) -> Derived:
+    """Write `manifest` as `run.json`, then every file that is made from the journal of the run in `folder`.
+
+    Args:
+        folder: of an ended run; the files go to where it lies now if it was moved while this process held it.
+        manifest: content of `run.json`; its `missing` and `adoption` are set.
+        announce: told what is being made and what could not be made.
+        there: names of files that are not made again.
+
+    Raises:
+        FolderLostError: the folder was deleted, or `run.json` cannot be written; the message says where a copy is.
+    """
+    try:
+        place = folder.located()
+    except FolderLostError as error:
+        raise _lost(folder, manifest, str(error), "its samples are lost") from None
+    if place.path != folder.path:
+        announce(f"the run's folder was moved: its files go to {place.path}")
+    derived = Derived(place)
+    steps = {name: step for name, step in _steps(manifest, derived).items() if name not in there}
+    derived.missing = dict.fromkeys(steps, _NOT_YET)
+    with _signals() as signals:
+        # A kill from here on finds in run.json which files are not there.
+        with contextlib.suppress(OSError):
+            place.write_manifest(manifest | {"missing": derived.missing})
+        for name, step in steps.items():
+            if signals.received is None:
+                announce(f"writing {name}")
+            why = _made(step, signals)
+            if why is None:
+                del derived.missing[name]
+            else:
+                derived.missing[name] = why
+        derived.stopped_by = signals.received
+        manifest["missing"] = derived.missing
+        try:
+            place.write_manifest(manifest)
+        except OSError as error:
+            lost = FolderLostError(f"{place.path} cannot be written ({error.strerror})")
+            rest = f"make it writable, then `{_command(place)}` makes the rest"
+            raise _lost(place, manifest, str(lost), rest) from None
+    if derived.missing:
+        announce(missing_sentence(derived))
+    return derived
+
+
+def missing_sentence(derived: Derived) -> str:
+    """Return which files are missing, why, and the command that makes them."""
+    what = "; ".join(f"{name} ({why})" for name, why in derived.missing.items())
+    return f"not made: {what}; `{_command(derived.folder)}` makes them from the journal"
+
+
+def _command(folder: RunFolder) -> str:
+    from hil.run.session.terminal import invocation
+
+    return f"{invocation()} report {shlex.quote(str(folder.path))}"
+
+
+def _steps(manifest: dict[str, Any], derived: Derived) -> dict[str, Callable[[], None]]:
+    """Return what is made, in this order: later files show what the earlier ones found."""
+    folder = derived.folder
+
+    def record() -> None:
+        export_record(folder.journal, folder.record, {"uid": manifest["uid"], "started": manifest["started"]})
+
+    def revision() -> None:
+        profile = printable(Path(manifest["files"]["profile"]["path"]).name)
+        made_by = f"hil run {profile} --network-mode controlled"
+        derived.adopted = adoption.adopt(folder.twin, read_record(folder.record), _proposals(folder), made_by)
+        manifest["adoption"] = adoption.manifest(derived.adopted)
+
+    def review() -> None:
+        from hil.review import write_review
+
+        write_review(folder.journal, folder.review)
+
+    def report() -> None:
+        from hil.report.page import write_report
+
+        left = {name: why for name, why in derived.missing.items() if name != REPORT}
+        folder.write_manifest(manifest | {"missing": left})
+        write_report(folder)
+
+    adopts = manifest["settings"].get("network_mode") == "controlled" and folder.twin.is_file()
+    return {RECORD: record} | ({REVISION: revision} if adopts else {}) | {REVIEW: review, REPORT: report}
+
+
+def _proposals(folder: RunFolder) -> list[Proposed]:
+    reader = JournalReader(folder.journal)
+    try:
+        return [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
+    finally:
+        reader.close()
+
+
+def _made(step: Callable[[], None], signals: _Signals) -> str | None:
+    """Run one step; return why its file could not be made, None where it is there."""
+    try:
+        with signals.armed():
+            step()
+    except _StoppedError:
+        assert signals.received is not None
+        return f"stopped by {signals.received.name}"
+    except OSError as error:
+        return error.strerror or str(error)
+    except Exception as error:
+        known = exit_code(error) is not None
+        return str(error) if known else f"{type(error).__name__}: {error}; a defect of hil, please report it"
+    return None
+
+
+def _lost(folder: RunFolder, manifest: dict[str, Any], what: str, then: str) -> FolderLostError:
+    """Return the error that says how the run ended, what became of its folder, and where the manifest was saved."""
+    safe = manifest.get("safe") and not manifest.get("away")
+    rig = "the rig was left safe" if safe else "the rig was NOT confirmed safe: look at it now"
+    reason = f" ({manifest['reason']})" if manifest.get("reason") else ""
+    copy = _last_copy(folder, manifest)
+    where = f"how it ended stands in {copy}" if copy is not None else "run.json could be saved nowhere"
+    return FolderLostError(f"{what}; the run {manifest['exit_status']}{reason}, {rig}; {where}; {then}")
+
+
+def _last_copy(folder: RunFolder, manifest: dict[str, Any]) -> Path | None:
+    """Write `run.json` beside the folder, or where that cannot be to a new folder for temporary files."""
+    beside = folder.path.absolute().parent
+    for parent in (lambda: beside, lambda: Path(tempfile.mkdtemp(prefix="hil-run-"))):
+        with contextlib.suppress(OSError):
+            path = parent() / f"{folder.path.name}.run.json"
+            with replacing(path) as unfinished:
+                unfinished.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+            return path
+    return None

@@ -1,0 +1,209 @@
+"""What a run that was cut left behind, and whether it may go on: where it stood, and the files that it depends on."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.points import Quality
+from drivers.rigfile import file_sha256, load_rig
+from hil.files.folder_check import require_unshared
+from hil.journal.check import require_alone
+from hil.journal.profile_clock import profile_times
+from hil.journal.rows import SegmentRow, StateRow
+from hil.journal.states import State
+from hil.journal.writer import JournalReader
+from hil.run.restore.gap_evidence import KEY, with_gap
+from hil.run.restore.resumption import Standing
+from hil.run.restore.thermal_restore import has_memory
+from hil.run.session.regenerate import has_ended
+from hil.run.session.request import RunRequest
+from hil.run_folder.folder import RunFolder, RunFolderError
+from hil.run_folder.manifest_check import require_settings
+
+AIM_TICKS = 10
+"""The temperatures of a cut are means over so many of the last good values."""
+AIM_WITHIN_S = 60.0
+"""No older than this: what ended the run may have taken a sensor's last values along."""
+FILES = {
+    "rig": "--rig", "profile": "--profile", "twin": "--twin", "effects": "--with", "healthy": "--healthy",
+    "network": "--network",
+}  # fmt: skip
+"""Files that a run depends on, by their name in `run.json`, and the option that says where one has been moved to."""
+
+
+def questioned(folder: RunFolder, gap_s: float | None, announce: Callable[[str], None]) -> Standing:
+    """Return where the run in `folder` stood, its gap held against every clock that knows of it (`with_gap`).
+
+    Raises what `standing` raises, and RunFolderError where the gap is not plausible and `gap_s` does not state it.
+    """
+    was = standing(folder)
+    reader = _reader(folder)
+    try:
+        noted = reader.meta(KEY)
+    finally:
+        reader.close()
+    return with_gap(was, noted, gap_s, announce)
+
+
+def standing(folder: RunFolder) -> Standing:
+    """Where the run in `folder` stood; raises JournalError, or RunFolderError where it never had a sample."""
+    reader = _reader(folder)
+    try:
+        states, segments = reader.states(), reader.segments()
+        tick, wall_s = reader.last()
+        if tick < 0 or not states:
+            raise _never_began(folder)
+        header = reader.header
+        profile_s = float(profile_times(states, np.array([tick]), header.period_s)[0])
+        aim_tick = _aim_tick(states, segments, tick)
+        if segments and aim_tick < segments[-1].tick:
+            # Cut while it was being led back: it still has to get to where it was before.
+            aim_tick, profile_s = segments[-1].aim_tick, segments[-1].profile_s
+        back = math.ceil(AIM_WITHIN_S / header.period_s)
+        samples = reader.samples(aim_tick - back, back)
+    finally:
+        reader.close()
+    good = (samples.quality == Quality.GOOD) & np.isfinite(samples.values) & (samples.tick <= aim_tick)[:, None]
+    aim = {}
+    for index, signal in enumerate(header.signals):
+        column = samples.values[good[:, index], index][-AIM_TICKS:]
+        if has_memory(signal) and len(column):
+            aim[signal.name] = float(column.mean())
+    number = (segments[-1].number if segments else 1) + 1
+    return Standing(tick, tick * header.period_s, wall_s, profile_s, states[-1].target, number, aim_tick, aim)
+
+
+def _reader(folder: RunFolder) -> JournalReader:
+    if not folder.journal.is_file():
+        raise _never_began(folder)
+    return JournalReader(folder.journal)
+
+
+def _never_began(folder: RunFolder) -> RunFolderError:
+    return RunFolderError(f"{folder.path} ended before its first sample; start a new run with `hil run`")
+
+
+def _aim_tick(states: Sequence[StateRow], segments: Sequence[SegmentRow], tick: int) -> int:
+    """Last tick on which the run had the profile's load, running or held; -1 where its last segment had none.
+
+    What came after, paused, suspended or waiting for somebody to acknowledge a trip, has only cooled the rig.
+    """
+    found = -1
+    for row, following in zip(states, [*states[1:], None], strict=True):
+        loaded = row.target == State.RUNNING or (row.target == State.HELD and row.source == State.RUNNING)
+        if loaded and (not segments or row.tick >= segments[-1].tick):
+            # On the tick of a transition the rig still is as it was.
+            found = tick if following is None else min(following.tick, tick)
+    return found
+
+
+def request_of(
+    folder: RunFolder,
+    manifest: Mapping[str, Any],
+    moved: Mapping[str, Path | None],
+    *,
+    control: tuple[str, int] | None = None,
+    rearm: bool = False,
+    no_lock: bool = False,
+    viewer: bool | None = None,
+    guardian: bool = True,
+) -> RunRequest:
+    """What the run in `folder` was asked to be. `moved` says where files lie now; the other options are today's.
+
+    Raises:
+        RunFolderError: the run is over, or one of its files is not what it was.
+    """
+    if has_ended(folder):
+        rest = "start it again with `hil run`"
+        if not folder.report.is_file() or not folder.record.is_file():
+            rest = f"`hil report {shlex.quote(str(folder.path))}` makes its record and report"
+        raise RunFolderError(f"{folder.path} has run to its end; {rest}")
+    require_unshared(folder.path, RunFolderError)
+    require_alone(folder.journal)
+    settings = manifest["settings"]
+    require_settings(settings, folder.manifest, RunFolderError)
+    files = _checked_files(folder, manifest, moved)
+    for name in ("rig", "profile"):
+        if name not in files:
+            raise RunFolderError(f"{folder.manifest} names no {name}, so the run cannot be resumed; start a new run")
+    known = settings.get("control")
+    return RunRequest(
+        profile=files["profile"],
+        rig=files["rig"],
+        twin=files.get("twin"),
+        use_twin="twin" in files,
+        runs=folder.path.parent,
+        virtual=settings["virtual"],
+        mode=settings["mode"],
+        speed=settings["speed"],
+        seed=settings["seed"],
+        effects=files.get("effects"),
+        calibrators=tuple(settings["calibrators"]),
+        card=files.get("network"),
+        network_mode=settings["network_mode"],
+        viewer=viewer,
+        control=control or (None if known is None else (known[0], known[1])),
+        rearm=rearm,
+        no_lock=no_lock,
+        diagnose_s=settings.get("diagnose_s"),
+        healthy=files.get("healthy"),
+        adopt=settings.get("adopt", False),
+        guardian=guardian,
+    )
+
+
+def _checked_files(folder: RunFolder, manifest: Mapping[str, Any], moved: Mapping[str, Path | None]) -> dict[str, Path]:
+    """Where each file of the run is, its content unchanged; raises RunFolderError naming those that are not."""
+    found, problems = {}, []
+    inside = folder.path.resolve()
+    for name, item in manifest["files"].items():
+        path = moved.get(name) or Path(item["path"])
+        found[name] = path
+        if not moved.get(name) and (why := _not_named_by_a_run(path, inside)):
+            option = f"; where it is meant, name it with {FILES[name]}" if name in FILES else ""
+            problems.append(f"{folder.manifest} names {path} as the run's {name}, which {why}{option}")
+            continue
+        copy = f" ({folder.twin} is the run's own copy)" if name == "twin" and folder.twin.is_file() else ""
+        if not path.is_file():
+            where = f"say where it is with {FILES[name]}" if name in FILES else "put it back"
+            problems.append(f"{path}, the run's {name}, is not there; {where}{copy}")
+        elif file_sha256(path) != item["sha256"]:
+            problems.append(
+                f"{path} is not what it was when the run began; put that {name} back{copy}, or start a new run"
+            )
+    if problems:
+        raise RunFolderError("\n".join(problems))
+    return found
+
+
+def _not_named_by_a_run(path: Path, folder: Path) -> str:
+    """Return why no run writes this path of one of its files into its manifest, or "".
+
+    A run names its files by their absolute paths, and they lie outside its folder. One that lies inside came with the
+    folder: whoever made the folder chose the rig and what it is told.
+    """
+    if not path.is_absolute() or "\0" in str(path):
+        return "is no absolute path"
+    try:
+        return "came with the run's own folder" if path.resolve().is_relative_to(folder) else ""
+    except (OSError, RuntimeError):
+        return "leads round in a circle"
+
+
+def named(request: RunRequest) -> list[str]:
+    """Return what a resumed run will drive and with what, a sentence each, for the operator to see before it moves."""
+    rig = load_rig(request.rig)
+    buses = ", ".join(f"{name} at {bus.place}" for name, bus in rig.bus.items())
+    if request.virtual:
+        where = "a virtual rig of its own in place of the one"
+    elif request.control is not None:
+        where = f"the rig whose time is set through {request.control[0]}:{request.control[1]},"
+    else:
+        where = f"the rig {rig.name!r} ({buses})"
+    return [f"resuming drives {where} of {request.rig}, with the profile {request.profile}"]

@@ -1,0 +1,97 @@
+"""What `run.json` says of a run: the files and settings that it depends on, how it ended, its segments."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+from typing import Any
+
+from drivers.bus_sections import CanBus
+from hil.journal.writer import JournalError, JournalReader
+from hil.run.engine.engine import Outcome
+from hil.run.restore.resumption import Resumption, Standing
+from hil.run.session.request import Prepared, RunRequest
+from hil.run_folder.folder import FolderLostError, RunFolder
+from hil.tracking.process import Tracking
+
+
+def files_of(request: RunRequest, ready: Prepared) -> dict[str, Path | None]:
+    """Everything on disk that the run depends on."""
+    dbc = {f"dbc of {name}": bus.dbc for name, bus in ready.rig.bus.items() if isinstance(bus, CanBus)}
+    return {
+        "rig": request.rig,
+        "profile": request.profile,
+        "twin": ready.twin,
+        "effects": request.effects,
+        "healthy": request.healthy,
+        "network": request.card,
+        **dbc,
+    }
+
+
+def settings_of(request: RunRequest, tracking: Tracking | None) -> dict[str, Any]:
+    """What the run was asked to be, beside its files."""
+    return {
+        "mode": request.mode,
+        "speed": request.speed,
+        "virtual": request.virtual,
+        "control": request.control,
+        "seed": request.seed,
+        "calibrators": [] if tracking is None else list(tracking.calibrators),
+        "left_out": {} if tracking is None else tracking.left_out,
+        "network_mode": request.network_mode,
+        "diagnose_s": request.diagnose_s,
+        "adopt": request.adopt,
+    }
+
+
+def how_it_stopped(manifest: dict[str, Any], was: Standing) -> str:
+    """A sentence's beginning: how the segment before ended."""
+    if manifest["exit_status"] == "running":
+        return f"the run was cut while {was.state}"
+    return f"the run {manifest['exit_status']} ({manifest['reason']})"
+
+
+def ended(
+    folder: RunFolder, manifest: dict[str, Any], outcome: Outcome, resumption: Resumption | None, wall_s: float
+) -> dict[str, Any]:
+    """What is new in the manifest when a segment is over, after `wall_s` of wall time."""
+    return {
+        "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "exit_status": outcome.verdict,
+        "deviations": outcome.deviations,
+        "reason": outcome.reason,
+        "safe": outcome.safe,
+        "away": outcome.away,
+        "guardian": outcome.guardian,
+        "trips": outcome.trips,
+        "ticks": outcome.ticks,
+        "rig_restarts": outcome.restarts + manifest.get("rig_restarts", 0),
+        "overruns": outcome.overruns + manifest.get("overruns", 0),
+        "wall_s": round(wall_s + manifest.get("wall_s", 0.0), 2),
+        "segments": _segments(folder, manifest, outcome, resumption),
+        "problems": outcome.problems,
+    }
+
+
+def _segments(
+    folder: RunFolder, manifest: dict[str, Any], outcome: Outcome, resumption: Resumption | None
+) -> list[dict[str, Any]]:
+    """Every resumption so far as plain data, with what became of this one."""
+    if resumption is None:
+        return []
+    try:
+        reader = JournalReader(folder.located().journal)
+    except (JournalError, FolderLostError):
+        return list(manifest.get("segments", []))
+    try:
+        rows = reader.segments()
+    finally:
+        reader.close()
+    known = {item["number"]: item for item in manifest.get("segments", [])}
+    mine = {"soaked_s": outcome.soaked_s, "exit_status": outcome.status, "reason": outcome.reason}
+    return [
+        {"number": row.number, "from_s": row.time_s, "gap_s": row.gap_s, "profile_s": row.profile_s, "why": row.reason}
+        | (mine if row.number == resumption.standing.number else known.get(row.number, {"exit_status": "cut"}))
+        for row in rows
+    ]

@@ -1,0 +1,63 @@
+"""Remaking of a run's files from its journal, after the run: what `hil report` does."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from typing import Any
+
+from hil.journal.states import ENDED
+from hil.journal.writer import JournalReader
+from hil.run.session.derived_files import RECORD, REVIEW, REVISION, Derived, derive_files
+from hil.run_folder.folder import RunFolder, RunFolderError
+
+
+def remake(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) -> Derived:
+    """Make the files of the run in `folder` that are missing, and its report in any case.
+
+    Args:
+        folder: of a run that is not live.
+        rebuild: make record and review anew, too.
+        announce: told what is being made.
+
+    Raises:
+        RunFolderError: this is no run folder, its run still goes on, or its `run.json` cannot be written.
+        JournalError: the journal is missing or damaged.
+    """
+    folder.read_manifest()  # a folder that is no run's is refused before it is locked
+    with folder.owned():
+        manifest = as_it_ended(folder, folder.read_manifest())
+        wanted = manifest.get("missing", {})
+        there = [] if REVISION in wanted else [REVISION]
+        if not rebuild:
+            files = {RECORD: folder.record, REVIEW: folder.review}
+            there += [name for name, path in files.items() if folder.is_current(path)]
+        return derive_files(folder, manifest, announce, there=there)
+
+
+def as_it_ended(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
+    """Return `manifest` with how the run ended, where its process was killed before it could write that.
+
+    A run that was cut has not ended: its manifest is returned as it is. Raises JournalError.
+    """
+    if manifest.get("exit_status") != "running":
+        return manifest
+    reader = JournalReader(folder.journal)
+    try:
+        states = reader.states()
+        tick, _ = reader.last()
+    finally:
+        reader.close()
+    if not states or states[-1].target not in ENDED:
+        return manifest
+    last = states[-1]
+    ended = datetime.datetime.fromtimestamp(last.wall_s, datetime.UTC).isoformat(timespec="seconds")
+    return manifest | {"ended": ended, "exit_status": last.target, "reason": last.reason, "ticks": tick + 1}
+
+
+def has_ended(folder: RunFolder) -> bool:
+    """Return whether the run in `folder` went to its end, by `run.json` or its journal; False where neither says so."""
+    try:
+        return as_it_ended(folder, folder.read_manifest()).get("exit_status", "").startswith("done")
+    except (RunFolderError, KeyError):
+        return False

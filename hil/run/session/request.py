@@ -1,0 +1,236 @@
+"""What a run is asked to be, and everything about it that can be checked before anything moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from drivers.interlock_specs import ResidualSpec
+from drivers.points import ConfigurationError
+from drivers.rig_model import Rig
+from drivers.rigfile import load_rig
+from hil.profile.load_profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
+from hil.rig.notices import unguarded
+from hil.run.outputs.setpoints import setpoint_columns
+from hil.tracking.adoption import NetworkMode
+from hil.tracking.twins import DEFAULT, STATIC, TrackingConfig
+
+if TYPE_CHECKING:
+    from twin.network import Network
+
+Mode = Literal["real", "scaled", "lockstep"]
+MOST_SPEED = 100.0
+"""Faster than this the rig's watchdog of seconds is shorter than a scheduler's hiccup; lockstep has no such limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """What to run. `virtual` starts the virtual rig in place of the one at the rig file's addresses.
+
+    `twin` None takes the twin that the rig file names, if any; `use_twin` False runs without one. `calibrators` None
+    takes the usual ones, without those that there are not for this twin. `card`: of the trained ensemble that the
+    network calibrators ask, None for the shipped one. `network_mode`: see `tracking.adoption`. `control` is the control
+    port of a virtual rig in lockstep that runs already, at the rig file's addresses. `rearm`: whether a trip that the
+    rig brings along is acknowledged. `diagnose_s`: seconds of profile time between diagnoses of the record so far,
+    against the record `healthy`; `adopt` saves what they find. `guardian` False does without the process that makes the
+    rig safe when this one is killed or hangs. `no_lock`: run although a second run is not kept off the rig.
+    """
+
+    profile: Path
+    rig: Path
+    twin: Path | None
+    runs: Path
+    virtual: bool = False
+    mode: Mode = "real"
+    speed: float = 1.0
+    seed: int = 0
+    effects: Path | None = None
+    calibrators: tuple[str, ...] | None = None
+    card: Path | None = None
+    network_mode: NetworkMode = "shadow"
+    viewer: bool | None = None
+    use_twin: bool = True
+    control: tuple[str, int] | None = None
+    rearm: bool = False
+    diagnose_s: float | None = None
+    healthy: Path | None = None
+    adopt: bool = False
+    guardian: bool = True
+    no_lock: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """Everything that could be checked before anything moves."""
+
+    rig: Rig
+    profile: Profile
+    twin: Path | None
+    network: Network | None
+    notes: tuple[str, ...]
+
+
+def prepare(request: RunRequest) -> Prepared:
+    """Read and validate all files of a run; raises the error of the file, or ConfigurationError."""
+    rig = load_rig(request.rig)
+    profile = read_profile(request.profile)
+    twin = (request.twin or rig.twin) if request.use_twin else None
+    least_s = 0.0 if twin is None else WINDOW_S
+    notes = validate(profile, setpoint_limits(rig), min_duration_s=least_s, period_s=rig.period_s)
+    notes = [*unguarded(rig, request.rig), *notes]
+    network = None
+    if twin is not None:
+        from twin.twinfile import load
+
+        network = load(twin)
+        notes = [*notes, *_check_twin_columns(twin, network, rig)]
+        check_calibrators(request.calibrators)
+        chosen(request.calibrators, request.card)
+    elif request.card is not None:
+        raise ConfigurationError("--network is of a calibrator, and this run has no twin; name one, or take it out")
+    _check_residuals(request, rig, network)
+    if request.mode == "scaled" and not 0 < request.speed <= MOST_SPEED:
+        raise ConfigurationError(
+            f"--speed {request.speed:g} is not between 0 and {MOST_SPEED:g}; use --lockstep to go faster"
+        )
+    if request.mode != "real" and not request.virtual and request.control is None:
+        raise ConfigurationError(f"{request.mode} time needs a rig whose time can be set; add --virtual")
+    secured = [name for name, bus in rig.bus.items() if bus.transport == "modbus_tls"]
+    if request.virtual and secured:
+        raise ConfigurationError(
+            f"{request.rig}: bus {secured[0]} wants TLS, which --virtual does not start; serve the rig with "
+            "`hil rig --tls-certificate ...` and take --virtual out"
+        )
+    unlike = [name for name, bus in rig.bus.items() if bus.transport not in ("modbus_tcp", "socketcand")]
+    if request.virtual and unlike:
+        raise ConfigurationError(
+            f"{request.rig}: bus {unlike[0]} is {rig.bus[unlike[0]].place}, which --virtual does not start; serve the "
+            "rig with `hil rig --rtu-port` or `--serial` and take --virtual out"
+        )
+    if request.effects is not None and not request.virtual:
+        raise ConfigurationError(
+            "--with switches on effects in the virtual rig; give --virtual too, or take --with out"
+        )
+    if request.effects is not None:
+        notes = [*notes, *_check_effects(request.effects, profile)]
+    if request.diagnose_s is not None:
+        notes = [*notes, *_check_diagnosis(request, twin, network)]
+    return Prepared(rig, profile, twin, network, tuple(notes))
+
+
+def _check_effects(file: Path, profile: Profile) -> list[str]:
+    """Remarks on the effects of the virtual rig; raises EffectFileError."""
+    from drivers.virtual.effects import load_effects
+
+    return [
+        f"{file}: effect {number} begins at {effect.onset_s:g} s, after the profile's end at {profile.duration_s:g} s"
+        for number, effect in enumerate(load_effects(file), 1)
+        if effect.onset_s >= profile.duration_s
+    ]
+
+
+def _check_residuals(request: RunRequest, rig: Rig, network: Network | None) -> None:
+    """Raise ConfigurationError where an interlock watches a twin that does not run or has no such sensor."""
+    for spec in rig.interlock:
+        if not isinstance(spec, ResidualSpec):
+            continue
+        if network is None or request.calibrators == ():
+            raise ConfigurationError(f"{request.rig}: an interlock watches a twin, and this run has none; name one")
+        if spec.sensor not in network.sensor_names:
+            known = ", ".join(network.sensor_names)
+            raise ConfigurationError(f"{request.rig}: residual: the twin has no sensor {spec.sensor!r}; it has {known}")
+        running = (STATIC, *(DEFAULT if request.calibrators is None else request.calibrators))
+        if spec.twin not in running:
+            raise ConfigurationError(
+                f"{request.rig}: residual: no twin {spec.twin!r} runs; there are {', '.join(running)}"
+            )
+
+
+def check_calibrators(names: tuple[str, ...] | None) -> None:
+    """Raise ConfigurationError where one of the names is no calibrator, or stands twice."""
+    from twin.calibrators import NAMES
+
+    unknown = [name for name in names or () if name not in NAMES]
+    if unknown:
+        raise ConfigurationError(f"no calibrator {', '.join(unknown)}; there are {', '.join(NAMES)}")
+    twice = [name for name in dict.fromkeys(names or ()) if names is not None and names.count(name) > 1]
+    if twice:
+        raise ConfigurationError(f"--calibrator {twice[0]} is given twice; give each once")
+
+
+def chosen(calibrators: tuple[str, ...] | None, card: Path | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Calibrators that run, the usual ones for None, and those among them that may be left out.
+
+    Raises:
+        ConfigurationError: a card is given, and none of them asks a network.
+    """
+    from twin.calibrators import FITTING, NAMES
+
+    names = DEFAULT if calibrators is None else calibrators
+    if card is not None and set(names) <= set(FITTING):
+        asking = " or ".join(name for name in NAMES if name not in FITTING)
+        raise ConfigurationError(f"--network is given, and no calibrator asks it; add --calibrator {asking}")
+    if calibrators is not None:
+        return names, ()
+    return names, tuple(name for name in DEFAULT[1:] if card is None or name in FITTING)
+
+
+def _check_diagnosis(request: RunRequest, twin: Path | None, network: Network | None) -> list[str]:
+    """Remarks on a diagnosis that is asked for; raises ConfigurationError or RecordError."""
+    if network is None or twin is None:
+        raise ConfigurationError("--diagnose asks why a twin is wrong, and this run has none; take --no-twin out")
+    from hil.diagnosis.hand_over import read_columns
+    from hil.diagnosis.healthy_record import commissioned_on
+
+    if request.healthy is not None:
+        read_columns(network, request.healthy, None)
+        return []
+    kept = commissioned_on(twin)
+    if kept.path is not None:
+        return []
+    none = "--diagnose without --healthy takes the noise floor from the run itself: small effects are not seen"
+    return [kept.why, none] if kept.why else [none]
+
+
+def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:
+    """What profiles may ask of the rig, by profile column."""
+    limits = {}
+    for column, point in setpoint_columns(rig).items():
+        assert point.limits is not None
+        low, high = point.limits
+        limits[column] = SetpointLimit(low=low, high=high, max_rate_per_s=point.max_rate, unit=point.unit)
+    return limits
+
+
+def _check_twin_columns(path: Path, network: Network, rig: Rig) -> list[str]:
+    """Notes on inputs of the twin that the rig does not measure and a set-point stands for.
+
+    Raises:
+        ConfigurationError: an input is neither measured nor a set-point, or a sensor is not measured.
+    """
+    measured = {point.as_signal().column for point in rig.point if point.is_polled}
+    commanded = {point.as_signal().column for point in rig.setpoints} - measured
+    inputs = set(network.input_columns)
+    sensors = set().union(*network.sensor_columns.values())
+    missing = sorted((inputs - measured - commanded) | (sensors - measured))
+    if missing:
+        column = next((name for name in missing if name in inputs), None)
+        named = "" if column is None else f", or call the set-point that stands for {column} as the twin's input"
+        raise ConfigurationError(
+            f"{path}: the twin needs {', '.join(missing)}, which the rig {rig.name} does not measure; "
+            f"name a twin of this rig with --twin{named}"
+        )
+    return [
+        f"{column} is not measured on {rig.name}: the twin takes the set-point, and does not see an actuator that fails"
+        for column in network.input_columns
+        if column in commanded
+    ]
+
+
+def tracking_config(request: RunRequest, ready: Prepared, columns: tuple[str, ...]) -> TrackingConfig | None:
+    """Which twins run beside the rig, or None for none."""
+    if ready.twin is None or request.calibrators == ():
+        return None
+    names, optional = chosen(request.calibrators, request.card)
+    return TrackingConfig(ready.twin, columns, names, request.seed, optional, card=request.card)

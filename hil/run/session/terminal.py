@@ -1,0 +1,259 @@
+"""What a person sees in the terminal: progress with ETA and temperatures, tables of errors."""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+import shutil
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from hil.run.engine.engine import Status
+    from hil.run.session.session import RunResult
+    from hil.tracking.twins import Comparison, ErrorTable
+
+LINE_EVERY_S = 5.0
+PLAIN_WIDTH = 140
+
+_TOLD = ("T_heater", "T_pm1", "T_radiator", "T_tank", "T_ambient")
+"""Temperatures of the loop that are told while it runs; of a rig without any of them as many of its first ones."""
+
+
+def console(*, stderr: bool = False, quiet: bool = False) -> Console:
+    """A console; where the output is no terminal, lines are long enough for every table."""
+    plain = Console(stderr=stderr, quiet=quiet, highlight=False)
+    return plain if plain.is_terminal else Console(stderr=stderr, quiet=quiet, highlight=False, width=PLAIN_WIDTH)
+
+
+def invocation() -> str:
+    """How to call `hil` again from this shell: its name where that is on the path, else its place."""
+    if shutil.which("hil") is not None:
+        return "hil"
+    place = Path(sys.argv[0])
+    return os.path.relpath(place) if place.name == "hil" else "python -m hil"
+
+
+def hours(seconds: float) -> str:
+    """`37 h 05 min` for a time in seconds, `95 s` for a short one."""
+    if seconds < 600:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def error_table(errors: ErrorTable, title: str) -> Table:
+    """RMSE per sensor in K, one column a twin, the sensor's noise beside it."""
+    table = Table(title=title, title_justify="left", caption_justify="left")
+    table.add_column("sensor", no_wrap=True)
+    for column in errors.columns:
+        table.add_column(column, justify="right", min_width=6)
+    if errors.noise_K:
+        table.add_column("noise", justify="right", style="dim")
+    for sensor, cells in errors.rows.items():
+        noise = [f"{errors.noise_K[sensor]:.3f}"] if errors.noise_K else []
+        table.add_row(sensor, *(f"{cell:.3f}" if math.isfinite(cell) else "-" for cell in cells), *noise)
+    table.caption = (
+        "static: as commissioned, never updated. ahead: predicted by the parameters of earlier windows, before the "
+        "data came. fitted: the same window after its calibration."
+    )
+    return table
+
+
+def band_table(comparison: Comparison) -> Table:
+    """Half width of the twins' 90 % bands in K, and how much of the readings they held."""
+    table = Table(title="90 % bands: ± K (share held)", title_justify="left", caption_justify="left")
+    table.add_column("sensor", no_wrap=True)
+    for twin in comparison.bands:
+        table.add_column(twin, justify="right")
+    for sensor in comparison.errors.rows:
+        cells = (comparison.bands[twin][sensor] for twin in comparison.bands)
+        table.add_row(sensor, *(f"{half:.3f} ({inside:.0%})" for half, inside in cells))
+    table.caption = "foretold for ten minutes from the twin's own misses in the two hours before."
+    return table
+
+
+def parameter_table(comparison: Comparison) -> Table:
+    """Parameters as each calibrator has them at the end, with 90 % intervals."""
+    table = Table(title="Parameters at the end, ± 90 %", title_justify="left", caption_justify="left")
+    table.add_column("parameter", no_wrap=True)
+    for name in comparison.parameters:
+        table.add_column(name, justify="right")
+    from hil.tracking.twins import parameter_cell
+
+    names = dict.fromkeys(name for values in comparison.parameters.values() for name in values)
+    for name in names:
+        cells = (comparison.parameters[calibrator].get(name) for calibrator in comparison.parameters)
+        table.add_row(name, *(parameter_cell(cell) for cell in cells))
+    table.caption = "held: the record does not tell it, or a gate is closed."
+    return table
+
+
+def show_comparison(to: Console, comparison: Comparison, title: str) -> None:
+    """The twins side by side: errors, bands, parameters, and which are no better than the static one."""
+    to.print(error_table(comparison.errors, title))
+    if comparison.bands:
+        to.print(band_table(comparison))
+    if comparison.parameters:
+        to.print(parameter_table(comparison))
+    for sentence in comparison.outdone.values():
+        to.print(sentence, markup=False, soft_wrap=True)
+
+
+class Steps:
+    """A progress bar over `total` of something, with ETA; plain lines where the output is no terminal.
+
+    `begun` of it were done before. What ends early sets `cut`, so that the bar stays where it is.
+    """
+
+    def __init__(self, what: str, total: float, *, quiet: bool = False, begun: float = 0.0) -> None:
+        self.cut = False
+        self._begun = begun
+        self._console = console(stderr=True, quiet=quiet)
+        self._what = what
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=30),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeElapsedColumn(),
+            TextColumn("ETA"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}", style="dim"),
+            console=self._console,
+            transient=False,
+            disable=quiet or not self._console.is_terminal,
+        )
+        self._task: TaskID = self._progress.add_task(what, total=total, completed=int(begun), note="")
+        self._total = total
+        self._seen = self._last_line = time.monotonic()
+        self._done, self._spent = begun, 0.0
+        self._lines = not self._console.is_terminal
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        if kind is None and not self.cut:
+            self._progress.update(self._task, completed=self._total)
+        self._progress.stop()
+
+    def update(self, done: float, note: str = "") -> None:
+        """`done` of the total are behind; `note` is shown beside the bar."""
+        self._progress.update(self._task, completed=done, note=note)
+        now = time.monotonic()
+        if done > self._done:  # a run that soaks or waits says nothing of how long the rest takes
+            self._spent += now - self._seen
+        self._done, self._seen = done, now
+        if not self._lines or now - self._last_line < LINE_EVERY_S or (done <= self._begun and not note):
+            return
+        self._last_line = now
+        eta = ""
+        if done > self._begun:
+            eta = f", ETA {self._spent * (self._total - done) / (done - self._begun):.0f} s"
+        self._console.print(f"{self._what}: {100 * done / self._total:3.0f} %{eta}  {note}", markup=False)
+
+    def say(self, text: str) -> None:
+        """A line above the bar."""
+        self._console.print(text, markup=False, soft_wrap=True)  # a path that is broken cannot be pasted
+
+
+class LiveRun:
+    """Progress of a run: profile time, ETA, a live line of temperatures."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._steps: Steps | None = None
+        self._console = console(stderr=True, quiet=quiet)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        if self._steps is not None:
+            self._steps.__exit__(kind, error, tb)
+
+    def announce(self, text: str) -> None:
+        """One line about what is being done."""
+        if self._steps is not None:
+            self._steps.say(text)
+        else:
+            self._console.print(text, markup=False, soft_wrap=True)
+
+    def update(self, status: Status) -> None:
+        """Called by the engine a few times a second."""
+        if self._steps is None:
+            self._steps = Steps("replaying", status.duration_s, quiet=self._quiet, begun=status.profile_s)
+            self._steps.__enter__()
+        every = [name for name in status.values if name.startswith("T_")]
+        shown = [name for name in every if name in _TOLD] or every[: len(_TOLD)]
+        temperatures = "  ".join(f"{name.removeprefix('T_')} {status.values[name]:.1f}" for name in shown)
+        temperatures += " °C" if shown else ""
+        power = status.values.get("heater_power")
+        heater = f"{power:.0f} W  " if power is not None else ""
+        state = "" if status.state == "running" else f"{status.state.upper()}  "
+        if status.state == "soaking":
+            self._steps.update(status.profile_s, f"SOAKING  {status.reason}")
+            return
+        self._steps.update(status.profile_s, f"{state}{hours(status.profile_s)}  {heater}{temperatures}")
+
+    def show_result(self, result: RunResult) -> None:
+        """Table of errors, how it ended, where it is."""
+        out = console()
+        outcome = result.outcome
+        out.print()
+        if result.comparison is not None:
+            show_comparison(out, result.comparison, f"RMSE in K over {hours(result.duration_s)}")
+        gaps = cut_time(result.folder.read_manifest())
+        out.print(
+            f"{outcome.verdict}: {hours(result.duration_s)} of rig time in {result.wall_s:.1f} s{gaps}"
+            + (f", {outcome.overruns} late ticks" if outcome.overruns else "")
+            + (f": {outcome.reason}" if outcome.reason else ""),
+            highlight=False,
+        )
+        if outcome.ticks and (outcome.away or not outcome.safe):
+            out.print("The rig was NOT confirmed safe: look at it now.", style="bold red")
+        for problem in [*outcome.problems, *outcome.deviations]:
+            out.print(f"  {problem}", markup=False)
+        if outcome.guardian:
+            out.print(f"the guardian acted: {outcome.guardian}", markup=False)
+        if result.diagnosis is not None:
+            told = result.diagnosis
+            said = f"no diagnosis: {told.problem}" if told.found is None else f"diagnosis: {told.found.sentence}"
+            out.print(said, soft_wrap=True, markup=False)
+            if told.page is not None:
+                out.print(f"page with pictures: {told.page}", soft_wrap=True)
+            if told.revision is not None:
+                out.print(f"revision of the twin: {shlex.quote(str(told.revision))}", soft_wrap=True, markup=False)
+        if result.gates is not None:
+            out.print(result.gates, soft_wrap=True, markup=False)
+        if result.adoption is not None:
+            out.print(result.adoption.sentence, soft_wrap=True, markup=False)
+        out.print(f"run folder: {result.folder.path}", soft_wrap=True)
+        path = result.folder.path
+        if outcome.status != "done" and outcome.ticks:
+            when = "when its cause is gone, go on with it" if outcome.status == "faulted" else "go on with it"
+            out.print(f"{when}: {invocation()} resume {path}", soft_wrap=True)
+        out.print(f"look at it: {invocation()} review {path}", soft_wrap=True)
+        if not result.viewed:
+            out.print(
+                f"no display here; a picture: {invocation()} review {path} --screenshot review.png", soft_wrap=True
+            )
+
+
+def cut_time(manifest: dict[str, Any]) -> str:
+    """What gaps and soaks had of a run's time, in brackets; nothing of a run that was never cut."""
+    segments = manifest.get("segments", [])
+    if not segments:
+        return ""
+    times = "once" if len(segments) == 1 else f"{len(segments)} times"
+    gap_s, soaked_s = (sum(segment.get(key, 0.0) for segment in segments) for key in ("gap_s", "soaked_s"))
+    return f" (cut {times}: {hours(gap_s)} without a row, {hours(soaked_s)} of leading the rig back)"

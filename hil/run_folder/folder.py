@@ -1,0 +1,262 @@
+"""The folder of a run: `runs/<utc>-<profile>/` with journal, record, review, twin, report and `run.json`."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import fcntl
+import json
+import os
+import platform
+import shutil
+import sys
+import uuid
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from drivers.rigfile import file_sha256
+from hil import __version__
+from hil.files.atomic import replacing
+from hil.files.folder_check import read_json, require_plain
+from hil.files.names import ENDINGS, LONGEST_DATABASE_PATH, component, longest_name
+from hil.run_folder.manifest_check import checked_manifest
+
+LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "pyarrow", "rerun-sdk")
+BYTES_PER_TICK = 2500
+"""What a tick costs on disk, journal and record and review together, rounded up."""
+
+
+class RunFolderError(Exception):
+    """The run folder cannot be made or read; the message says what to do."""
+
+
+class FolderLostError(RunFolderError):
+    """The folder of a run was deleted, or cannot be written any more; the message says what is left of the run."""
+
+
+def _damaged(sentence: str) -> RunFolderError:
+    return RunFolderError(f"{sentence}; the journal beside it still holds the run")
+
+
+@dataclass(frozen=True, slots=True)
+class RunFolder:
+    """Paths of one run."""
+
+    path: Path
+    _held: list[int] = field(default_factory=list, compare=False, repr=False)
+    """Open directory, while this process holds the folder: it leads there also after somebody moved it."""
+
+    @property
+    def journal(self) -> Path:
+        """SQLite journal, the source of everything else."""
+        return self.path / "journal.sqlite"
+
+    @property
+    def record(self) -> Path:
+        """Parquet record derived from the journal."""
+        return self.path / "record.parquet"
+
+    @property
+    def review(self) -> Path:
+        """Rerun recording derived from the journal."""
+        return self.path / "review.rrd"
+
+    @property
+    def twin(self) -> Path:
+        """The twin file that the run began with."""
+        return self.path / "twin.toml"
+
+    @property
+    def report(self) -> Path:
+        """HTML report."""
+        return self.path / "report.html"
+
+    @property
+    def diagnosis(self) -> Path:
+        """Folder with the diagnosis of the run, where there is one."""
+        return self.path / "diagnosis"
+
+    @property
+    def control(self) -> Path:
+        """Socket on which a live run listens to `hil ctl`."""
+        return self.path / "control.sock"
+
+    @property
+    def manifest(self) -> Path:
+        """Identity, hashes, versions and exit status."""
+        return self.path / "run.json"
+
+    def read_manifest(self) -> dict[str, Any]:
+        """`run.json`, checked; raises RunFolderError where this is no run folder, or one that leads outside itself."""
+        try:
+            self.manifest.lstat()  # before the folder is looked through: it may be anybody's home
+            require_plain(self.path, RunFolderError)
+            document = read_json(self.manifest, _damaged)
+        except FileNotFoundError:
+            raise RunFolderError(f"{self.path} is not a run folder (no run.json); give one of runs/*") from None
+        except OSError as error:
+            raise RunFolderError(f"{self.manifest} cannot be read ({error.strerror}); give one of runs/*") from None
+        return checked_manifest(document, self.manifest, RunFolderError)
+
+    def is_current(self, made: Path, within_s: float = 0.0) -> bool:
+        """Return whether a file that was made from the journal is there and no older than the journal's last row, but
+        for `within_s`."""
+        log = self.journal.with_name(f"{self.journal.name}-wal")
+        try:
+            newest = max(path.stat().st_mtime for path in (self.journal, log) if path.is_file())
+            return made.stat().st_mtime >= newest - within_s
+        except (OSError, ValueError):
+            return made.is_file()
+
+    @property
+    def was_cut(self) -> bool:
+        """Whether its run neither ended nor goes on: it was killed, or its power went."""
+        try:
+            if self.read_manifest()["exit_status"] != "running":
+                return False
+            with self.owned():
+                return True
+        except (RunFolderError, KeyError):
+            return False
+
+    @contextlib.contextmanager
+    def owned(self) -> Iterator[None]:
+        """Hold the folder as the one run that goes on in it; raises RunFolderError where another process does.
+
+        The kernel lets go of it with the process, whatever ends that. A file system without locks is trusted.
+        """
+        handle = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise RunFolderError(
+                    f"{self.path} is a run that still goes on; ask it with `hil ctl status {self.path}`"
+                ) from None
+            except OSError:
+                pass
+            self._held.append(handle)
+            yield
+        finally:
+            if handle in self._held:
+                self._held.remove(handle)
+            os.close(handle)
+
+    def located(self) -> RunFolder:
+        """Return the folder where it lies now, which is elsewhere if somebody moved it while it was held.
+
+        Raises:
+            FolderLostError: it was deleted.
+        """
+        if not self._held:
+            if self.path.is_dir():
+                return self
+            raise FolderLostError(f"{self.path} is gone; it was deleted or moved")
+        held = os.fstat(self._held[-1])
+        for path in (self.path, Path(os.readlink(f"/proc/self/fd/{self._held[-1]}"))):
+            with contextlib.suppress(OSError):
+                if os.path.samestat(path.stat(), held):
+                    return self if path == self.path else RunFolder(path, self._held)
+        raise FolderLostError(f"{self.path} was deleted")
+
+    def keep_twin(self, files: Sequence[Path]) -> None:
+        """Copy the twin file that a run begins with, and after it what that was made of, newest first.
+
+        A healthy record may belong to one of the latter.
+        """
+        for age, file in enumerate(files):
+            shutil.copyfile(file, self.path / f"twin.before-{age}.toml" if age else self.twin)
+
+    def write_manifest(self, document: dict[str, Any]) -> None:
+        """Write `run.json` in one step."""
+        with replacing(self.manifest) as temporary:
+            temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
+    """Make a new, empty run folder under `parent`, named by time and profile.
+
+    Runs that begin in the same second get folders of their own. Characters of `profile_name` that a terminal or a
+    library could not take are replaced in the folder's name, and a long one is cut.
+
+    Raises:
+        RunFolderError: `parent` is no folder or takes no new one, its path is too long for a journal, or its disk has
+            no room for `ticks`.
+    """
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = "it is there, but is no folder" if isinstance(error, FileExistsError) else error.strerror
+        raise RunFolderError(f"{parent} cannot be made ({why}); choose another folder with --runs") from error
+    stamp = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
+    room = LONGEST_DATABASE_PATH - len(os.fsencode(parent.resolve() / f"{stamp}--99/journal.sqlite"))
+    if room < 1:
+        raise RunFolderError(
+            f"{parent} is too long: SQLite takes {LONGEST_DATABASE_PATH} bytes for the path of a journal; "
+            "choose a shorter folder with --runs"
+        )
+    path = _made(parent, f"{stamp}-{component(profile_name, min(longest_name(parent) - len(stamp) - ENDINGS, room))}")
+    try:
+        _require(path, ticks * BYTES_PER_TICK, "use --runs")
+    except RunFolderError:
+        path.rmdir()
+        raise
+    return RunFolder(path)
+
+
+def _made(parent: Path, name: str) -> Path:
+    """Make a folder of this name, or with a number after it where others have the name already."""
+    for suffix in ("", *(f"-{n}" for n in range(2, 100))):
+        path = parent / f"{name}{suffix}"
+        try:
+            path.mkdir()
+            return path
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise RunFolderError(
+                f"{path} cannot be made ({error.strerror}); choose another folder with --runs"
+            ) from error
+    raise RunFolderError(f"{parent / name} and 98 more are there already; choose another folder with --runs")
+
+
+def require_room(folder: RunFolder, ticks: int) -> None:
+    """Raise RunFolderError where the disk has no room for what a run of so many ticks still lacks in its folder."""
+    held = sum(path.stat().st_size for path in folder.path.iterdir() if path.is_file())
+    _require(folder.path, max(ticks * BYTES_PER_TICK - held, 0), "move the run's folder to another disk")
+
+
+def _require(path: Path, needed: int, otherwise: str) -> None:
+    free = shutil.disk_usage(path).free
+    if free < needed:
+        raise RunFolderError(
+            f"{path.parent} has {free / 1e6:.0f} MB free, this run may need {needed / 1e6:.0f} MB; "
+            f"free some or {otherwise}"
+        )
+
+
+def new_manifest(files: dict[str, Path | None], **settings: Any) -> dict[str, Any]:
+    """What is known before a run begins: identity, versions, host, hash of every file that it depends on."""
+    return {
+        "uid": str(uuid.uuid4()),
+        "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "ended": None,
+        "exit_status": "running",
+        "reason": "",
+        "host": platform.node(),
+        "versions": {
+            "hil": __version__,
+            "python": sys.version.split()[0],
+            **{name: metadata.version(name) for name in LIBRARIES},
+        },
+        "files": {
+            name: {"path": str(path.absolute()), "sha256": file_sha256(path)}
+            for name, path in files.items()
+            if path is not None
+        },
+        "settings": settings,
+        "segments": [],
+    }

@@ -1,0 +1,146 @@
+"""The shape of `run.json`: what report, review and resume rely on, checked when it is read.
+
+A manifest is data from anywhere. Keys that nobody here reads may be anything.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from hil.files.limits import Failure
+
+Mode = Literal["real", "scaled", "lockstep"]
+NetworkMode = Literal["shadow", "advisory", "controlled"]
+_REQUIRED = ("virtual", "mode", "speed", "seed", "calibrators", "network_mode")
+
+
+class _Shape(BaseModel):
+    model_config = ConfigDict(extra="allow", strict=True)
+
+
+class _File(_Shape):
+    path: str
+    sha256: str
+
+
+class _Settings(_Shape):
+    mode: Mode = "real"
+    speed: float = 1.0
+    virtual: bool = False
+    control: tuple[str, int] | None = None
+    seed: int = 0
+    calibrators: list[str] = []
+    network_mode: NetworkMode = "shadow"
+    diagnose_s: float | None = None
+    adopt: bool = False
+
+
+class _Segment(_Shape):
+    number: int
+    from_s: float
+    gap_s: float
+    profile_s: float
+    soaked_s: float = 0.0
+    why: str
+    exit_status: str
+    reason: str = ""
+
+
+class _Errors(_Shape):
+    columns: list[str]
+    rows: dict[str, list[float | None]]
+    noise_K: dict[str, float | None]
+
+
+class _Adoption(_Shape):
+    sentence: str
+
+
+class _Manifest(_Shape):
+    uid: str = ""
+    started: str = ""
+    ended: str | None = None
+    exit_status: str
+    reason: str = ""
+    host: str = ""
+    versions: dict[str, str] = {}
+    files: dict[str, _File] = {}
+    settings: _Settings = Field(default_factory=_Settings)
+    segments: list[_Segment] = []
+    problems: list[str] = []
+    safe: bool | None = None
+    away: str = ""
+    deviations: list[str] = []
+    guardian: str = ""
+    missing: dict[str, str] = {}
+    overruns: int = 0
+    rig_restarts: int = 0
+    wall_s: float = 0.0
+    errors_K: _Errors | None = None
+    bands: dict[str, dict[str, tuple[float | None, float | None]]] | None = None
+    parameters: dict[str, dict[str, tuple[float, float | None, bool]]] | None = None
+    adoption: _Adoption | None = None
+
+
+_LONGEST_SHOWN = 40
+"""Characters of a key or value from a file that a message quotes."""
+
+
+def wrong_place(error: ValidationError) -> str:
+    """Return the first entry that a check of shapes refused, and why, in words for the user."""
+    first = error.errors(include_url=False)[0]
+    place = ".".join(ascii(part)[1:-1] if isinstance(part, str) else str(part) for part in first["loc"])
+    given = ascii(first["input"])
+    shown = given if len(given) <= _LONGEST_SHOWN else given[:_LONGEST_SHOWN] + "..."
+    why = "is missing" if first["type"] == "missing" else f"cannot be {shown}"
+    return f"{place[: 3 * _LONGEST_SHOWN] or 'the document'!r} {why}"
+
+
+def checked_manifest(document: Any, path: Path, failure: Failure) -> dict[str, Any]:
+    """Return the manifest with an empty value for whatever it lacks and a report shows.
+
+    Raises:
+        failure: an entry is of another kind than a run writes, in one sentence.
+    """
+    try:
+        _Manifest.model_validate(_as_tuples(document))
+    except ValidationError as error:
+        raise failure(
+            f"{path} is not what a run writes: {wrong_place(error)}; the journal beside it still holds the run"
+        ) from None
+    empty = {"uid": "", "started": "", "host": "", "reason": "", "versions": {}, "files": {}, "settings": {}}
+    checked: dict[str, Any] = empty | document
+    return checked
+
+
+def require_settings(settings: dict[str, Any], path: Path, failure: Failure) -> None:
+    """Check that a manifest holds all settings that a run is resumed with; raises `failure`."""
+    missing = [key for key in _REQUIRED if key not in settings]
+    if missing:
+        raise failure(f"{path} lacks settings.{missing[0]}, so the run cannot be resumed; start a new run")
+
+
+def _as_tuples(document: Any) -> Any:
+    """The document with lists of fixed length as tuples, which JSON does not know."""
+    if not isinstance(document, dict):
+        return document
+    found = dict(document)
+    settings = found.get("settings")
+    if isinstance(settings, dict) and isinstance(settings.get("control"), list):
+        found["settings"] = settings | {"control": tuple(settings["control"])}
+    for key in ("bands", "parameters"):
+        tables = found.get(key)
+        if isinstance(tables, dict):
+            found[key] = {
+                name: {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
+                if isinstance(table, dict)
+                else table
+                for name, table in tables.items()
+            }
+    return found
+
+
+__all__ = ["checked_manifest", "require_settings"]

@@ -1,0 +1,1 @@
+"""Synthetic records with hidden effects, drawn from a seed."""

@@ -1,0 +1,412 @@
+"""Hidden effects of `hil bench discovery`: drawn from a seed, in the vocabulary of the virtual rig's effect files.
+
+A case has a public part (load profile, specimen, length), which whoever diagnoses may know, and a hidden one (the
+effects). They come from different random streams, so that the one says nothing about the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.profile.load_profile import Profile
+from twin.network import Array
+
+KINDS = ("case", "healthy", "double", "again", "later")
+"""Of records: as they come, without anything hidden, with two effects of the catalogue; of a twin that is asked again,
+the first and the later ones."""
+GROUPS = ("none", "one", "two", "outside")
+"""Nothing; one or two effects that the catalogue has; something that it cannot express."""
+LOADS = ("battle", "steps", "busy", "constant fan and pump")
+UNITS = (1, 2, 3, 4)
+"""Specimens of the rig: each has sensors' offsets of its own and is commissioned once."""
+COLUMNS = ("heater_power_W", "pump_speed_pct", "fan_speed_pct")
+PLACES = ("heater", "modules", "radiator", "tank")
+CHANNELS = (
+    "T_heater_C", "T_radiator_C", "T_tank_C", "T_ambient_C",
+)  # fmt: skip
+_ONE_MODULE_SHARE = 0.15
+_BARELY, _LARGE = 0.15, 3.0
+"""Sizes are log-uniform between these multiples of a form's usual size."""
+_NONE_SHARE, _OUTSIDE_SHARE, _DOUBLE_SHARE = 0.25, 0.25, 0.3
+_FURTHER = 1_000_003
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Public part of a case: number, seed of weather and noise, specimen, kind of load and length in h."""
+
+    number: int
+    seed: int
+    unit: int
+    load: str
+    hours: float
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Hidden part: group, a word for what it is, tables of an effect file, and the keys of an answer that is right.
+
+    Attributes:
+        effects: tables of `[[effect]]`. labels: a (kind, where, driver) each, one for every effect of the catalogue.
+    """
+
+    group: str
+    what: str
+    effects: tuple[dict[str, Any], ...]
+    labels: tuple[tuple[str, str, str], ...]
+
+    def document(self) -> dict[str, Any]:
+        """As it is sealed."""
+        return asdict(self)
+
+
+def setting(number: int, seed: int, hours: float, kind: str = "case") -> Setting:
+    """Public part of record `number` of a kind."""
+    rng = np.random.default_rng([seed + _FURTHER * KINDS.index(kind), number, 0])
+    unit = int(rng.choice(UNITS))
+    load = LOADS[int(rng.choice(len(LOADS), p=(0.3, 0.35, 0.2, 0.15)))]
+    return Setting(number, int(rng.integers(1_000, 1_000_000)), unit, load, hours)
+
+
+def truth(number: int, seed: int, hours: float, kind: str = "case") -> Truth:
+    """Hidden part of record `number` of a kind."""
+    end = hours * 3600.0
+    if kind == "healthy":
+        return Truth("none", "nothing", (), ())
+    if kind == "double":
+        rng = np.random.default_rng([seed, number, 3])
+        return _two(rng, end, _inside(rng, end))
+    rng = np.random.default_rng([seed, number, 1])
+    # A stratified draw: each four cases in a row hold one of each quarter, in an order that nobody is told.
+    quarter = int(np.random.default_rng([seed, number // 4, 2]).permutation(4)[number % 4])
+    if quarter == 0:
+        return Truth("none", "nothing", (), ())
+    if quarter == 1:
+        what, effects, label = _OUTSIDE[int(rng.integers(len(_OUTSIDE)))](rng, end)
+        return Truth("outside", what, effects, (label,))
+    first = _inside(rng, end)
+    if rng.uniform() >= _DOUBLE_SHARE:
+        return Truth("one", first[0], (first[1],), (first[2],))
+    return _two(rng, end, first)
+
+
+def lasting(number: int, seed: int, hours: float) -> tuple[Truth, Truth]:
+    """Two different effects that come in and stay as they are, for one rig."""
+    rng = np.random.default_rng([seed, number, 6])
+    found: list[Drawn] = []
+    while len(found) < 2:
+        drawn = _inside(rng, hours * 3600.0)
+        if drawn[2][2] != "elapsed_time" and all(_apart(old, drawn) for old in found):
+            found.append(drawn)
+    first, second = (Truth("one", what, (table,), (label,)) for what, table, label in found)
+    return first, second
+
+
+Drawn = tuple[str, dict[str, Any], tuple[str, str, str]]
+
+
+def _two(rng: np.random.Generator, end: float, first: Drawn) -> Truth:
+    """The first effect and another one, of another kind or at another place."""
+    while True:
+        second = _inside(rng, end)
+        if _apart(first, second):
+            return Truth("two", f"{first[0]} + {second[0]}", (first[1], second[1]), (first[2], second[2]))
+
+
+def _apart(first: Drawn, second: Drawn) -> bool:
+    """Whether two effects differ in kind or place; the rig has one bypass alone."""
+    return first[2][:2] != second[2][:2] and not ("bypass_fraction" in first[1] and "bypass_fraction" in second[1])
+
+
+Outside = tuple[str, tuple[dict[str, Any], ...], tuple[str, str, str]]
+
+
+def _size(rng: np.random.Generator, usual: float) -> float:
+    return float(f"{usual * np.exp(rng.uniform(np.log(_BARELY), np.log(_LARGE))):.3g}")
+
+
+def _onset(rng: np.random.Generator, end: float) -> float:
+    """A quarter from the beginning, a tenth late, where it may fall into the part kept from the fit."""
+    u = rng.uniform()
+    if u < 0.25:
+        return 0.0
+    low, high = (0.72, 0.88) if u > 0.9 else (0.12, 0.65)
+    return float(round(end * rng.uniform(low, high)))
+
+
+def _pick(rng: np.random.Generator, names: tuple[str, ...]) -> str:
+    return str(names[int(rng.integers(len(names)))])
+
+
+def _place(rng: np.random.Generator) -> str:
+    """A volume; now and then one module alone."""
+    return f"pm{rng.integers(1, 7)}" if rng.uniform() < _ONE_MODULE_SHARE else _pick(rng, PLACES)
+
+
+def _inside(rng: np.random.Generator, end: float) -> Drawn:
+    """One effect that the catalogue can express: what it is, its table, its label."""
+    onset = _onset(rng, end)
+    table, label = _FORMS[int(rng.integers(len(_FORMS)))](rng, end)
+    table = {**table, "onset_s": onset}
+    grows = table.pop("grows", False)
+    if (grows and rng.uniform() < 0.25) or (table.get("driver") == "elapsed_time" and "tau_s" not in table):
+        if "drift_per_h" in table:
+            hours = (end - onset) / 3600.0
+            table["drift_per_h"] = float(f"{table['drift_per_h'] / hours:.3g}")
+        else:
+            table["ramp_s"] = end - onset
+        label = (label[0], label[1], "elapsed_time")
+    magnitude = next(k for k in _MAGNITUDES if k in table)
+    return f"{label[0]} at {label[1]} ({label[2]}), {magnitude} {table[magnitude]:.3g}", table, label
+
+
+_MAGNITUDES = (
+    "power_W", "capacity_J_per_K", "conductance_W_per_K", "lost_fraction", "exponent_change", "recirculated_fraction",
+    "bypass_fraction", "bias", "drift_per_h", "lag_s", "gain",
+)  # fmt: skip
+
+
+def _source(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    where = _place(rng)
+    table = {"kind": "heat_source", "where": where, "driver": "constant", "power_W": _size(rng, 40.0), "grows": True}
+    return table, ("heat_source", where, "constant")
+
+
+def _source_grows(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    where = _pick(rng, PLACES)
+    table = {
+        "kind": "heat_source", "where": where, "driver": "elapsed_time", "power_W": _size(rng, 50.0),
+        "tau_s": float(round(rng.uniform(0.05, 0.3) * end)),
+    }  # fmt: skip
+    return table, ("heat_source", where, "elapsed_time")
+
+
+def _source_of_day(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    where = _pick(rng, PLACES)
+    table = {
+        "kind": "heat_source", "where": where, "driver": "time_of_day", "power_W": _size(rng, 60.0),
+        "peak_hour": float(round(rng.uniform(0.0, 24.0), 1)), "width_h": float(round(rng.uniform(8.0, 14.0), 1)),
+    }  # fmt: skip
+    return table, ("heat_source", where, "time_of_day")
+
+
+def _source_driven(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    driver = _pick(rng, ("heater_power", "pump_speed", "fan_speed"))
+    where = _pick(rng, PLACES[1:] if driver == "heater_power" else PLACES)
+    # The twin's shaft power goes with the cube of the speed; of the heater's power it takes a share.
+    exponent = 1.0 if driver == "heater_power" else 3.0
+    table = {
+        "kind": "heat_source", "where": where, "driver": driver, "power_W": _size(rng, 60.0), "exponent": exponent,
+    }  # fmt: skip
+    return table, ("heat_source", where, driver)
+
+
+def _loss(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    where = _pick(rng, PLACES)
+    table = {
+        "kind": "heat_loss", "where": where, "driver": "temperature_difference",
+        "conductance_W_per_K": _size(rng, 3.0), "grows": True,
+    }  # fmt: skip
+    return table, ("heat_loss", where, "temperature_difference")
+
+
+def _rejection(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    driver = _pick(rng, ("constant", "elapsed_time", "fan_speed", "rejected_heat"))
+    table: dict[str, Any] = {"kind": "heat_rejection", "where": "radiator", "driver": driver}
+    if driver == "fan_speed":
+        table["exponent_change"] = min(_size(rng, 0.15), 0.6) * float(rng.choice((-1.0, 1.0)))
+    elif driver == "rejected_heat":
+        table["recirculated_fraction"] = min(_size(rng, 0.12), 0.4)
+    else:
+        table["lost_fraction"] = min(_size(rng, 0.12), 0.4)
+    return table, ("heat_rejection", "radiator", driver)
+
+
+def _flow(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    driver = _pick(rng, ("constant", "elapsed_time"))
+    table = {"kind": "flow", "where": "loop", "driver": driver, "lost_fraction": min(_size(rng, 0.08), 0.35)}
+    return table, ("flow", "loop", driver)
+
+
+def _bypass(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    where = _pick(rng, ("modules", "radiator"))
+    table = {
+        "kind": "flow", "where": where, "driver": "constant", "bypass_fraction": min(_size(rng, 0.1), 0.5),
+        "grows": True,
+    }  # fmt: skip
+    return table, ("flow", where, "constant")
+
+
+def _mass(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    table = {
+        "kind": "thermal_mass", "where": "tank", "driver": "history", "capacity_J_per_K": _size(rng, 40000.0),
+        "conductance_W_per_K": float(round(rng.uniform(10.0, 80.0))),
+    }  # fmt: skip
+    return table, ("thermal_mass", "tank", "history")
+
+
+def _bias(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    where = f"T_pm{rng.integers(1, 7)}_C" if rng.uniform() < _ONE_MODULE_SHARE else _pick(rng, CHANNELS)
+    sign = float(rng.choice((-1.0, 1.0)))
+    if rng.uniform() < 0.35:
+        table = {"kind": "sensor", "where": where, "driver": "elapsed_time", "drift_per_h": sign * _size(rng, 0.6)}
+        return table, ("sensor", where, "elapsed_time")
+    table = {"kind": "sensor", "where": where, "driver": "constant", "bias": sign * _size(rng, 0.4)}
+    return table, ("sensor", where, "constant")
+
+
+def _lag(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    where = _pick(rng, CHANNELS[:2])
+    table = {"kind": "sensor", "where": where, "driver": "history", "lag_s": _size(rng, 60.0)}
+    return table, ("sensor", where, "history")
+
+
+def _actuator(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
+    where = _pick(rng, ("heater_power", "pump_speed"))
+    gain = 1.0 + float(rng.choice((-1.0, 1.0))) * min(_size(rng, 0.06), 0.2)
+    if where == "pump_speed":
+        gain = min(gain, 1.0 / gain)
+    return {"kind": "actuator", "where": where, "driver": "constant", "gain": round(gain, 4)}, (
+        "actuator", where, "constant",
+    )  # fmt: skip
+
+
+_FORMS: tuple[Callable[[np.random.Generator, float], tuple[dict[str, Any], tuple[str, str, str]]], ...] = (
+    _source, _source, _source, _source_grows, _source_of_day, _source_driven, _loss, _loss, _rejection, _rejection,
+    _flow, _bypass, _mass, _bias, _bias, _lag, _actuator,
+)  # fmt: skip
+"""Heat sources, losses, rejection and biases are drawn more often than the rest, as they are met."""
+
+
+def _large(rng: np.random.Generator, usual: float) -> float:
+    """Something outside the catalogue must be seen before it can be left unnamed: no barely visible ones."""
+    return float(f"{usual * np.exp(rng.uniform(np.log(0.4), np.log(2.5))):.3g}")
+
+
+def _periodic(rng: np.random.Generator, end: float) -> Outside:
+    where, period = _pick(rng, PLACES), float(round(rng.uniform(1800.0, 14400.0)))
+    duty, power = float(round(rng.uniform(0.2, 0.7), 2)), _large(rng, 60.0)
+    onset = _onset(rng, 0.8 * end)
+    table = {
+        "kind": "heat_source", "where": where, "driver": "periodic", "power_W": power, "period_s": period,
+        "duty": duty, "onset_s": onset,
+    }  # fmt: skip
+    what = f"source of {power:g} W at {where}, on for {duty:.0%} of every {period:.0f} s"
+    return what, (table,), ("heat_source", where, "periodic")
+
+
+_WARMER_K = {"heater": 3.0, "modules": 3.0, "radiator": 0.5, "tank": 0.0}
+"""Typical, above the tank."""
+
+
+def _latch(rng: np.random.Generator, end: float) -> Outside:
+    where, power = _pick(rng, PLACES), _large(rng, 60.0)
+    # Between the coldest and the warmest that these places see on the loads drawn here.
+    edge = float(round(rng.uniform(29.5, 33.0) + _WARMER_K[where], 1))
+    table = {
+        "kind": "heat_source", "where": where, "driver": "threshold", "power_W": power, "threshold_C": edge,
+        "hysteresis_K": float(round(rng.uniform(0.5, 3.0), 1)), "onset_s": 0.0,
+    }  # fmt: skip
+    return f"source of {power:g} W at {where} above {edge:g} degC", (table,), ("heat_source", where, "threshold")
+
+
+def _windows(rng: np.random.Generator, end: float, table: dict[str, Any], count: int) -> tuple[dict[str, Any], ...]:
+    edges = np.sort(rng.uniform(0.08, 0.95, 2 * count)) * end
+    return tuple(
+        {**table, "onset_s": float(round(a)), "end_s": float(round(max(b, a + 600.0)))}
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    )
+
+
+def _flow_for_a_time(rng: np.random.Generator, end: float) -> Outside:
+    lost = min(_large(rng, 0.1), 0.35)
+    table = {"kind": "flow", "where": "loop", "driver": "constant", "lost_fraction": lost}
+    start = float(round(end * rng.uniform(0.1, 0.4)))
+    tables = ({**table, "onset_s": start, "end_s": float(round(start + end * rng.uniform(0.12, 0.3)))},)
+    return f"{lost:.0%} of the flow lost for a time", tables, ("flow", "loop", "history")
+
+
+def _rejection_for_a_time(rng: np.random.Generator, end: float) -> Outside:
+    lost = min(_large(rng, 0.15), 0.4)
+    table = {"kind": "heat_rejection", "where": "radiator", "driver": "constant", "lost_fraction": lost}
+    start = float(round(end * rng.uniform(0.1, 0.4)))
+    tables = ({**table, "onset_s": start, "end_s": float(round(start + end * rng.uniform(0.12, 0.3)))},)
+    return f"{lost:.0%} of the rejection lost for a time", tables, ("heat_rejection", "radiator", "history")
+
+
+def _comes_and_goes(rng: np.random.Generator, end: float) -> Outside:
+    where, power, count = _pick(rng, PLACES), _large(rng, 60.0), int(rng.integers(2, 6))
+    table = {"kind": "heat_source", "where": where, "driver": "constant", "power_W": power}
+    what = f"source of {power:g} W at {where}, {count} times on and off"
+    return what, _windows(rng, end, table, count), ("heat_source", where, "history")
+
+
+def _bias_for_a_time(rng: np.random.Generator, end: float) -> Outside:
+    where, bias = _pick(rng, CHANNELS[:3]), _large(rng, 0.6)
+    table = {"kind": "sensor", "where": where, "driver": "constant", "bias": bias}
+    return f"{where} off by {bias:g} K twice for a time", _windows(rng, end, table, 2), ("sensor", where, "history")
+
+
+def _stuck(rng: np.random.Generator, end: float) -> Outside:
+    where, onset = _pick(rng, CHANNELS[:3]), float(round(end * rng.uniform(0.15, 0.6)))
+    table = {"kind": "sensor", "where": where, "driver": "constant", "stuck": True, "onset_s": onset}
+    return f"{where} stuck", (table,), ("sensor", where, "constant")
+
+
+_OUTSIDE: tuple[Callable[[np.random.Generator, float], Outside], ...] = (
+    _periodic, _periodic, _latch, _flow_for_a_time, _rejection_for_a_time, _comes_and_goes, _comes_and_goes,
+    _bias_for_a_time, _stuck,
+)  # fmt: skip
+
+
+def profile(case: Setting) -> Profile:
+    """Load profile of a case: set-points that hold until they change, ending at its length."""
+    rng = np.random.default_rng([case.seed, 4])
+    end = case.hours * 3600.0
+    power = {"battle": (620.0, 880.0), "busy": (350.0, 850.0)}.get(case.load, (450.0, 850.0))
+    dwell = {"battle": (300.0, 3600.0), "busy": (120.0, 1500.0)}.get(case.load, (1200.0, 7200.0))
+    heater = _course(rng, end, *power, 5.0, *dwell)
+    if case.load == "constant fan and pump":
+        pump, fan = np.array([[0.0, 100.0]]), np.array([[0.0, 80.0]])
+    elif case.load == "battle":
+        pump = _course(rng, end, 80.0, 100.0, 5.0, 2400.0, 10800.0)
+        fan = _course(rng, end, 70.0, 100.0, 5.0, 2400.0, 10800.0)
+    else:
+        pump = _course(rng, end, 65.0, 100.0, 5.0, 3600.0, 14400.0)
+        fan = _course(rng, end, 55.0, 100.0, 5.0, 3600.0, 14400.0)
+    times = np.unique(np.concatenate([heater[:, 0], pump[:, 0], fan[:, 0], [end]]))
+    values = np.column_stack([c[np.searchsorted(c[:, 0], times, side="right") - 1, 1] for c in (heater, pump, fan)])
+    return Profile(f"case_{case.number}", times, COLUMNS, values)
+
+
+def _course(
+    rng: np.random.Generator, end: float, low: float, high: float, step: float, shortest: float, longest: float
+) -> Array:
+    """Times, s, and levels (n, 2), levels in multiples of `step`."""
+    times, t = [0.0], 0.0
+    while (t := t + float(np.exp(rng.uniform(np.log(shortest), np.log(longest))))) < end - 60.0:
+        times.append(float(round(t)))
+    levels = np.round(rng.uniform(low, high, len(times)) / step) * step
+    return np.column_stack([times, levels])
+
+
+def profile_text(profile: Profile) -> str:
+    """The profile as the CSV file that `hil run` reads."""
+    rows = [",".join(f"{v:g}" for v in (t, *row)) for t, row in zip(profile.time_s, profile.values, strict=True)]
+    return "\n".join([",".join(("time_s", *profile.columns)), *rows]) + "\n"
+
+
+def effects_text(effects: tuple[dict[str, Any], ...]) -> str:
+    """The effect file of a case."""
+    lines = []
+    for table in effects:
+        lines.append("[[effect]]")
+        for key, value in table.items():
+            shown = "true" if value is True else f'"{value}"' if isinstance(value, str) else repr(float(value))
+            lines.append(f"{key} = {shown}")
+        lines.append("")
+    return "\n".join(lines)

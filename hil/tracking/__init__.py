@@ -1,0 +1,1 @@
+"""Twins that track a run, and the adoption of their parameters."""

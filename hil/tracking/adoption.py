@@ -1,0 +1,292 @@
+"""What becomes of parameters that the network's gates let through: nothing, a sentence, or the twin's next revision.
+
+The live twin of the network takes them on in any case: it is one of several that are compared, and steers nothing. The
+twin file is another matter. *shadow* leaves it alone and says nothing; *advisory* says what would change; *controlled*
+saves one revision at the end, of what several proposals in a row agreed on before a last part of the record that
+neither saw, and only where that part is then foretold as well as of a calibrated twin, or clearly better.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.tracking.bands import NORMAL90
+from hil.tracking.twins import Proposed
+
+if TYPE_CHECKING:
+    from hil.record.reader import Record
+    from twin.network import Network
+
+NetworkMode = Literal["shadow", "advisory", "controlled"]
+MODES: tuple[NetworkMode, ...] = get_args(NetworkMode)
+NETWORK = "hiera_unet"
+HELD = ": held"
+"""How a reason ends that holds one parameter."""
+HELD_OUT_S = 3600.0
+HELD_OUT_SHARE = 0.2
+WORSE = 1.02
+"""Times its error before that a sensor may have afterwards, for noise alone."""
+IN_A_ROW = 3
+"""Open proposals of a parameter, one after the other, that have to agree."""
+CLEARLY = 0.75
+"""Share of the mean square before that a twin may leave which is better but not calibrated, sure to `SURE`."""
+SURE = 0.95
+BLOCK_S = 300.0
+"""Length of the blocks that are drawn again to tell how sure that is: errors within minutes are alike."""
+DRAWS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """A parameter as accepted last: value and half width of its 90 % interval; since when, when last, how often in a
+    row."""
+
+    value: float
+    half_width: float
+    first_s: float
+    last_s: float
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Adoption:
+    """The revision that was saved, or None and why not."""
+
+    path: Path | None
+    sentence: str
+
+
+def accepted(proposals: Iterable[Proposed], in_a_row: int = 1) -> dict[str, Accepted]:
+    """Parameters that the gates let through in the latest `in_a_row` proposals of theirs, which agree.
+
+    Two agree where each lies within the other's interval. What is only held since stands; what was let through since
+    and does not agree is a parameter that nobody knows.
+    """
+    rows: dict[str, Accepted] = {}
+    settled: dict[str, Accepted] = {}
+    for proposed in proposals:
+        document, now = proposed.document, proposed.time_s
+        for name, value in document["values"].items():
+            if name in document["held"]:
+                rows.pop(name, None)
+                continue
+            half, before = NORMAL90 * document["standard_errors"][name], rows.get(name)
+            if before and abs(value - before.value) <= min(half, before.half_width):
+                rows[name] = Accepted(value, half, before.first_s, now, before.count + 1)
+            else:
+                rows[name] = Accepted(value, half, now, now, 1)
+                settled.pop(name, None)
+            if rows[name].count >= in_a_row:
+                settled[name] = rows[name]
+    return {name: settled[name] for name in sorted(settled)}
+
+
+class Advice:
+    """Says what would change in the twin file, where that is news."""
+
+    def __init__(self, network: Network) -> None:
+        self._units = {name: p.unit for name, p in network.parameters.items()}
+        self._said = {name: p.value for name, p in network.parameters.items()}
+
+    def news(self, proposed: Proposed) -> str | None:
+        """A sentence where an accepted value has left what was said before by more than its own 90 % interval."""
+        told = []
+        for name, now in accepted([proposed]).items():
+            if abs(now.value - self._said[name]) > now.half_width:
+                unit = "" if self._units[name] == "1" else f" {self._units[name]}"
+                told.append(f"{name} {self._said[name]:.4g} -> {now.value:.4g} ± {now.half_width:.2g}{unit}")
+                self._said[name] = now.value
+        return f"{proposed.calibrator} would change {', '.join(told)}" if told else None
+
+
+def adopt(twin: Path, record: Record, proposals: list[Proposed], made_by: str) -> Adoption:
+    """Save what was accepted as the next revision of `twin`, if it is worth it.
+
+    Raises:
+        TwinFileError: the twin or its folder cannot be used.
+    """
+    from twin.network import Revision
+    from twin.revisions import save_revision, with_elements
+    from twin.twinfile import load
+
+    network = load(twin)
+    begin_s, end_s = float(record.time_s[0]), float(record.time_s[-1])
+    until_s = end_s - min(HELD_OUT_S, HELD_OUT_SHARE * (end_s - begin_s))
+    seen = [proposed for proposed in proposals if proposed.time_s <= until_s]
+    taken = accepted(seen, IN_A_ROW)
+    if not taken:
+        none = f"no parameter was let through {IN_A_ROW} times in a row with values that agree"
+        return Adoption(None, f"no revision is saved: {none}; {closed_gates(seen)}")
+    values = {name: a.value for name, a in taken.items()}
+    late = record.time_s > until_s
+    misses = [_misses(n, record) for n in (network, with_elements(network, {}, values))]
+    for a in _aside(proposals):
+        # What was left aside speaks neither for a revision nor against it.
+        rows = (record.time_s >= a.since_s) & (record.time_s <= a.until_s)
+        for miss in misses:
+            miss[rows, network.sensor_names.index(a.sensor)] = np.nan
+    misses = [miss[late] for miss in misses]
+    before, after = (_errors(m, network) for m in misses)
+    if why := _objection(before, after, misses, record.time_s[late], network):
+        return Adoption(None, f"no revision is saved: with the {len(taken)} accepted parameters {why} at the end")
+    first, last = min(a.first_s for a in taken.values()), max(a.last_s for a in taken.values())
+    revision = Revision(
+        made_by=made_by,
+        window_s=(begin_s, until_s),
+        error_before_K=before,
+        error_after_K=after,
+        held_out_s=(until_s, end_s),
+        evidence=f"{NETWORK} proposed {len(seen)} times and its gates let through {len(taken)} of "
+        f"{len(seen[-1].document['values'])} parameters between {first / 3600:.2f} and {last / 3600:.2f} h",
+        notes=(*(_note(name, a, network) for name, a in taken.items()), closed_gates(seen)),
+    )
+    path = save_revision(with_elements(network, {}, values, revision), twin)
+    worst = max(before, key=lambda s: before[s])
+    return Adoption(
+        path,
+        f"{NETWORK}: {len(taken)} accepted parameters are saved as {path} ({worst} {before[worst]:.3f} -> "
+        f"{after[worst]:.3f} K on the end of the record, which none of them saw); `hil twin revert` undoes it",
+    )
+
+
+def _objection(
+    before: dict[str, float],
+    after: dict[str, float],
+    misses: list[NDArray[np.float64]],
+    time_s: NDArray[np.float64],
+    network: Network,
+) -> str | None:
+    """Why a revision is not worth saving, from RMSE in K by sensor and misses (n, m) K, before and after; or None."""
+    worse = [s for s in before if after[s] > WORSE * before[s]]
+    if worse:
+        return f"{worse[0]} is foretold worse"
+    squares = [np.nansum((m / network.sigma) ** 2, axis=1) for m in misses]
+    if not before or squares[1].sum() >= squares[0].sum():
+        return "nothing is foretold better"
+    was_K, is_K = (float(np.sqrt(np.nanmean(m**2))) for m in misses)
+    if is_K <= network.rules.calibrated_K or clearly_better(squares[0], squares[1], time_s):
+        return None
+    return (
+        f"it is foretold with an error of {is_K:.3f} K, which is neither within {network.rules.calibrated_K:g} K nor "
+        f"clearly better than {was_K:.3f} K"
+    )
+
+
+def clearly_better(before: NDArray[np.float64], after: NDArray[np.float64], time_s: NDArray[np.float64]) -> bool:
+    """Whether squares (n,) at times (n,) s fell to `CLEARLY` of what they were, however blocks of them are drawn."""
+    block = ((time_s - time_s[0]) // BLOCK_S).astype(np.intp)
+    sums = np.stack([np.bincount(block, weights=squares) for squares in (before, after)], axis=1)
+    drawn = np.random.default_rng(0).integers(len(sums), size=(DRAWS, len(sums)))
+    was, now = sums[drawn].sum(axis=1).T
+    return bool(np.quantile(now - CLEARLY * was, SURE) <= 0.0)
+
+
+def _misses(network: Network, record: Record) -> NDArray[np.float64]:
+    """Predicted minus measured (n, m) K of a free run over the whole record, begun anew after gaps."""
+    from twin.kernel import Kernel, held
+    from twin.stretches import parts, stretches, traced
+
+    inputs, measured = network.select(record.columns)
+    known, time_s = stretches(network, record.time_s, inputs), record.time_s
+    measured[known.lost] = np.nan
+    firsts = [slice(r.start, max(r.start + 1, int(np.searchsorted(time_s, time_s[r.start] + 30.0))))
+              for r in parts(known.begins, len(time_s))]  # fmt: skip
+    start = np.concatenate([network.initial_state(measured[first]) for first in firsts])
+    run = traced(
+        Kernel(network, ()), network.values[None], start[None], time_s, held(network, inputs), known.begins
+    )[0]  # fmt: skip
+    miss: NDArray[np.float64] = run - measured
+    return miss
+
+
+def _errors(miss: NDArray[np.float64], network: Network) -> dict[str, float]:
+    """Sensor -> RMSE in K of misses (n, m) K, where anything was measured."""
+    good = np.isfinite(miss)
+    return {
+        sensor: float(np.sqrt(np.mean(miss[good[:, j], j] ** 2)))
+        for j, sensor in enumerate(network.sensor_names)
+        if good[:, j].any()
+    }
+
+
+def _note(name: str, a: Accepted, network: Network) -> str:
+    parameter = network.parameters[name]
+    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+    return (
+        f"{name}: {parameter.value:.4g} -> {a.value:.4g} ± {a.half_width:.2g}{unit} (90 %), accepted in {a.count} "
+        f"proposals in a row, last at {a.last_s / 3600:.2f} h"
+    )
+
+
+def closed_gates(proposals: list[Proposed]) -> str:
+    """How often gates held everything, and why, the commonest reason first; what holds single parameters; which
+    thermometers were left aside."""
+    if not proposals:
+        return f"{NETWORK} has proposed nothing"
+    whole: Counter[str] = Counter()
+    single: Counter[str] = Counter()
+    latest: dict[str, str] = {}
+    for proposed in proposals:
+        reasons = [reason.split(": ", 1) for reason in proposed.document["reasons"]]
+        latest |= {code: sentence for code, sentence in reasons if not sentence.endswith(HELD)}
+        whole.update(dict.fromkeys((code for code, sentence in reasons if not sentence.endswith(HELD)), 1))
+        single.update(dict.fromkeys((code for code, sentence in reasons if sentence.endswith(HELD)), 1))
+    shut = sum(len(p.document["held"]) == len(p.document["values"]) for p in proposals)
+    parts = [f"{NETWORK} held everything in {shut} of {len(proposals)} proposals"]
+    parts += [f"{code} in {n} ({latest[code]})" for code, n in whole.most_common()]
+    if single:
+        parts.append("single parameters: " + ", ".join(f"{code} in {n}" for code, n in single.most_common()))
+    return "; ".join([*parts, *_left_aside(proposals)])
+
+
+class _Aside(NamedTuple):
+    """A spell in which a thermometer was left aside; `until_s` is infinite where it still was in the last proposal."""
+
+    sensor: str
+    since_s: float
+    until_s: float
+    off_K: float
+
+
+def _aside(proposals: list[Proposed]) -> list[_Aside]:
+    spells: dict[tuple[str, float], _Aside] = {}
+    last_s = proposals[-1].time_s if proposals else 0.0
+    for proposed in proposals:
+        until_s = math.inf if proposed.time_s == last_s else proposed.time_s
+        for doubt in proposed.document.get("doubted", ()):
+            sensor, since_s = doubt["sensor"], doubt["since_s"]
+            spells[sensor, since_s] = _Aside(sensor, since_s, until_s, doubt["off_K"])
+    return list(spells.values())
+
+
+def _left_aside(proposals: list[Proposed]) -> list[str]:
+    """Every spell in which a thermometer was left aside, in words."""
+    told = []
+    for a in _aside(proposals):
+        until = "on" if math.isinf(a.until_s) else f"to {a.until_s / 3600:.2f} h"
+        told.append(
+            f"{a.sensor} left aside from {a.since_s / 3600:.2f} h {until}: it had come to read {away(a.off_K)} than "
+            "the other thermometers and any parameter allow"
+        )
+    return told
+
+
+def away(off_K: float) -> str:
+    """By how much a thermometer reads off, in words."""
+    return f"{abs(off_K):.2f} K {'more' if off_K > 0.0 else 'less'}"
+
+
+def manifest(adoption: Adoption | None) -> dict[str, Any] | None:
+    """For `run.json`."""
+    if adoption is None:
+        return None
+    return {key: None if value is None else str(value) for key, value in dataclasses.asdict(adoption).items()}
