@@ -20,7 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
-from drivers.virtual.effects import load_effects
+from drivers.virtual.plant.effects import load_effects
 
 Mode = Literal["real", "scaled", "lockstep"]
 
@@ -171,7 +171,7 @@ async def start_virtual_rig(
 
     Ports of 0 are chosen by the system. `unit` is the specimen: the same one has the same sensors' offsets, whatever
     the seed; by default another one for every seed. `start_s` is its clock at the start: room and effects are as then,
-    the rig itself is cold. What is true is kept in the file `truth` (see `drivers.virtual.truth`). With `tls`, files of
+    the rig itself is cold. What is true is kept in the file `truth` (see `devices.truth`). With `tls`, files of
     certificate, key and certificate authority, Modbus is served over TLS to clients that have a certificate of that
     authority. With `rtu_port` it is served in RTU frames over TCP as well, with `serial` on a pseudo-terminal.
     Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and `ValueError` for arguments that make no rig.

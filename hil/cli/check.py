@@ -133,15 +133,15 @@ def _named(file: Path, checker: Callable[[Path, Path, Console], None]) -> Iterat
 
 def _has_rig(file: Path) -> bool:
     """Whether a TOML file has a table that only rig files have."""
-    from drivers.toml_lines import tables_of
+    from drivers.rig_file.toml_lines import tables_of
 
     return not {"rig", "bus", "point"}.isdisjoint(tables_of(file.read_bytes())[1])
 
 
 def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
     if file.suffix == ".toml":
-        from drivers.points import ConfigurationError
-        from drivers.toml_lines import tables_of
+        from drivers.rig_file.toml_lines import tables_of
+        from drivers.signals.points import ConfigurationError
 
         try:
             keys = set(tables_of(file.read_bytes())[1])
@@ -183,7 +183,7 @@ def _readings(file: Path, rig: Path) -> list[str]:
         return []  # the reader of profiles names the line
     found = [name for name in names if _TEMPERATURE.search(name)]
     if found and names[0] == "time_s":
-        from drivers.rigfile import load_rig
+        from drivers.rig_file.reader import load_rig
         from hil.run.session.request import setpoint_limits
 
         limits = setpoint_limits(load_rig(rig))
@@ -263,7 +263,7 @@ def _catalogue(file: Path, out: Console) -> None:
 
 
 def _effects(file: Path, _: Path, out: Console) -> None:
-    from drivers.virtual.effects import load_effects
+    from drivers.virtual.plant.effects import load_effects
 
     for number, effect in enumerate(load_effects(file), 1):
         sizes = {effect.magnitude: effect.value, **effect.shape}
@@ -288,7 +288,7 @@ def _scenario(file: Path, _: Path, out: Console) -> None:
 
 
 def _profile(file: Path, rig: Path, out: Console) -> None:
-    from drivers.rigfile import load_rig
+    from drivers.rig_file.reader import load_rig
     from hil.profile.load_profile import WINDOW_S, read_profile, validate
     from hil.run.session.request import setpoint_limits
 

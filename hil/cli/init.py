@@ -12,9 +12,9 @@ import click
 from hil.cli.options.paths import INPUT_FILE
 
 if TYPE_CHECKING:
-    from drivers.imports.described import Place
-    from drivers.imports.draft import Draft
-    from drivers.rig_model import Rig
+    from drivers.importers.described import Place
+    from drivers.importers.draft import Draft
+    from drivers.rig_file.model import Rig
 
 
 @click.command()
@@ -102,7 +102,7 @@ def command(
         draft = _imported(source, out, addressing, order, encoding, bus, can)
         name = name or source.stem
     else:
-        from drivers.imports.described import Described, actuator_of, draft_of, heartbeat_of, place_of
+        from drivers.importers.described import Described, actuator_of, draft_of, heartbeat_of, place_of
 
         if said:
             rig = Described(name or out.stem, period, modbus=bus, trip_C=trip_at)
@@ -142,19 +142,19 @@ def _imported(
 ) -> Draft:
     suffix = source.suffix.lower()
     if suffix in (".csv", ".tsv", ".txt"):
-        from drivers.imports.vendor_csv import import_csv
+        from drivers.importers.vendor_csv import import_csv
 
         return import_csv(source, addressing, bus, order=order, encoding=encoding)  # type: ignore[arg-type]
     if suffix in (".toml", ".conf"):
-        from drivers.imports.telegraf import import_telegraf
+        from drivers.importers.telegraf import import_telegraf
 
         return import_telegraf(source)
     if suffix in (".yaml", ".yml"):
-        from drivers.imports.homeassistant import import_homeassistant
+        from drivers.importers.homeassistant import import_homeassistant
 
         return import_homeassistant(source)
     if suffix == ".dbc":
-        from drivers.imports.dbc import import_dbc
+        from drivers.importers.dbc import import_dbc
 
         return import_dbc(source, out, can, encoding=encoding)
     raise click.UsageError(f"{source}: is no .csv, .toml, .yaml or .dbc file; nothing here knows how to import it")
@@ -162,7 +162,7 @@ def _imported(
 
 def _thermocouples(said: tuple[str, ...], dbc: Path | None, encoding: str | None) -> dict[str, Place]:
     """Those that were named; where none of them is on CAN, also every temperature of the DBC."""
-    from drivers.imports.described import CAN, place_of, temperatures_of
+    from drivers.importers.described import CAN, place_of, temperatures_of
 
     found: dict[str, Place] = {}
     for text in said:
@@ -184,20 +184,20 @@ def _address(text: str) -> dict[str, Any]:
 
 def _bind_messages(rig: Rig) -> None:
     """Find the messages of every point on CAN in its DBC, as `hil check` does; raise ConfigurationError."""
-    from drivers.bus_sections import CanBus
+    from drivers.rig_file.bus_sections import CanBus
 
     for name, bus in rig.bus.items():
         if isinstance(bus, CanBus):
-            from drivers.dbc import bind
+            from drivers.can.dbc import bind
 
             bind(name, bus, [point for point in rig.point if point.bus == name])
 
 
 def _write(draft: Draft, out: Path, name: str, period_s: float, source: Path | None) -> None:
     """Write the rig file, unless it would be one that `hil check` refuses."""
-    from drivers.imports.draft import ImportFileError, write
-    from drivers.points import ConfigurationError
-    from drivers.rigfile import load_rig
+    from drivers.importers.draft import ImportFileError, write
+    from drivers.rig_file.reader import load_rig
+    from drivers.signals.points import ConfigurationError
     from hil.files.atomic import replacing
 
     with replacing(out) as unfinished:

@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.rigfile import file_sha256
+from drivers.rig_file.reader import file_sha256
 from hil import __version__
 from hil.diagnosis.store import CURVES, curves_of, write_curves, write_document
 from hil.files.names import printable

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers.points import ConfigurationError, Quality
+from drivers.signals.points import ConfigurationError, Quality
 from hil.journal.rows import Samples
 from hil.journal.writer import JournalReader, JournalWriter
 from hil.record.segments import Parts

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from drivers.points import LinkError
-from drivers.rig_model import Rig
-from drivers.steady_time import steady_s
+from drivers.bus.steady_time import steady_s
+from drivers.rig_file.model import Rig
+from drivers.signals.points import LinkError
 from hil.guardian.plan import SILENCE_S, plan_of
 
 BEAT_EVERY_S = 0.2

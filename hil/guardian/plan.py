@@ -8,14 +8,22 @@ from __future__ import annotations
 
 from typing import Any
 
-from drivers.bus_sections import CanBus, ModbusBusSection, ModbusRtuBus, ModbusTcpBus, ModbusTlsBus, is_numbered, is_rtu
-from drivers.codec import WIDTH, encoder
-from drivers.host_address import addresses
-from drivers.modbus_pdu import Read, write_request
-from drivers.modbus_writes import Writes
-from drivers.plan import plan_reads
-from drivers.rig_model import Point, Rig
-from drivers.wires import wires
+from drivers.modbus.protocol.pdu import Read, write_request
+from drivers.modbus.read_plan import plan_reads
+from drivers.modbus.writes import Writes
+from drivers.rig_file.bus_sections import (
+    CanBus,
+    ModbusBusSection,
+    ModbusRtuBus,
+    ModbusTcpBus,
+    ModbusTlsBus,
+    is_numbered,
+    is_rtu,
+)
+from drivers.rig_file.host_address import addresses
+from drivers.rig_file.model import Point, Rig
+from drivers.rig_file.wires import wires
+from drivers.signals.codec import WIDTH, encoder
 from hil.run.outputs.heaters import safe_limit
 from hil.run.outputs.setpoints import Setpoints
 

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from drivers.rig_places import mistake
-from drivers.toml_lines import line_of
-from drivers.units import split_column
+from drivers.rig_file.messages import mistake
+from drivers.rig_file.toml_lines import line_of
+from drivers.signals.units import split_column
 from hil.profile.load_profile import Profile
 
 

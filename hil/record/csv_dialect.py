@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivers.units import canonical_unit
+from drivers.signals.units import canonical_unit
 from hil.record.times.names import SECONDS_PER, is_time_name
 from hil.record.values.numbers import MARKS, MISSING, readings
 

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from drivers.units import canonical_unit, column_name, split_column
+from drivers.signals.units import canonical_unit, column_name, split_column
 from hil.files.limits import require_cells
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times.names import is_time_name

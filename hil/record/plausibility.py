@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.units import plausible_range, split_column
+from drivers.signals.units import plausible_range, split_column
 
 Values = NDArray[np.float64]
 

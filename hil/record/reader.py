@@ -4,7 +4,7 @@ The first column is `time_s`, the others are signals with the unit as suffix (`h
 records have gaps, missing values, repeated and out-of-order stamps, irregular rates and columns that nobody asked
 for: `read_record` copes with all of them and says what it met, in `Record.messages`.
 
-`<column>_quality` beside a column tells why its values are missing (`drivers.points.Quality`); `export_record` writes
+`<column>_quality` beside a column tells why its values are missing (`signals.points.Quality`); `export_record` writes
 such columns only for signals that were ever not good.
 """
 
@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.points import Quality
-from drivers.units import column_name, split_column
+from drivers.signals.points import Quality
+from drivers.signals.units import column_name, split_column
 from hil.files.atomic import replacing
 from hil.journal.export import Exported, export_record
 from hil.profile.load_profile import WRITTEN_UNITS

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.points import Quality
+from drivers.signals.points import Quality
 from hil.journal.rows import CalibrationRow, Samples, TwinOutput
 from hil.journal.writer import JournalReader
 from hil.review.batches import Batch, Estimates, Rows, States, Texts

@@ -27,7 +27,7 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
 
 from __future__ import annotations
 
-from drivers.points import Quality
+from drivers.signals.points import Quality
 from hil.journal.rows import Header
 from hil.report.actuators import pair_actuators
 from hil.review.legends import with_room_for_legends

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Literal
 
-from drivers.points import Quality
+from drivers.signals.points import Quality
 from hil.journal.rows import Header
 from hil.journal.states import State
 

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.budget import Polling, counted, overloads, polling, too_short, unit_of_count, unsaid
-from drivers.bus_sections import CanBus
-from drivers.canbus import CanReceiver
-from drivers.rig_model import Rig
-from drivers.rigfile import load_rig, located
+from drivers.can.bus import CanReceiver
+from drivers.modbus.budget import Polling, counted, overloads, polling, too_short, unit_of_count, unsaid
+from drivers.rig_file.bus_sections import CanBus
+from drivers.rig_file.model import Rig
+from drivers.rig_file.reader import load_rig, located
 from hil.rig.notices import notices
 
 if TYPE_CHECKING:

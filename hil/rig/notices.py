@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.rig_model import Point, Rig
-from drivers.roles import HEATER, ROLES, nearest_role
-from drivers.toml_lines import line_of
+from drivers.rig_file.model import Point, Rig
+from drivers.rig_file.toml_lines import line_of
+from drivers.signals.roles import HEATER, ROLES, nearest_role
 from hil.run.restore.thermal_restore import has_memory, role_of, unled
 
 

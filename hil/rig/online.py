@@ -7,10 +7,10 @@ import math
 import signal
 from typing import TYPE_CHECKING, Any
 
-from drivers.bus_sections import CanBus
-from drivers.points import Quality
-from drivers.rig_model import Rig
-from drivers.watching import BusWatch, RigWatch, Seen
+from drivers.rig.watch import BusWatch, RigWatch, Seen
+from drivers.rig_file.bus_sections import CanBus
+from drivers.rig_file.model import Rig
+from drivers.signals.points import Quality
 
 if TYPE_CHECKING:
     from rich.console import Console

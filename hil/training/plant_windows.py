@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from drivers.rigfile import load_rig
-from drivers.virtual.effects import Effect, load_effects
-from drivers.virtual.geometry import CHANNELS, MODULES, Cells, build_cells
-from drivers.virtual.plant import Plant
-from drivers.virtual.thermocouple_module import ThermocoupleModule
+from drivers.rig_file.reader import load_rig
+from drivers.virtual.plant.effects import Effect, load_effects
+from drivers.virtual.plant.geometry import CHANNELS, MODULES, Cells, build_cells
+from drivers.virtual.plant.plant import Plant
+from drivers.virtual.plant.thermocouple_module import ThermocoupleModule
 from hil.synthetic.hidden_effects import LOADS, Setting, Truth, effects_text, profile, truth
 from hil.synthetic.plant_record import direct_run
 from twin.calibrators.hiera_unet.campaigns import AMISS, Campaign

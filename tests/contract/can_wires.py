@@ -15,13 +15,13 @@ from typing import Protocol
 
 import can
 
-from drivers.bus_sections import CanBus
-from drivers.canbus import CanReceiver
-from drivers.points import Quality
-from drivers.rig_model import Point
-from drivers.rigfile import load_rig
-from drivers.virtual.faulty_link import FaultyLink, can_frames
-from drivers.virtual.socketcand import CanConnection, CanHub
+from drivers.can.bus import CanReceiver
+from drivers.rig_file.bus_sections import CanBus
+from drivers.rig_file.model import Point
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import Quality
+from drivers.virtual.devices.socketcand import CanConnection, CanHub
+from drivers.virtual.faults.faulty_link import FaultyLink, can_frames
 
 INTERFACES = ("virtual", "socketcand", "slcan")
 RIG = load_rig(Path(__file__).resolve().parents[2] / "profiles" / "rigs" / "virtual.toml")

@@ -9,8 +9,8 @@ import struct
 
 import pytest
 
-from drivers.points import Quality
-from drivers.virtual import faulty_replies as replies
+from drivers.signals.points import Quality
+from drivers.virtual.faults import faulty_replies as replies
 from tests.contract.can_wires import INTERFACES, POINTS, SlcanSender, heard
 from tests.drivers import j1939
 

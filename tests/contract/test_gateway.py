@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from drivers.points import Quality
+from drivers.signals.points import Quality
 from tests.contract.wires import wired
 
 

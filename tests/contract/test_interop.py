@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.bus_sections import ModbusBusSection, ModbusRtuBus, ModbusTcpBus
-from drivers.modbus import ModbusBus
-from drivers.points import DeviceExceptionError, Quality
-from drivers.rig_model import Point
+from drivers.modbus.bus import ModbusBus
+from drivers.rig_file.bus_sections import ModbusBusSection, ModbusRtuBus, ModbusTcpBus
+from drivers.rig_file.model import Point
+from drivers.signals.points import DeviceExceptionError, Quality
 from drivers.virtual.rig import VirtualRig, start_virtual_rig
 from tests.contract.strangers import LIBMODBUS, need_libmodbus, python_server, server
 

@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.points import DeviceExceptionError, DriverError, LinkError, Quality
-from drivers.virtual import faulty_replies as replies
-from drivers.virtual.faulty_link import Change
+from drivers.signals.points import DeviceExceptionError, DriverError, LinkError, Quality
+from drivers.virtual.faults import faulty_replies as replies
+from drivers.virtual.faults.faulty_link import Change
 from hil.bench.faults.tls import Certificates
 from tests.contract.wires import TIMEOUT_S, TRANSPORTS, wired
 

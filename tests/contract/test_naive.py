@@ -19,11 +19,11 @@ from pymodbus import FramerType
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
-from drivers.virtual.faulty_link import Change, FaultyLink, modbus_frames, rtu_frames
-from drivers.virtual.faulty_replies import in_rtu, too_few_registers, wrong_function
-from drivers.virtual.modbus_protocol import ModbusConnection
-from drivers.virtual.registers import INPUT_COUNT, Registers
-from drivers.virtual.rtu_protocol import RtuConnection
+from drivers.virtual.devices.modbus_protocol import ModbusConnection
+from drivers.virtual.devices.registers import INPUT_COUNT, Registers
+from drivers.virtual.devices.rtu_protocol import RtuConnection
+from drivers.virtual.faults.faulty_link import Change, FaultyLink, modbus_frames, rtu_frames
+from drivers.virtual.faults.faulty_replies import in_rtu, too_few_registers, wrong_function
 from tests.contract.can_wires import RIG
 
 

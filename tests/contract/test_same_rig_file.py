@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.points import Quality
-from drivers.rig import RigConnection
-from drivers.rigfile import load_rig
+from drivers.rig.connection import RigConnection
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import Quality
 from drivers.virtual.rig import start_virtual_rig
 from hil.bench.faults.tls import Certificates
 from hil.run.outputs.safing import write_safe

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.points import Quality
-from drivers.rig import RigConnection
-from drivers.rigfile import RigFileError, load_rig
-from drivers.virtual.rtu_protocol import crc, request_size
+from drivers.rig.connection import RigConnection
+from drivers.rig_file.reader import RigFileError, load_rig
+from drivers.signals.points import Quality
+from drivers.virtual.devices.rtu_protocol import crc, request_size
 from tests.contract.wires import PseudoPair
 
 SHARED = ("rtu over tcp", "rtu serial", "tcp gateway")
@@ -161,7 +161,7 @@ def test_sections_that_share_a_wire_must_agree_on_it(tmp_path, key, value, said)
 
 
 def test_what_all_devices_of_a_line_ask_for_must_fit_on_it(tmp_path):
-    from drivers.budget import overloads, polling
+    from drivers.modbus.budget import overloads, polling
 
     where = 'transport = "modbus_rtu"\nserial_port = "/dev/ttyUSB0"\nserial_baud = 600'
     rig = load_rig(rig_file(tmp_path, where))

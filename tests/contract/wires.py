@@ -17,17 +17,17 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.bus import Readings
-from drivers.bus_sections import ModbusBusSection, ModbusRtuBus, ModbusRtuTcpBus, ModbusTcpBus, ModbusTlsBus
-from drivers.modbus import ModbusBus
-from drivers.points import DeadlineError, LinkError, Quality
-from drivers.rig_model import Point
-from drivers.virtual.faulty_link import Change, FaultyLink, modbus_frames, rtu_frames
-from drivers.virtual.faulty_replies import in_rtu
-from drivers.virtual.modbus_protocol import ModbusConnection
-from drivers.virtual.modbus_server import tls_context
-from drivers.virtual.registers import INPUT_COUNT, Registers
-from drivers.virtual.rtu_protocol import RtuConnection
+from drivers.bus.contract import Readings
+from drivers.modbus.bus import ModbusBus
+from drivers.rig_file.bus_sections import ModbusBusSection, ModbusRtuBus, ModbusRtuTcpBus, ModbusTcpBus, ModbusTlsBus
+from drivers.rig_file.model import Point
+from drivers.signals.points import DeadlineError, LinkError, Quality
+from drivers.virtual.devices.modbus_protocol import ModbusConnection
+from drivers.virtual.devices.modbus_server import tls_context
+from drivers.virtual.devices.registers import INPUT_COUNT, Registers
+from drivers.virtual.devices.rtu_protocol import RtuConnection
+from drivers.virtual.faults.faulty_link import Change, FaultyLink, modbus_frames, rtu_frames
+from drivers.virtual.faults.faulty_replies import in_rtu
 from hil.bench.faults.tls import Certificates
 
 TRANSPORTS = ("tcp", "tls", "tcp, transaction 0", "rtu over tcp", "rtu serial")

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from drivers.imports.draft import Draft, ImportFileError, write
-from drivers.rig_model import Rig
-from drivers.rigfile import load_rig
+from drivers.importers.draft import Draft, ImportFileError, write
+from drivers.rig_file.model import Rig
+from drivers.rig_file.reader import load_rig
 
 BUS = {"transport": "modbus_tcp", "host": "10.0.0.5", "port": 502, "device_id": 3}
 CELLS = st.one_of(

@@ -6,8 +6,8 @@ import struct
 from collections.abc import Iterable
 from pathlib import Path
 
-from drivers.bus_sections import CanBus
-from drivers.rig_model import Point
+from drivers.rig_file.bus_sections import CanBus
+from drivers.rig_file.model import Point
 
 ET1, EEC1, TSC1, PLAIN = 0x18FEEEFE, 0x0CF00400, 0x0C0000FE, 0x18FF0142
 DBC = """VERSION ""

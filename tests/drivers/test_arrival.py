@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.arrival import REFILL_S, RELAY_EMPTIES_IN_S, Arrivals, Stamps
+from drivers.bus.arrival import REFILL_S, RELAY_EMPTIES_IN_S, Arrivals, Stamps
 
 
 @dataclass

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from drivers.budget import polling, unsaid
-from drivers.bus_sections import ModbusTcpBus
-from drivers.points import ConfigurationError
-from drivers.rig_model import Point
-from drivers.rigfile import load_rig
-from drivers.serial_line import silence_s
+from drivers.modbus.budget import polling, unsaid
+from drivers.modbus.serial_line import silence_s
+from drivers.rig_file.bus_sections import ModbusTcpBus
+from drivers.rig_file.model import Point
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import ConfigurationError
 from hil.cli.check import command
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -16,14 +16,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from drivers.bus_sections import CanMessage
-from drivers.can_ids import EXTENDED_BITS, STANDARD_BITS, IdMatch, by_id, by_j1939, by_pgn, is_pdu1, pgn_of
-from drivers.can_wire import CanWire, why
-from drivers.canbus import CanReceiver
-from drivers.points import ConfigurationError, LinkError, Quality
-from drivers.rig_model import Point
-from drivers.rigfile import load_rig
-from drivers.watching import RigWatch
+from drivers.can.bus import CanReceiver
+from drivers.can.wire import CanWire, why
+from drivers.rig.watch import RigWatch
+from drivers.rig_file.bus_sections import CanMessage
+from drivers.rig_file.can_ids import EXTENDED_BITS, STANDARD_BITS, IdMatch, by_id, by_j1939, by_pgn, is_pdu1, pgn_of
+from drivers.rig_file.model import Point
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import ConfigurationError, LinkError, Quality
 from hil.cli.check import command as check
 from tests.drivers.j1939 import EEC1, ET1, POINTS, dbc_in, et1, section
 
@@ -262,8 +262,8 @@ def test_a_message_of_several_packets_is_refused(tmp_path):
 
 def test_the_kernel_is_told_what_to_filter(tmp_path, monkeypatch):
     made: dict[str, object] = {}
-    monkeypatch.setattr("drivers.can_wire.can.Bus", lambda **keys: made.update(keys))
-    monkeypatch.setattr("drivers.can_wire.socket.if_nameindex", lambda: [(3, "can0")])
+    monkeypatch.setattr("drivers.can.wire.can.Bus", lambda **keys: made.update(keys))
+    monkeypatch.setattr("drivers.can.wire.socket.if_nameindex", lambda: [(3, "can0")])
     bus = CanReceiver("c", section(dbc_in(tmp_path), transport="socketcan"), POINTS, lambda: 0.0)
     bus._open()
     assert made["can_filters"] == [{"can_id": 0x00FEEE00, "can_mask": 0x03FFFF00, "extended": True}]

@@ -14,12 +14,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.bus_sections import CanBus
-from drivers.canbus import CanReceiver
-from drivers.points import ConfigurationError, LinkError, Quality
-from drivers.rig_model import Point
-from drivers.rigfile import load_rig
-from drivers.virtual.socketcand import CanConnection, CanHub, frame_text
+from drivers.can.bus import CanReceiver
+from drivers.rig_file.bus_sections import CanBus
+from drivers.rig_file.model import Point
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import ConfigurationError, LinkError, Quality
+from drivers.virtual.devices.socketcand import CanConnection, CanHub, frame_text
 
 PROJECT = Path(__file__).resolve().parents[2]
 RIG = load_rig(PROJECT / "profiles" / "rigs" / "virtual.toml")

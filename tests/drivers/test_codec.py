@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.bus import judge
-from drivers.codec import (
+from drivers.bus.contract import judge
+from drivers.rig_file.model import Point
+from drivers.signals.codec import (
     NUMBER_TYPES,
     WIDTH,
     CodecError,
@@ -23,8 +24,7 @@ from drivers.codec import (
     field_of,
     raw_bounds,
 )
-from drivers.points import Quality
-from drivers.rig_model import Point
+from drivers.signals.points import Quality
 
 ORDERS = ["ABCD", "CDAB", "BADC", "DCBA"]
 RANGES = {

@@ -7,9 +7,9 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.imports.draft import Collector, Draft, DraftBus, ImportFileError
-from drivers.imports.vendor_csv import import_csv
-from drivers.rigfile import load_rig
+from drivers.importers.draft import Collector, Draft, DraftBus, ImportFileError
+from drivers.importers.vendor_csv import import_csv
+from drivers.rig_file.reader import load_rig
 from hil.cli.check import command as check
 from hil.cli.init import command as init
 from tests.drivers.import_files import BUS, CELLS, complaint, table, written

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from drivers.dbc import bind
-from drivers.points import ConfigurationError
-from drivers.rigfile import load_rig
+from drivers.can.dbc import bind
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import ConfigurationError
 from hil.cli.check import command as check
 from hil.cli.init import command as init
 from tests.drivers.import_files import table

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from drivers.bus import judge
-from drivers.dbc import bind
-from drivers.imports.dbc import import_dbc
-from drivers.imports.dbc_values import means_no_value
-from drivers.imports.draft import Draft, ImportFileError
-from drivers.points import ConfigurationError, Quality
-from drivers.rig_model import Rig
+from drivers.bus.contract import judge
+from drivers.can.dbc import bind
+from drivers.importers.dbc import import_dbc
+from drivers.importers.dbc_values import means_no_value
+from drivers.importers.draft import Draft, ImportFileError
+from drivers.rig_file.model import Rig
+from drivers.signals.points import ConfigurationError, Quality
 from tests.drivers.import_files import table, written
 
 HEAD = 'VERSION ""\n\nBS_:\n\nBU_: PLC PC\n\n'

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.imports.draft import ImportFileError
-from drivers.imports.homeassistant import draft_of, import_homeassistant
-from drivers.imports.yaml_places import Placed
+from drivers.importers.draft import ImportFileError
+from drivers.importers.homeassistant import draft_of, import_homeassistant
+from drivers.importers.yaml_places import Placed
 from tests.drivers.import_files import complaint, table, written
 
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.imports.draft import ImportFileError
-from drivers.imports.telegraf import import_telegraf
+from drivers.importers.draft import ImportFileError
+from drivers.importers.telegraf import import_telegraf
 from tests.drivers.import_files import CELLS, complaint, table, written
 
 TELEGRAF = """\

@@ -9,10 +9,10 @@ import time
 
 import pytest
 
-from drivers.bus_sections import ModbusTcpBus
-from drivers.modbus import ModbusBus
-from drivers.points import ConfigurationError, DeviceExceptionError, LinkError, ProtocolError, Quality
-from drivers.rig_model import Point
+from drivers.modbus.bus import ModbusBus
+from drivers.rig_file.bus_sections import ModbusTcpBus
+from drivers.rig_file.model import Point
+from drivers.signals.points import ConfigurationError, DeviceExceptionError, LinkError, ProtocolError, Quality
 from tests.drivers.faulty_server import FaultyServer, correct
 
 POINTS = (

@@ -6,10 +6,10 @@ import struct
 
 import pytest
 
-from drivers.bus_sections import ModbusBusSection, ModbusRtuTcpBus, ModbusTcpBus
-from drivers.modbus_link import ModbusLink
-from drivers.points import DeadlineError
-from drivers.rtu import frame_of
+from drivers.modbus.link import ModbusLink
+from drivers.modbus.protocol.rtu import frame_of
+from drivers.rig_file.bus_sections import ModbusBusSection, ModbusRtuTcpBus, ModbusTcpBus
+from drivers.signals.points import DeadlineError
 
 ASKED = struct.pack(">BHH", 4, 0, 1)
 

@@ -11,12 +11,12 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
 
-from drivers.bus_sections import ModbusBusSection, ModbusRtuTcpBus, ModbusTcpBus
-from drivers.modbus import ModbusBus
-from drivers.points import DriverError, Quality
-from drivers.rig_model import Point
-from drivers.rtu import frame_of
-from drivers.watching import RigWatch
+from drivers.modbus.bus import ModbusBus
+from drivers.modbus.protocol.rtu import frame_of
+from drivers.rig.watch import RigWatch
+from drivers.rig_file.bus_sections import ModbusBusSection, ModbusRtuTcpBus, ModbusTcpBus
+from drivers.rig_file.model import Point
+from drivers.signals.points import DriverError, Quality
 from tests.drivers.faulty_server import FaultyServer, correct
 
 POINTS = (
@@ -131,7 +131,7 @@ STRANGERS: dict[str, tuple[Serve, str]] = {
 
 @pytest.mark.parametrize("kind", STRANGERS)
 async def test_what_answers_otherwise_is_named_with_what_to_change(kind, monkeypatch):
-    monkeypatch.setattr("drivers.modbus.CONNECT_PATIENCE_S", (0.2, 0.2))
+    monkeypatch.setattr("drivers.modbus.bus.CONNECT_PATIENCE_S", (0.2, 0.2))
     serve, words = STRANGERS[kind]
     said = await refusal(serve)
     assert re.search(words, said), said
@@ -147,7 +147,7 @@ async def test_what_answers_otherwise_is_named_with_what_to_change(kind, monkeyp
     ids=["Modbus/TCP", "another device"],
 )
 async def test_what_answers_otherwise_on_an_rtu_line_is_named(reply, words, monkeypatch):
-    monkeypatch.setattr("drivers.modbus.CONNECT_PATIENCE_S", (0.2, 0.2))
+    monkeypatch.setattr("drivers.modbus.bus.CONNECT_PATIENCE_S", (0.2, 0.2))
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         while frame := await reader.read(8):
@@ -246,7 +246,7 @@ async def test_no_request_goes_out_before_the_connect_delay_is_over():
 
 @pytest.mark.parametrize("first", ["closed", "mute"])
 async def test_a_device_that_serves_the_second_connection_only_is_read(first, monkeypatch):
-    monkeypatch.setattr("drivers.modbus.CONNECT_PATIENCE_S", (0.2, 1.0))
+    monkeypatch.setattr("drivers.modbus.bus.CONNECT_PATIENCE_S", (0.2, 1.0))
     connections: list[int] = []
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -264,8 +264,8 @@ async def test_a_device_that_serves_the_second_connection_only_is_read(first, mo
 
 
 async def test_a_missed_deadline_is_not_told_as_a_rig_that_is_off(monkeypatch):
-    monkeypatch.setattr("drivers.modbus.CONNECT_PATIENCE_S", (0.1, 0.1))
-    from drivers.rig_model import Rig
+    monkeypatch.setattr("drivers.modbus.bus.CONNECT_PATIENCE_S", (0.1, 0.1))
+    from drivers.rig_file.model import Rig
 
     async with listening(every(lambda t, u, p: mbap(t, u, answer(p), more=1))) as port:
         config = {"transport": "modbus_tcp", "port": port, "timeout_s": 0.1}
@@ -287,7 +287,7 @@ async def test_a_reply_that_lay_in_the_queue_while_the_process_was_stopped_is_as
         await bus.connect()
         asked_for.clear()
         stopped = Stopped(after=1)
-        monkeypatch.setattr("drivers.modbus_link.steady_s", stopped)
+        monkeypatch.setattr("drivers.modbus.link.steady_s", stopped)
         monkeypatch.setattr(bus.link, "_late", 3)
         server.behaviour = stopped.wrapping(watched)
         readings = await bus.read()

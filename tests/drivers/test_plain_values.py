@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.rigfile import RigFileError, load_rig
-from drivers.units import canonical_unit
+from drivers.rig_file.reader import RigFileError, load_rig
+from drivers.signals.units import canonical_unit
 
 RIG = """\
 [rig]

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.bus_sections import Hole
-from drivers.plan import Block, ReadPlan, plan_reads, plan_writes
-from drivers.rig_model import Point
+from drivers.modbus.read_plan import Block, ReadPlan, plan_reads, plan_writes
+from drivers.rig_file.bus_sections import Hole
+from drivers.rig_file.model import Point
 
 
 def point(address: int, kind: str = "uint16", table: str = "input") -> Point:

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.modbus_frames import TcpFrames
-from drivers.points import ProtocolError
-from drivers.replies import FrameGuard
+from drivers.modbus.protocol.frames import TcpFrames
+from drivers.modbus.protocol.replies import FrameGuard
+from drivers.signals.points import ProtocolError
 from hil.bench.fuzz.can_frames import mutate_can
 from hil.bench.fuzz.j1939_frames import HARMLESS as J1939_HARMLESS
 from hil.bench.fuzz.j1939_frames import mutate_j1939
@@ -167,7 +167,7 @@ class Naive(FrameGuard):
 
 
 async def test_without_the_guard_a_late_reply_of_transaction_0_is_taken_for_the_answer(monkeypatch):
-    monkeypatch.setattr("drivers.modbus_frames.FrameGuard", Naive)
+    monkeypatch.setattr("drivers.modbus.protocol.frames.FrameGuard", Naive)
     found = await mutate_modbus(170, 1)
     assert found["the reply before as transaction 0"][3] > 0
     assert found["trailing bytes"][1] > 0

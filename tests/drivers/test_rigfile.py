@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.rig_model import Point
-from drivers.rigfile import RigFileError, load_rig
+from drivers.rig_file.model import Point
+from drivers.rig_file.reader import RigFileError, load_rig
 
 PROJECT = Path(__file__).resolve().parents[2]
 VIRTUAL = PROJECT / "profiles" / "rigs" / "virtual.toml"

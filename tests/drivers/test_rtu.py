@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.modbus_pdu import Read
-from drivers.modbus_step import Steps
-from drivers.plan import plan_reads
-from drivers.points import ProtocolError
-from drivers.rig_model import Point
-from drivers.rtu import RtuGuard, frame_of
-from drivers.virtual.rtu_protocol import crc
+from drivers.modbus.protocol.pdu import Read
+from drivers.modbus.protocol.reply_offset import Steps
+from drivers.modbus.protocol.rtu import RtuGuard, frame_of
+from drivers.modbus.read_plan import plan_reads
+from drivers.rig_file.model import Point
+from drivers.signals.points import ProtocolError
+from drivers.virtual.devices.rtu_protocol import crc
 
 REQUEST = struct.pack(">BHH", 4, 8, 2)
 REPLY = frame_of(3, b"\4\4\0\1\0\2")

@@ -6,9 +6,9 @@ import random
 
 import pytest
 
-from drivers.points import Quality
-from drivers.rig_model import Point
-from drivers.sensor_watch import SensorWatch, watches
+from drivers.bus.sensor_watch import SensorWatch, watches
+from drivers.rig_file.model import Point
+from drivers.signals.points import Quality
 
 GOOD, FAULT = Quality.GOOD, Quality.SENSOR_FAULT
 

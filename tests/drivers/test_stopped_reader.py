@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from drivers.points import Quality
-from drivers.rigfile import load_rig
-from drivers.virtual.geometry import CHANNELS
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import Quality
+from drivers.virtual.devices.truth import Moment, read_truth
+from drivers.virtual.plant.geometry import CHANNELS
 from drivers.virtual.rig import start_virtual_rig
-from drivers.virtual.truth import Moment, read_truth
 
 PROJECT = Path(__file__).resolve().parents[2]
 RIG = PROJECT / "profiles" / "rigs" / "virtual.toml"
@@ -28,9 +28,9 @@ PERIOD_S = 0.02
 READER = """
 import asyncio, json, sys, time
 from pathlib import Path
-from drivers.rig import RigConnection
-from drivers.rigfile import load_rig
-from drivers.steady_time import steady_s
+from drivers.rig.connection import RigConnection
+from drivers.rig_file.reader import load_rig
+from drivers.bus.steady_time import steady_s
 
 async def main():
     rig = load_rig(Path(sys.argv[1])).with_ports({"plc": int(sys.argv[2]), "thermocouples": int(sys.argv[3])})

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import pytest
 
-from drivers.bus_sections import ModbusTlsBus
-from drivers.modbus import ModbusBus
-from drivers.points import ConfigurationError, LinkError, Quality
-from drivers.rigfile import RigFileError, load_rig
-from drivers.tls import check_key, client_context
+from drivers.modbus.bus import ModbusBus
+from drivers.modbus.tls import check_key, client_context
+from drivers.rig_file.bus_sections import ModbusTlsBus
+from drivers.rig_file.reader import RigFileError, load_rig
+from drivers.signals.points import ConfigurationError, LinkError, Quality
 from drivers.virtual.rig import VirtualRig, start_virtual_rig
 from hil.bench.faults.tls import authority, make_certificates, signed
 
@@ -99,7 +99,7 @@ async def test_an_expired_certificate_of_ours_is_said_before_anything_is_opened(
 async def test_a_rig_refuses_an_expired_certificate_by_itself(secured, monkeypatch):
     certificate, key = signed(secured.folder, "expired", secured.ca, days=0)
     await asyncio.sleep(1.1)
-    monkeypatch.setattr("drivers.tls.check_valid", lambda path: None)  # a machine whose clock is behind
+    monkeypatch.setattr("drivers.modbus.tls.check_valid", lambda path: None)  # a machine whose clock is behind
     assert "expired.pem" in await secured.refusal(certificate=certificate, key=key)
 
 

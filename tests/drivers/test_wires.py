@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.host_address import addresses, is_own
-from drivers.rig import RigConnection
-from drivers.rigfile import RigFileError, load_rig
-from drivers.wires import devices, wires
+from drivers.rig.connection import RigConnection
+from drivers.rig_file.host_address import addresses, is_own
+from drivers.rig_file.reader import RigFileError, load_rig
+from drivers.rig_file.wires import devices, wires
 from tests.contract.test_shared_lines import Line, good
 
 HOSTS = ("127.0.0.1", "localhost", "127.1")
@@ -31,8 +31,8 @@ def name_server(monkeypatch):
             return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (address, 0)) for address in known[host]]
         return ours(host, *rest, **kinds)
 
-    monkeypatch.setattr("drivers.host_address.socket.getaddrinfo", answer)
-    monkeypatch.setattr("drivers.wires._known", addresses)  # which remembers across tests
+    monkeypatch.setattr("drivers.rig_file.host_address.socket.getaddrinfo", answer)
+    monkeypatch.setattr("drivers.rig_file.wires._known", addresses)  # which remembers across tests
     return asked
 
 
@@ -111,7 +111,7 @@ def test_an_address_of_an_interface_is_this_machine_and_one_of_nobody_is_not(mon
         def getsockname(self):
             return ("198.51.100.4", 40000)  # of our only interface
 
-    monkeypatch.setattr("drivers.host_address.socket.socket", Probe)
+    monkeypatch.setattr("drivers.rig_file.host_address.socket.socket", Probe)
     assert is_own("198.51.100.4") and not is_own("198.51.100.5") and not is_own("no.such.host")
     assert asked == ["198.51.100.4", "198.51.100.5"]
 
@@ -120,5 +120,5 @@ def test_a_link_local_address_keeps_its_zone(monkeypatch):
     def zones(host, *_args, **_kinds):
         return [(socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("fe80::1%eth0", 0, 0, int(host[-1])))]
 
-    monkeypatch.setattr("drivers.host_address.socket.getaddrinfo", zones)
+    monkeypatch.setattr("drivers.rig_file.host_address.socket.getaddrinfo", zones)
     assert addresses("fe80::1%2") == ("fe80::1%2",) != addresses("fe80::1%3")

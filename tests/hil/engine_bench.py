@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import hil.run.outputs.safing
-from drivers.rig_model import Rig
+from drivers.rig_file.model import Rig
 from hil.journal.states import HEATED, UNTOUCHED, State
 from hil.profile.load_profile import Profile
 from hil.run.engine.engine import Engine, Outcome

@@ -9,17 +9,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.interlock_specs import (
+from drivers.rig_file.interlock_specs import (
     HeaterPowerSpec,
     LimitSpec,
     NoFlowSpec,
     RateOfRiseSpec,
     ResidualSpec,
 )
-from drivers.points import LinkError, Quality, Snapshot
-from drivers.rig_model import Rig
-from drivers.rigfile import load_rig
-from drivers.virtual.registers import ARMED, HEARTBEAT, HEATER_SET, Registers
+from drivers.rig_file.model import Rig
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import LinkError, Quality, Snapshot
+from drivers.virtual.devices.registers import ARMED, HEARTBEAT, HEATER_SET, Registers
 from hil.journal.writer import JournalError
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.points import Quality, Signal
+from drivers.signals.points import Quality, Signal
 from hil.journal.writer import Header, JournalWriter
 
 SENSORS = {

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from drivers.rigfile import load_rig
-from drivers.virtual.effects import load_effects
-from drivers.virtual.thermocouple_module import ThermocoupleModule
+from drivers.rig_file.reader import load_rig
+from drivers.virtual.plant.effects import load_effects
+from drivers.virtual.plant.thermocouple_module import ThermocoupleModule
 from hil.bench.discovery import repeated as discovery_again
 from hil.bench.discovery import trial as discovery
 from hil.bench.discovery.detectability import course_of, visible

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from drivers.points import ConfigurationError
+from drivers.signals.points import ConfigurationError
 from hil.bench.fuzz import readers as fuzz_files
 from hil.bench.fuzz import tables as files
 from hil.bench.fuzz.readers import HANG, READ, REFUSED, TRACEBACK, UNCLEAR, outcome_of

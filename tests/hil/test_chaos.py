@@ -16,10 +16,10 @@ from typing import Any
 
 import pytest
 
-from drivers.rigfile import load_rig
-from drivers.virtual.registers import ARM, HEARTBEAT, HEATER_SET
+from drivers.rig_file.reader import load_rig
+from drivers.virtual.devices.registers import ARM, HEARTBEAT, HEATER_SET
+from drivers.virtual.devices.truth import read_truth
 from drivers.virtual.rig import start_virtual_rig
-from drivers.virtual.truth import read_truth
 from hil.bench.chaos import verdict
 from hil.bench.chaos.campaign import campaign, chaos_tables
 from hil.bench.chaos.clock import SteppedClock

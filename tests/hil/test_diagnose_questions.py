@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.rigfile import load_rig
+from drivers.rig_file.reader import load_rig
 from hil.diagnosis.experiment_file import limits_of
 from hil.profile.load_profile import read_profile, validate
 from hil.record.reader import Record, write_record

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.virtual.effects import (
+from drivers.virtual.plant.effects import (
     ACTUATORS,
     COMMON,
     FORMS,
@@ -26,8 +26,8 @@ from drivers.virtual.effects import (
     load_effects,
     needs_ramp,
 )
-from drivers.virtual.geometry import CHANNELS, PLACES
-from drivers.virtual.plant import Plant
+from drivers.virtual.plant.geometry import CHANNELS, PLACES
+from drivers.virtual.plant.plant import Plant
 from hil.run.session.request import RunRequest, prepare
 from tests.hil.reference_pages import page
 

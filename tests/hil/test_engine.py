@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.points import Quality
-from drivers.rig import RigConnection
-from drivers.rigfile import load_rig
+from drivers.rig.connection import RigConnection
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import Quality
 from drivers.virtual.rig import start_virtual_rig
 from hil.journal.store import JournalStore
 from hil.journal.writer import Header, JournalError, JournalReader, JournalWriter
@@ -245,7 +245,7 @@ async def test_making_safe_tries_again_until_the_rig_holds_the_values():
             self.order: list[str] = []
 
         async def write(self, values: dict[str, float]) -> None:
-            from drivers.points import LinkError
+            from drivers.signals.points import LinkError
 
             self.calls += 1
             if self.calls <= 2:
@@ -262,7 +262,7 @@ async def test_making_safe_tries_again_until_the_rig_holds_the_values():
             return {name: self.held[name] for name in names}
 
         async def read(self) -> Any:
-            from drivers.points import Snapshot
+            from drivers.signals.points import Snapshot
 
             return Snapshot([], [], [])
 

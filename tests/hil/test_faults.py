@@ -8,8 +8,8 @@ import shutil
 
 import pytest
 
-from drivers.points import Quality
-from drivers.virtual.truth import Moment
+from drivers.signals.points import Quality
+from drivers.virtual.devices.truth import Moment
 from hil.bench.faults import judge
 from hil.bench.faults.campaign import campaign, pair_tables, tables
 from hil.bench.faults.kinds import KINDS
@@ -194,7 +194,7 @@ def test_every_kind_is_among_two_hundred_runs_at_least_six_times():
 
 
 def test_the_rig_of_the_campaign_is_the_shipped_one_with_short_limits(tmp_path):
-    from drivers.rigfile import load_rig
+    from drivers.rig_file.reader import load_rig
 
     path = tmp_path / "rig.toml"
     path.write_text(rig_text({"plc": 5999, "thermocouples": 5998}), encoding="utf-8")

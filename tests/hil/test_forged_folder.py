@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from drivers.rigfile import file_sha256
+from drivers.rig_file.reader import file_sha256
 from hil.journal.writer import JournalError, JournalReader
 from hil.report.page import write_report
 from hil.run.engine.control_socket import ControlError, ask

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from drivers.points import ConfigurationError
+from drivers.signals.points import ConfigurationError
 from hil.run.restore import gap_evidence
 from hil.run.restore.gap_evidence import LONG_GAP_S, ClockReading, clocks_noted, duration_s, read_clocks, with_gap
 from hil.run.restore.resumption import Standing

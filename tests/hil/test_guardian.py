@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.rigfile import load_rig
+from drivers.rig_file.reader import load_rig
 from hil.guardian import process
 from hil.guardian.client import Guardian
 from hil.guardian.plan import plan_of
@@ -25,8 +25,8 @@ PROJECT = Path(__file__).resolve().parents[2]
 ENGINE = """
 import asyncio, sys, time
 from pathlib import Path
-from drivers.rig import RigConnection
-from drivers.rigfile import load_rig
+from drivers.rig.connection import RigConnection
+from drivers.rig_file.reader import load_rig
 from hil.guardian.client import Guardian
 
 async def main(rig_path, log, how):

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from drivers.rigfile import Rig, load_rig
+from drivers.rig_file.reader import Rig, load_rig
 from drivers.virtual.rig import start_virtual_rig
 from hil.cli.check import command as check
 from hil.cli.init import command as init

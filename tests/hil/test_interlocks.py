@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.points import Quality, Snapshot
-from drivers.rigfile import load_rig
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import Quality, Snapshot
 from hil.run.interlocks.interlocks import Interlocks
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from drivers.points import Signal
+from drivers.signals.points import Signal
 from hil.journal.writer import Header, JournalError, JournalReader, JournalWriter
 
 HEADER = Header((Signal("T_tank", "degC"),), {}, (), "load", 10.0, 0.1, {})

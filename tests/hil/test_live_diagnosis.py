@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from drivers.points import ConfigurationError, Signal
+from drivers.signals.points import ConfigurationError, Signal
 from hil.diagnosis.live import (
     Found,
     LiveConfig,

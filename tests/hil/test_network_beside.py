@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from drivers.points import Signal
-from drivers.rigfile import file_sha256
+from drivers.rig_file.reader import file_sha256
+from drivers.signals.points import Signal
 from hil.cli import group
 from hil.journal.writer import Header, JournalReader, JournalWriter
 from hil.record.reader import Record, read_record, write_record

@@ -15,12 +15,12 @@ from typing import Any
 
 import pytest
 
-from drivers.canbus import CanReceiver
-from drivers.points import LinkError, Quality
-from drivers.rigfile import load_rig
-from drivers.virtual.faulty_link import FaultyLink, can_frames
+from drivers.can.bus import CanReceiver
+from drivers.rig.watch import RigWatch
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import LinkError, Quality
+from drivers.virtual.faults.faulty_link import FaultyLink, can_frames
 from drivers.virtual.rig import start_virtual_rig
-from drivers.watching import RigWatch
 
 PROJECT = Path(__file__).resolve().parents[2]
 VIRTUAL = PROJECT / "profiles" / "rigs" / "virtual.toml"

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.points import Quality, Signal
+from drivers.signals.points import Quality, Signal
 from hil.journal.writer import Header, JournalWriter
 from hil.record import plausibility as record_plausible
 from hil.record.reader import SENTINELS, Record, RecordError, export_record, read_record, write_record

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from drivers.units import PLAUSIBLE, SUFFIX_OF_UNIT, column_name
+from drivers.signals.units import PLAUSIBLE, SUFFIX_OF_UNIT, column_name
 from hil.record.reader import Reading, Record, RecordError, read_record
 from hil.record.values.numbers import readings
 

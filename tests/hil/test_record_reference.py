@@ -5,10 +5,10 @@ from __future__ import annotations
 import click
 import pytest
 
-from drivers.bus import judge
-from drivers.points import Quality
-from drivers.rig_model import Point
-from drivers.units import PLAUSIBLE, SUFFIX_OF_UNIT
+from drivers.bus.contract import judge
+from drivers.rig_file.model import Point
+from drivers.signals.points import Quality
+from drivers.signals.units import PLAUSIBLE, SUFFIX_OF_UNIT
 from hil.cli import check, commission, diagnose, track
 from hil.record.reader import read_record
 from hil.record.values.numbers import ALWAYS_LOST, LOST

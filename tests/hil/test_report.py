@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.points import Quality, Signal
+from drivers.signals.points import Quality, Signal
 from hil.journal.rows import Samples
 from hil.journal.writer import Header, JournalWriter
 from hil.report.figures import MEASURED, Curves, pictures

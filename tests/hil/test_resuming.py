@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.points import Quality
-from drivers.rig import RigConnection
+from drivers.rig.connection import RigConnection
+from drivers.signals.points import Quality
 from hil.journal.states import Event, State, following
 from hil.journal.writer import Header, JournalError, JournalWriter
 from hil.run.session.interrupted_run import standing

@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from drivers.points import Quality
+from drivers.signals.points import Quality
 from hil.journal.writer import JournalError, JournalReader, JournalWriter
 from hil.review import (
     ViewerError,

@@ -18,9 +18,9 @@ from types import SimpleNamespace
 import pytest
 from click.testing import CliRunner
 
-from drivers.bus_sections import ModbusRtuTcpBus
-from drivers.rig_model import Rig
-from drivers.rigfile import load_rig
+from drivers.rig_file.bus_sections import ModbusRtuTcpBus
+from drivers.rig_file.model import Rig
+from drivers.rig_file.reader import load_rig
 from hil.cli.resume import command as resume_command
 from hil.cli.run import command as run_command
 from hil.errors import exit_code
@@ -49,7 +49,7 @@ HOLDER = (
     + """
 import time
 from pathlib import Path
-from drivers.rigfile import load_rig
+from drivers.rig_file.reader import load_rig
 from hil.run.locks.rig_lock import claimed, end_points
 rig = load_rig(Path(sys.argv[1]))
 end_points(rig)  # imports what another user may not read
@@ -214,7 +214,7 @@ def test_a_host_with_several_addresses_is_locked_at_each(monkeypatch):
         found = {"gateway": ("192.0.2.1", "192.0.2.2")}.get(host, (host,))
         return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (address, 0)) for address in found]
 
-    monkeypatch.setattr("drivers.host_address.socket.getaddrinfo", known)
+    monkeypatch.setattr("drivers.rig_file.host_address.socket.getaddrinfo", known)
     assert len(end_points(with_bus(host="gateway"))) == 2
     with claimed(with_bus(host="gateway"), pytest.fail):
         for host in ("192.0.2.1", "192.0.2.2"):

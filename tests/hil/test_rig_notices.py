@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from drivers.rigfile import load_rig
-from drivers.roles import ROLES
+from drivers.rig_file.reader import load_rig
+from drivers.signals.roles import ROLES
 from hil.cli.check import command
 from hil.rig.notices import notices, unguarded
 from hil.run.restore.thermal_restore import unled

@@ -14,11 +14,11 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from drivers import bus_sections, interlock_specs
-from drivers.bus_sections import CanBus, CanMessage, Hole
-from drivers.rig_model import Heartbeat, Point, Rig
-from drivers.rigfile import RigFileError, load_rig
-from drivers.roles import ROLES
-from drivers.units import SUFFIX_OF_UNIT
+from drivers.rig_file.bus_sections import CanBus, CanMessage, Hole
+from drivers.rig_file.model import Heartbeat, Point, Rig
+from drivers.rig_file.reader import RigFileError, load_rig
+from drivers.signals.roles import ROLES
+from drivers.signals.units import SUFFIX_OF_UNIT
 from hil.rig.check import as_json
 from tests.hil.reference_pages import page
 

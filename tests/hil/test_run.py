@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.points import Quality
+from drivers.signals.points import Quality
 from hil.journal.writer import JournalReader
 from hil.record.reader import read_record
 from hil.report.page import measured_sensors

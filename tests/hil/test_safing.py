@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from drivers.points import DeviceExceptionError, DriverError, Quality
-from drivers.rigfile import load_rig
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import DeviceExceptionError, DriverError, Quality
 from hil.run.outputs.heaters import not_cold, safe_limit, safe_limits
 from hil.run.outputs.safing import write_safe
 from hil.run.outputs.setpoints import Setpoints
@@ -111,7 +111,7 @@ def test_what_another_master_writes_while_the_run_ends_is_made_safe_again():
 
 
 async def test_a_stop_does_not_wait_for_the_next_tick_of_a_slow_rig(tmp_path):
-    from drivers.rig import RigConnection
+    from drivers.rig.connection import RigConnection
     from hil.journal.writer import Header, JournalWriter
     from hil.profile.load_profile import Profile
     from hil.run.engine.clock import MonotonicClock

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.rigfile import RigFileError, file_sha256, load_rig
+from drivers.rig_file.reader import RigFileError, file_sha256, load_rig
 from drivers.virtual.rig import start_virtual_rig
 from hil.bench.faults.judge import read_states
 from hil.bench.faults.rig import LOAD, prepare, rig_text

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.modbus_pdu import NO_SUCH_FUNCTION
-from drivers.points import DeviceExceptionError, LinkError, Quality, Snapshot
-from drivers.rig_model import Point, Rig
-from drivers.virtual.registers import HEATER_SET
+from drivers.modbus.protocol.pdu import NO_SUCH_FUNCTION
+from drivers.rig_file.model import Point, Rig
+from drivers.signals.points import DeviceExceptionError, LinkError, Quality, Snapshot
+from drivers.virtual.devices.registers import HEATER_SET
 from hil.run.engine.operator import Verb
 from hil.run.interlocks.conditions import Tick
 from hil.run.outputs.readback import CLOSE_S, INTERVAL_S, LOCKSTEP_INTERVAL_S, SetpointReadback

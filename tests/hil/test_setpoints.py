@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.points import ConfigurationError
-from drivers.rigfile import load_rig
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import ConfigurationError
 from hil.run.outputs.setpoints import Setpoints, bind, setpoint_columns
 
 PROJECT = Path(__file__).resolve().parents[2]

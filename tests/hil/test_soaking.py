@@ -7,7 +7,7 @@ import asyncio
 import numpy as np
 import pytest
 
-from drivers.points import Quality
+from drivers.signals.points import Quality
 from hil.journal.profile_clock import profile_times
 from hil.journal.rows import StateRow
 from hil.journal.states import Event, State

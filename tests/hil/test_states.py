@@ -16,7 +16,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from drivers.points import Quality
+from drivers.signals.points import Quality
 from hil.journal.states import ENDED, LIVE, TABLE, UNTOUCHED, Event, Machine, State, Transition, TransitionError
 from hil.run.engine.operator import Verb
 from tests.hil.engine_bench import EngineBench, cut_at

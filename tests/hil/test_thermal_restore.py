@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from drivers.points import Quality, Snapshot
+from drivers.signals.points import Quality, Snapshot
 from hil.profile.load_profile import Profile
 from hil.run.restore.thermal_restore import Soak, SoakRule
 from tests.hil.simulated_rig import rig_with

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.rigfile import RigFileError, load_rig
+from drivers.rig_file.reader import RigFileError, load_rig
 from drivers.virtual.rig import start_virtual_rig
 from hil.journal.writer import JournalReader
 from hil.rig.check import checked

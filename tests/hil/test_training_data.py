@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.virtual.effects import Effect
-from drivers.virtual.geometry import build_cells
+from drivers.virtual.plant.effects import Effect
+from drivers.virtual.plant.geometry import build_cells
 from hil.training import generate as data
 from hil.training import plant_windows
 from hil.training.data import FEWEST, least_windows, looked_at

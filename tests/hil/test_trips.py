@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.interlock_specs import LimitSpec
-from drivers.points import Quality
+from drivers.rig_file.interlock_specs import LimitSpec
+from drivers.signals.points import Quality
 from hil.run.engine.operator import Verb
 from hil.run.interlocks.conditions import Restarted, Tick
 from tests.hil.engine_bench import EngineBench

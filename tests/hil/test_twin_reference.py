@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers.rigfile import load_rig
+from drivers.rig_file.reader import load_rig
 from hil.rig.element_kinds import parameters_of
 from hil.run.session.request import RunRequest, prepare
 from tests.hil.reference_pages import page

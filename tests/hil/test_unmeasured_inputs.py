@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.points import ConfigurationError
+from drivers.signals.points import ConfigurationError
 from hil.run.session.request import RunRequest, prepare
 from tests.hil.test_resume import hil
 

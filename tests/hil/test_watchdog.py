@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from drivers.points import LinkError
-from drivers.rigfile import load_rig
-from drivers.virtual.registers import WATCHDOG
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import LinkError
+from drivers.virtual.devices.registers import WATCHDOG
+from drivers.virtual.devices.truth import Moment, read_truth
 from drivers.virtual.rig import start_virtual_rig
-from drivers.virtual.truth import Moment, read_truth
 from hil.bench.faults.rig import LOAD, rig_text
 from hil.run.engine.operator import Verb
 from tests.drivers.test_rigfile import VIRTUAL, broken, complaint
@@ -51,7 +51,7 @@ def test_a_rig_that_does_not_hold_the_time_out_is_not_armed():
 
 
 async def test_a_rig_that_refuses_the_time_out_is_not_armed():
-    from drivers.rig import RigConnection
+    from drivers.rig.connection import RigConnection
     from hil.run.outputs.outputs import Outputs
 
     async with await start_virtual_rig(period_s=0.1) as virtual:

@@ -154,7 +154,7 @@ def test_a_folder_that_everybody_could_replace_is_not_used(root: Path, tmp_path:
     assert cache_root() == root
 
 
-@pytest.mark.parametrize("module", ["twin.kernel_cache", "drivers.virtual.compiled_cache"])
+@pytest.mark.parametrize("module", ["twin.kernel_cache", "drivers.virtual.plant.compiled_cache"])
 def test_functions_compiled_ahead_are_not_kept_where_others_may_write(
     module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import pytest_asyncio
 
-from drivers.virtual import socketcand
-from drivers.virtual.socketcand import CanConnection, CanHub, frame_text
-from drivers.virtual.supervision import port_of
-from drivers.virtual.thermocouple_module import FRAME_IDS, ThermocoupleModule
+from drivers.virtual.devices import socketcand
+from drivers.virtual.devices.socketcand import CanConnection, CanHub, frame_text
+from drivers.virtual.devices.supervision import port_of
+from drivers.virtual.plant.thermocouple_module import FRAME_IDS, ThermocoupleModule
 
 DBC = Path(__file__).resolve().parents[2] / "profiles" / "rigs" / "thermocouples.dbc"
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.virtual.effects import FORMS, Effect, EffectFileError, Form, _parse, _Place, load_effects
-from drivers.virtual.geometry import CHANNELS
-from drivers.virtual.instruments import Instruments
-from drivers.virtual.plant import Plant
-from drivers.virtual.thermocouple_module import OPEN_CIRCUIT, ThermocoupleModule
+from drivers.virtual.plant.effects import FORMS, Effect, EffectFileError, Form, _parse, _Place, load_effects
+from drivers.virtual.plant.geometry import CHANNELS
+from drivers.virtual.plant.instruments import Instruments
+from drivers.virtual.plant.plant import Plant
+from drivers.virtual.plant.thermocouple_module import OPEN_CIRCUIT, ThermocoupleModule
 
 SHIPPED = Path(__file__).resolve().parents[2] / "profiles" / "effects"
 ONSET_S = 100.0

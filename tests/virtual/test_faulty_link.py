@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.virtual import faulty_replies as replies
-from drivers.virtual.faulty_link import FaultyLink, can_frames, modbus_frames
+from drivers.virtual.devices.truth import read_truth
+from drivers.virtual.faults import faulty_replies as replies
+from drivers.virtual.faults.faulty_link import FaultyLink, can_frames, modbus_frames
 from drivers.virtual.rig import start_virtual_rig
-from drivers.virtual.truth import read_truth
 
 READ = struct.pack(">HHHBBHH", 7, 0, 6, 1, 4, 0, 12)
 REPLY = struct.pack(">HHHBBB", 7, 0, 27, 1, 4, 24) + bytes(range(24))
@@ -180,10 +180,10 @@ async def test_the_rig_keeps_its_own_truth_and_a_reboot_forgets_everything(tmp_p
 async def test_a_reply_that_pymodbus_cannot_decode_is_a_lost_link_and_no_traceback(caplog):
     import time
 
-    from drivers.bus_sections import ModbusTcpBus
-    from drivers.modbus import ModbusBus
-    from drivers.points import Quality
-    from drivers.rig_model import Point
+    from drivers.modbus.bus import ModbusBus
+    from drivers.rig_file.bus_sections import ModbusTcpBus
+    from drivers.rig_file.model import Point
+    from drivers.signals.points import Quality
 
     point = Point(name="x", bus="b", unit="1", table="input", address=0)
     generator = random.Random(5)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.virtual.modbus_protocol import ModbusConnection, answer
-from drivers.virtual.registers import ARM, ARMED, HEATER_SET, Registers
+from drivers.virtual.devices.modbus_protocol import ModbusConnection, answer
+from drivers.virtual.devices.registers import ARM, ARMED, HEATER_SET, Registers
 
 
 def words(function: int, *values: int) -> bytes:

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.virtual.effects import Effect
-from drivers.virtual.plant import Plant
-from drivers.virtual.water import density_of, enthalpy_of, temperature_of, viscosity_of
+from drivers.virtual.plant.effects import Effect
+from drivers.virtual.plant.plant import Plant
+from drivers.virtual.plant.water import density_of, enthalpy_of, temperature_of, viscosity_of
 
 HEATER, PM1, PM6, RADIATOR, TANK = 0, 1, 6, 7, 8
 

@@ -19,8 +19,8 @@ import pytest
 from pymodbus.client import ModbusTcpClient
 from raw_client import RawClient
 
-from drivers.virtual.effects import EffectFileError
-from drivers.virtual.plant import Plant
+from drivers.virtual.plant.effects import EffectFileError
+from drivers.virtual.plant.plant import Plant
 from drivers.virtual.rig import PortInUseError, VirtualRig, VirtualRigError, start_virtual_rig
 
 PROFILES = Path(__file__).resolve().parents[2] / "profiles"

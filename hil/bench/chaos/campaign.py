@@ -1,7 +1,7 @@
 """`hil bench faults --chaos`: attacks at random instants, alone and in pairs, half of them without the rig's watchdog.
 
 Each case is `hil run` in a process of its own on a virtual rig of its own, in real time at ten hertz. The rig's own log
-says when the heater was off (`drivers.virtual.truth`). Finished cases are kept and not run again.
+says when the heater was off (`drivers.virtual.devices.truth`). Finished cases are kept and not run again.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A Modbus device that does not do as it is told, and a second master on the same rig.
 
 `LyingDevice` relays between the harness and the virtual rig and alters requests and replies. Register addresses are
-those of `drivers.virtual.registers`. The relay also notes when a heartbeat passed, which the verdict asks for.
+those of `drivers.virtual.devices.registers`. The relay also notes when a heartbeat passed, which the verdict asks for.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import struct
 import time
 from typing import Literal, Self
 
-from drivers.virtual.registers import HEARTBEAT, HEATER_SET
+from drivers.virtual.devices.registers import HEARTBEAT, HEATER_SET
 
 HOST = "127.0.0.1"
 DELAY_S = 3.0

@@ -64,8 +64,8 @@ class Injector:
         return path
 
     def _direct(self, case: Setting, effects: Path | None, record: Path, left_out: Collection[int] = ()) -> None:
-        from drivers.rigfile import load_rig
-        from drivers.virtual.effects import load_effects
+        from drivers.rig_file.reader import load_rig
+        from drivers.virtual.plant.effects import load_effects
         from hil.record.reader import write_record
         from hil.synthetic.plant_record import direct_record
 

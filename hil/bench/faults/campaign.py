@@ -2,7 +2,7 @@
 
 With `--pairs` two of them at a time, the second while the first lasts. The musts are the same.
 Each case is `hil run` in a process of its own against a virtual rig of its own, in real time at ten hertz. What was
-true is told by the rig (`drivers.virtual.truth`), never by the harness. Finished cases are kept and not run again.
+true is told by the rig (`devices.truth`), never by the harness. Finished cases are kept and not run again.
 """
 
 from __future__ import annotations

@@ -14,10 +14,10 @@ from typing import Any
 
 import can
 
-from drivers.bus_sections import CanBus
-from drivers.canbus import CanReceiver
-from drivers.points import Quality
-from drivers.rigfile import load_rig
+from drivers.can.bus import CanReceiver
+from drivers.rig_file.bus_sections import CanBus
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import Quality
 
 RIG = Path(__file__).resolve().parents[3] / "profiles" / "rigs" / "virtual.toml"
 LAYOUT = {0x181: "<4h", 0x281: "<4h", 0x381: "<hHI"}

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import can
 
-from drivers.bus_sections import CanBus
-from drivers.canbus import CanReceiver
-from drivers.points import Quality
-from drivers.rig_model import Point
+from drivers.can.bus import CanReceiver
+from drivers.rig_file.bus_sections import CanBus
+from drivers.rig_file.model import Point
+from drivers.signals.points import Quality
 
 PGN, HEARD, OTHER = 0xFEEE, 0x00, 0x21
 KINDS = (

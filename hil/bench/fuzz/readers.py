@@ -193,9 +193,9 @@ _SHEET = {
 
 
 def _rig(path: Path) -> None:
-    from drivers.bus_sections import CanBus
-    from drivers.dbc import bind
-    from drivers.rigfile import load_rig
+    from drivers.can.dbc import bind
+    from drivers.rig_file.bus_sections import CanBus
+    from drivers.rig_file.reader import load_rig
 
     rig = load_rig(path)
     for name, bus in rig.bus.items():
@@ -204,7 +204,7 @@ def _rig(path: Path) -> None:
 
 
 def _effects(path: Path) -> None:
-    from drivers.virtual.effects import load_effects
+    from drivers.virtual.plant.effects import load_effects
 
     load_effects(path)
 
@@ -217,8 +217,8 @@ def _accepted(draft: Any) -> None:
     """Read the rig file of a draft again: an import must not write what `hil check` refuses."""
     if not _is_read_again(draft.source):
         return
-    from drivers.imports.draft import write
-    from drivers.rigfile import load_rig
+    from drivers.importers.draft import write
+    from drivers.rig_file.reader import load_rig
 
     made = draft.source.with_name("made.toml")
     made.write_text(write(draft, "made"), encoding="utf-8")
@@ -233,28 +233,28 @@ def _is_read_again(path: Path) -> bool:
 
 
 def _table(path: Path) -> None:
-    from drivers.imports.vendor_csv import import_csv
+    from drivers.importers.vendor_csv import import_csv
 
     _accepted(import_csv(path, "modicon", dict(_BUS)))
 
 
 def _telegraf(path: Path) -> None:
-    from drivers.imports.telegraf import import_telegraf
+    from drivers.importers.telegraf import import_telegraf
 
     _accepted(import_telegraf(path))
 
 
 def _home(path: Path) -> None:
-    from drivers.imports.homeassistant import import_homeassistant
+    from drivers.importers.homeassistant import import_homeassistant
 
     _accepted(import_homeassistant(path))
 
 
 def _dbc(path: Path) -> None:
-    from drivers.dbc import bind
-    from drivers.imports.dbc import import_dbc
-    from drivers.imports.draft import write
-    from drivers.rigfile import load_rig
+    from drivers.can.dbc import bind
+    from drivers.importers.dbc import import_dbc
+    from drivers.importers.draft import write
+    from drivers.rig_file.reader import load_rig
 
     made = path.with_name("made.toml")
     draft = import_dbc(path, made, {"transport": "virtual", "channel": "c"})

@@ -2,7 +2,7 @@
 
 An RTU frame has a checksum, so its values are mutated, too: up to three bits, or a burst of sixteen, which CRC-16 is
 bound to find; of changes beyond that it misses one in 65,536, whoever looks. A late reply of the same device, function
-and length is no matter of one frame: `drivers.modbus_step` is for that, and the contract suite tests it.
+and length is no matter of one frame: `modbus.protocol.reply_offset` is for that, and the contract suite tests it.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from __future__ import annotations
 import random
 import struct
 
-from drivers.points import ProtocolError
-from drivers.rtu import RtuGuard, frame_of
+from drivers.modbus.protocol.rtu import RtuGuard, frame_of
+from drivers.signals.points import ProtocolError
 
 DEVICE, COUNT = 3, 12
 KINDS = (

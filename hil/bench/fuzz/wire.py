@@ -13,12 +13,12 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 
-from drivers.bus_sections import ModbusBusSection, ModbusTcpBus
-from drivers.modbus import ModbusBus
-from drivers.modbus_link import ModbusLink
-from drivers.modbus_wire import Lost, Received, Wire
-from drivers.points import Quality
-from drivers.rig_model import Point
+from drivers.modbus.bus import ModbusBus
+from drivers.modbus.link import ModbusLink
+from drivers.modbus.wire import Lost, Received, Wire
+from drivers.rig_file.bus_sections import ModbusBusSection, ModbusTcpBus
+from drivers.rig_file.model import Point
+from drivers.signals.points import Quality
 from hil.bench.fuzz.can_frames import mutate_can
 from hil.bench.fuzz.j1939_frames import mutate_j1939
 from hil.bench.fuzz.rtu_replies import mutate_rtu

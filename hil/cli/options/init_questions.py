@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from drivers.imports.described import PLACES, Actuator, Described, Place, place_of, temperatures_of
-from drivers.points import ConfigurationError
+from drivers.importers.described import PLACES, Actuator, Described, Place, place_of, temperatures_of
+from drivers.signals.points import ConfigurationError
 
 _KINDS = (("heater", "W", 1000.0), ("pump", "%", 100.0), ("fan", "%", 100.0))
 

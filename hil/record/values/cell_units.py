@@ -6,7 +6,7 @@ import dataclasses
 import re
 from typing import Any
 
-from drivers.units import canonical_unit, split_column
+from drivers.signals.units import canonical_unit, split_column
 from hil.record.csv_dialect import FAHRENHEIT
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times.names import is_time_name

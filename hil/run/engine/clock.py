@@ -8,8 +8,8 @@ from __future__ import annotations
 import asyncio
 from typing import Protocol
 
-from drivers.points import LinkError
-from drivers.steady_time import steady_s
+from drivers.bus.steady_time import steady_s
+from drivers.signals.points import LinkError
 
 LOCKSTEP_DEADLINE_S = 20.0
 LONGEST_WAIT_S = 1.0

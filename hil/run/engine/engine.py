@@ -16,10 +16,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from drivers.bus_sections import CanBus
-from drivers.points import DeviceExceptionError, DriverError, Quality, Snapshot
-from drivers.rig import RigConnection
-from drivers.rig_model import Point
+from drivers.rig.connection import RigConnection
+from drivers.rig_file.bus_sections import CanBus
+from drivers.rig_file.model import Point
+from drivers.signals.points import DeviceExceptionError, DriverError, Quality, Snapshot
 from hil.guardian.client import Guard, NoGuard
 from hil.journal.states import ENDED, HEATED, UNTOUCHED, WAITING, Event, State, TransitionError
 from hil.journal.writer import JournalError, JournalWriter

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from drivers.points import Quality, Snapshot
+from drivers.signals.points import Quality, Snapshot
 from hil.journal.rows import SegmentRow
 from hil.journal.states import Transition, level_of
 from hil.journal.writer import JournalError, JournalWriter

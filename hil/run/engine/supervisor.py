@@ -12,8 +12,8 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping
 
-from drivers.points import Snapshot
-from drivers.rig_model import Point, Rig
+from drivers.rig_file.model import Point, Rig
+from drivers.signals.points import Snapshot
 from hil.journal.states import HEATED, Event, Machine, State, Transition, following
 from hil.run.engine.operator import Desk, RefusedError, Request, Verb, event_of, refusal, unheard
 from hil.run.interlocks.conditions import Residuals

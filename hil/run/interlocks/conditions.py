@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from drivers.interlock_specs import NoFlowSpec, RateOfRiseSpec, ResidualSpec
-from drivers.points import Quality
-from drivers.rig_model import Point, Rig
+from drivers.rig_file.interlock_specs import NoFlowSpec, RateOfRiseSpec, ResidualSpec
+from drivers.rig_file.model import Point, Rig
+from drivers.signals.points import Quality
 
 Residuals = Mapping[tuple[str, str], float]
 """(twin, sensor of the twin file) -> measured minus predicted, K, of the latest block of ticks."""

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.interlock_specs import (
+from drivers.rig_file.interlock_specs import (
     HeaterPowerSpec,
     InterlockSpec,
     Level,
@@ -20,8 +20,8 @@ from drivers.interlock_specs import (
     RateOfRiseSpec,
     ResidualSpec,
 )
-from drivers.points import Snapshot
-from drivers.rig_model import Point, Rig
+from drivers.rig_file.model import Point, Rig
+from drivers.signals.points import Snapshot
 from hil.run.interlocks.conditions import (
     Condition,
     Disagreement,

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.points import Quality, Snapshot
-from drivers.rig_model import Point, Rig
+from drivers.rig_file.model import Point, Rig
+from drivers.signals.points import Quality, Snapshot
 
 OFF_SHARE = 0.05
 """A heater that takes more of its range than this is on, whatever tolerance its rig file gives."""

@@ -17,10 +17,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 
-from drivers.modbus_pdu import NO_SUCH_ADDRESS, NO_SUCH_FUNCTION
-from drivers.points import DeviceExceptionError, DriverError, Quality, Snapshot
-from drivers.rig import RigConnection
-from drivers.rig_model import Point
+from drivers.modbus.protocol.pdu import NO_SUCH_ADDRESS, NO_SUCH_FUNCTION
+from drivers.rig.connection import RigConnection
+from drivers.rig_file.model import Point
+from drivers.signals.points import DeviceExceptionError, DriverError, Quality, Snapshot
 from hil.run.interlocks.conditions import Tick
 from hil.run.outputs.setpoints import count_tolerance
 

@@ -6,7 +6,7 @@ import datetime
 from pathlib import Path
 from typing import Any
 
-from drivers.bus_sections import CanBus
+from drivers.rig_file.bus_sections import CanBus
 from hil.journal.writer import JournalError, JournalReader
 from hil.run.engine.engine import Outcome
 from hil.run.restore.resumption import Resumption, Standing

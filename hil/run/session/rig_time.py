@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import AsyncIterator, Callable
 
-from drivers.rig_model import Rig
+from drivers.rig_file.model import Rig
 from hil.run.engine.clock import Clock, LockstepClock, MonotonicClock
 from hil.run.session.request import RunRequest
 

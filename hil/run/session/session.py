@@ -8,9 +8,9 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from drivers.points import Signal
-from drivers.rig import RigConnection
-from drivers.rig_model import Rig
+from drivers.rig.connection import RigConnection
+from drivers.rig_file.model import Rig
+from drivers.signals.points import Signal
 from hil.diagnosis.healthy_record import commissioned_on, copy_record
 from hil.diagnosis.live import LiveConfig, LiveDiagnosis, Reply
 from hil.guardian.client import Guard, Guardian, NoGuard

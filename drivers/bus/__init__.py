@@ -1,0 +1,1 @@
+"""Contract of every bus: values with quality and time of arrival."""

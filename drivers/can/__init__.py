@@ -1,0 +1,1 @@
+"""CAN receiver and DBC files."""

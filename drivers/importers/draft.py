@@ -1,0 +1,303 @@
+"""What an import has found, as plain data, and the commented rig file that is written of it."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from drivers.rig_file.checks import Layout
+from drivers.rig_file.encodings import decoded
+from drivers.rig_file.messages import mistake, shown
+from drivers.rig_file.model import Point
+from drivers.signals.points import ConfigurationError
+from drivers.signals.units import canonical_unit
+
+
+class ImportFileError(ConfigurationError):
+    """A file that cannot be imported; one sentence with file, line and remedy."""
+
+    def __init__(self, path: Path, line: int | None, what: str) -> None:
+        super().__init__(f"{path}{'' if line is None else f', line {line}'}: {_plain(what)}")
+        self.line = line
+        self.what = _plain(what)
+
+
+@dataclass(slots=True)
+class DraftPoint:
+    """One point as it will be written: the rig file's keys, where it came from, and what is said behind a key."""
+
+    name: str
+    line: int
+    keys: dict[str, Any]
+    comment: str = ""
+    remarks: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class DraftBus:
+    """One bus of the rig file and its points."""
+
+    name: str
+    keys: dict[str, Any]
+    points: list[DraftPoint] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Draft:
+    """A rig file to be. `notes` are what could not be taken over, for the user's eyes and the file's head.
+
+    `head` stands in for what an import writes at the top, `rig` are further keys of `[rig]` with a remark each, and
+    `sections` are written as they are, before the points.
+    """
+
+    source: Path
+    buses: list[DraftBus]
+    notes: list[str] = field(default_factory=list)
+    head: str = ""
+    rig: dict[str, tuple[Any, str]] = field(default_factory=dict)
+    sections: list[str] = field(default_factory=list)
+
+
+def read_text(path: Path) -> str:
+    """Return a text file in UTF-8 (with or without byte order mark); raise ImportFileError."""
+    raw = read_bytes(path)
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        raise ImportFileError(path, line, "is not UTF-8 text; save it as CSV UTF-8 or plain UTF-8 text") from None
+    return without_zeros(path, text)
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return a file's content; raise ImportFileError."""
+    try:
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ImportFileError(path, None, f"cannot be read ({why}); correct the path") from None
+
+
+def read_any_text(path: Path, encoding: str | None, notes: list[str]) -> str:
+    """Return a text file of any usual encoding, which `notes` name where it is not UTF-8; raise ImportFileError."""
+    raw = read_bytes(path)
+    try:
+        text, found = decoded(raw, encoding)
+    except ValueError as error:
+        raise ImportFileError(path, None, str(error)) from None
+    if found != "utf-8" and encoding in (None, "utf-8"):
+        notes.append(f"it is no UTF-8 text and was read as {found}; look at its names and units")
+    return without_zeros(path, text)
+
+
+def without_zeros(path: Path, text: str) -> str:
+    """Return a text that holds no zero character; raise ImportFileError with the line of one."""
+    if "\0" in text:
+        raise ImportFileError(path, text[: text.index("\0")].count("\n") + 1, "holds a zero byte; save it as text")
+    return text
+
+
+def number(path: Path, line: int, what: str, value: Any) -> float:
+    """A finite number; raises ImportFileError."""
+    if isinstance(value, str) and (placeholder := placeholder_in(value)) is not None:
+        raise ImportFileError(path, line, f"{what} is {placeholder}; write the number that it stands for")
+    try:
+        found = float(value)
+    except (TypeError, ValueError, OverflowError):
+        found = math.nan
+    if isinstance(value, bool) or not math.isfinite(found):
+        raise ImportFileError(path, line, f"{what} {shown(value)} is no number; correct it")
+    return found
+
+
+def whole(path: Path, line: int, what: str, value: Any, low: int, high: int) -> int:
+    """A whole number from `low` to `high`; raises ImportFileError."""
+    found = number(path, line, what, value)
+    if found != int(found) or not low <= found <= high:
+        raise ImportFileError(path, line, f"{what} {shown(value)} is no whole number from {low} to {high}; correct it")
+    return int(found)
+
+
+_PLACEHOLDER = re.compile(r"\$\{[^}]*\}|\$[A-Za-z_]\w*|@\{[^}]*\}|\{\{.*?\}\}")
+"""Text that another program fills in: `$VAR` and `${VAR}` of an environment, `@{store:key}` of a secret store, a
+`{{ template }}`."""
+
+
+def placeholder_in(text: str) -> str | None:
+    """Return the first placeholder in a text, or None."""
+    found = _PLACEHOLDER.search(text)
+    return None if found is None else found[0]
+
+
+class Collector:
+    """Points of an import, taken in one by one; a point that no rig file can hold is left out with a note.
+
+    Names are made fit for a record's column and unique; units that are not known are noted, and written as a comment.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes: list[str] = []
+        self.left_out: list[ImportFileError] = []
+        self._names: dict[str, int] = {}
+        self._layout = Layout()
+        self._lines: dict[tuple[str, str], int] = {}
+
+    def note(self, line: int, what: str) -> None:
+        """Note a fact that the user must see, with its line in the source."""
+        self.notes.append(f"line {line}: {_plain(what)}")
+
+    @contextmanager
+    def item(self, line: int, name: object) -> Iterator[None]:
+        """Leave an item out, with a note, where an ImportFileError is raised while it is taken in."""
+        try:
+            yield
+        except ImportFileError as error:
+            said = error.what if re.match(rf"{re.escape(str(name))}[: ]", error.what) else f"{name}: {error.what}"
+            left = ImportFileError(self.path, error.line or line, f"{said} (left out)")
+            self.left_out.append(left)
+            self.notes.append(f"line {left.line}: {left.what}")
+
+    def nothing(self, line: int | None, what: str) -> ImportFileError:
+        """Return the error of an import without any point: the first item that was left out, or else `what`."""
+        if not self.left_out:
+            return ImportFileError(self.path, line, what)
+        first = self.left_out[0]
+        rest = f"; {len(self.left_out) - 1} more are left out" if len(self.left_out) > 1 else ""
+        return ImportFileError(self.path, first.line, f"{first.what}{rest}; there is nothing to import")
+
+    def name(self, wanted: str) -> str:
+        """A name that a rig file takes, made of what the source calls a point, and not taken yet."""
+        stem = re.sub(r"[^A-Za-z0-9_]+", "_", wanted).strip("_") or "point"
+        if not stem[0].isalpha():
+            stem = f"p_{stem}"
+        count = self._names.get(stem, 0) + 1
+        self._names[stem] = count
+        if count == 1:
+            return stem
+        return self.name(f"{stem}_{count}")
+
+    def unit(self, line: int, unit: str) -> tuple[str, str]:
+        """The unit's symbol here, and a comment: a unit that is not known becomes '1'."""
+        try:
+            return canonical_unit(unit.strip()), ""
+        except ValueError as error:
+            self.notes.append(f"line {line}: {error}; written as '1'")
+            return "1", f"unit in {self.path.name}: {unit.strip()}"
+
+    def point(self, bus: str, wanted: str, line: int, keys: dict[str, Any]) -> DraftPoint:
+        """A point that `hil check` accepts; raises ImportFileError with the line that is wrong."""
+        placeholder = placeholder_in(wanted)
+        if placeholder is not None:
+            raise ImportFileError(self.path, line, f"its name holds {placeholder}; write what that stands for")
+        names = dict(self._names)
+        try:
+            return self._point(bus, wanted, line, keys)
+        except ImportFileError:
+            self._names = names
+            raise
+
+    def _point(self, bus: str, wanted: str, line: int, keys: dict[str, Any]) -> DraftPoint:
+        given = str(keys.pop("unit", "") or "1")
+        name = self.name(wanted)
+        comment = f"called {_plain(wanted)!r} in {self.path.name}" if name != wanted else ""
+        keys = {"bus": bus, **{key: value for key, value in keys.items() if value is not None}}
+        try:
+            point = Point.model_validate({"name": name, **keys, "unit": "1"})
+        except ValidationError as error:
+            item = error.errors()[0]
+            place = ".".join(str(part) for part in item["loc"])
+            raise ImportFileError(self.path, line, f"{place or name}: {mistake(item)}; correct the line") from None
+        if point.table is not None:
+            last = (point.address or 0) + point.width - 1
+            if last > 65535:
+                raise ImportFileError(self.path, line, f"{name} ends at {last}, beyond 65535; correct address or type")
+            clash = self._layout.clash(point)
+            if clash is not None:
+                other = self._lines.get((bus, clash[0]), 0)
+                raise ImportFileError(
+                    self.path,
+                    line,
+                    f"{name}: {point.table} {clash[1]} is {clash[0]}'s already (line {other}); correct an address or a "
+                    "type, or leave one of the lines out",
+                )
+            self._layout.taken_by(point)
+            self._lines[(bus, name)] = line
+        unit, about = self.unit(line, given)
+        return DraftPoint(name, line, keys | {"unit": unit}, "; ".join(filter(None, (about, comment))))
+
+
+def _plain(text: str) -> str:
+    """Text on one line without control characters, for a comment."""
+    return "".join(letter if letter.isprintable() else " " for letter in text).strip()
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # JSON's escapes are TOML's, but for the delete character, which JSON leaves as it is
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(item) for item in value)}]"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_toml(str(key))} = {_toml(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, float) and not math.isfinite(value):
+        return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
+    return repr(value)
+
+
+_HEAD = """\
+# Rig file made of {source} by `hil init`. Addresses are zero-based, as they are on the wire.
+# `hil check` explains it and names every mistake. What an import cannot know, and a rig should have:
+#   plausible = [low, high]   what a reading may be; beyond it the value is kept and not believed
+#   limits, safe_value, max_rate, readback   of what a profile may drive (access = "rw")
+#   role = "heater_power"     what a point is, by which `hil resume` leads the rig back (docs/reference/rig-file.md)
+#   [heartbeat]               how rig and harness watch each other
+"""
+
+
+def write(draft: Draft, name: str, *, period_s: float = 1.0) -> str:
+    """The rig file's text."""
+    lines = [draft.head or _HEAD.format(source=_plain(draft.source.name))]
+    if draft.notes:
+        lines += ["# To look at:", *(f"#   {_plain(note)}" for note in draft.notes), ""]
+    lines += ["[rig]", f"name = {_toml(name)}", f"period_s = {_toml(period_s)}"]
+    lines += [_line(key, value, remark) for key, (value, remark) in draft.rig.items()]
+    for bus in draft.buses:
+        lines += ["", f"[bus.{bus.name}]", *(f"{key} = {_toml(value)}" for key, value in bus.keys.items())]
+    for section in draft.sections:
+        lines += ["", section]
+    for bus in draft.buses:
+        lines += ["", f"# {bus.name} " + "-" * (100 - len(bus.name))]
+        for point in bus.points:
+            lines += ["", "[[point]]", f"name = {_toml(point.name)}"]
+            if point.comment:
+                lines.append(f"# {_plain(point.comment)}")
+            lines += _keys(point)
+    return "\n".join(lines) + "\n"
+
+
+def _line(key: str, value: Any, remark: str) -> str:
+    text = f"{key} = {_toml(value)}"
+    return f"{text:<24} # {_plain(remark)}" if remark else text
+
+
+def _keys(point: DraftPoint) -> Iterable[str]:
+    keys = point.keys
+    for key, value in keys.items():
+        yield _line(key, value, point.remarks.get(key, ""))
+    if "limits" in keys or keys.get("kind") == "status":
+        return
+    if keys.get("table") in ("holding", "input", None) and "plausible" not in keys and "labels" not in keys:
+        yield "# plausible = [low, high]"
+    if keys.get("access") in ("w", "rw"):
+        yield "# limits = [low, high]; safe_value; max_rate; readback: needed before a profile may drive this"

@@ -1,0 +1,1 @@
+"""Modbus client: link, wires, read planning and writes."""

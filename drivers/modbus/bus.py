@@ -1,0 +1,360 @@
+"""One Modbus device behind the contract of a bus, whatever wire it is on: what is read, written and believed."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from drivers.bus.contract import Clock, Judge, Readings, judge_of
+from drivers.bus.sensor_watch import watches
+from drivers.bus.steady_time import steady_s
+from drivers.modbus.link import RECONNECT_EVERY_S, ModbusLink
+from drivers.modbus.protocol.pdu import (
+    BUSY,
+    GATEWAY_SILENCE,
+    NO_SUCH_ADDRESS,
+    NO_SUCH_FUNCTION,
+    Read,
+    ReadBack,
+    check_written,
+    write_request,
+)
+from drivers.modbus.protocol.reply_offset import Steps
+from drivers.modbus.read_plan import MAX_READ_WRITE, Block, ReadPlan, plan_reads
+from drivers.modbus.writes import Writes, values_of
+from drivers.rig_file.bus_sections import ModbusBusSection, ModbusRtuBus
+from drivers.rig_file.model import Point
+from drivers.signals.codec import CodecError, decode_text, decoder
+from drivers.signals.points import (
+    ConfigurationError,
+    DeadlineError,
+    DeviceExceptionError,
+    DriverError,
+    LateReplyError,
+    LinkError,
+    ProtocolError,
+)
+from drivers.signals.points import Quality as Q
+
+_Slot = tuple[int, int, Callable[[Sequence[int], int], float], Judge]
+_BUSY_RETRIES = 2
+_BUSY_WAIT_S = 0.05
+CONNECT_PATIENCE_S = (1.0, 3.5)
+"""So long a first and a second connection may be silent before the device counts as mute: gateways start up, or serve
+the connection before the last; more than their sum needs `connect_delay_s`."""
+_LONGER = 1.5
+"""A device that was deaf on one connection may be deaf for so many times as long on the next."""
+_MUTE_AFTER = 2
+"""Deadlines missed in a row, after which a device is asked every `RECONNECT_EVERY_S` only: others wait behind it."""
+
+
+class ModbusBus:
+    """One device: its polled points are read in as few blocks as the limits admit.
+
+    Without `link` it has a wire of its own. `exceptions` counts exception replies by code, `missed` deadlines.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        config: ModbusBusSection,
+        points: tuple[Point, ...],
+        clock: Clock,
+        link: ModbusLink | None = None,
+    ) -> None:
+        self.name = name
+        self.points = tuple(point for point in points if point.is_polled)
+        self.texts: dict[str, str] = {}
+        self.exceptions: Counter[int] = Counter()
+        self.missed = 0
+        self.link = ModbusLink(config) if link is None else link
+        self.link.devices += 1
+        self.link.on_reopened.append(self._forget)
+        self._all = {point.name: point for point in points}
+        self._config = config
+        self._clock = clock
+        self._where = f"{name} ({config.where})"
+        self._plan = ReadPlan(self._planned(self.points))
+        self._order = order = {point.name: index for index, point in enumerate(self.points)}
+        self._slots: dict[Block, list[_Slot]] = {}
+        self._reads: dict[Block, Read] = {}
+        self._watches = watches(self.points)
+        self._uptime = order.get(config.uptime) if config.uptime is not None else None
+        self._writes = Writes(self._all, config)
+        self._has_read_write = config.read_write
+        self._steps = Steps(numbered=self.link.is_numbered and config.serial_baud is None)
+        self._silences = 0
+        self._again_at = 0.0
+
+    @property
+    def reconnects(self) -> int:
+        """How often the wire was lost and opened again."""
+        return self.link.reconnects
+
+    @property
+    def is_mute(self) -> bool:
+        """Whether it left its last requests without an answer."""
+        return self._silences > 0
+
+    async def connect(self) -> None:
+        """Connect and read each block once; raises LinkError, or ConfigurationError where the map is wrong.
+
+        A device that is deaf after connecting is waited for, on the same connection and on a second one.
+        """
+        link, failure = self.link, None
+        for patience_s in CONNECT_PATIENCE_S:
+            link.patience_s = max(link.patience_s, patience_s)
+            try:
+                await link.open(self._where)
+            except LinkError as error:
+                raise failure or error from None
+            failure = await self._heard_within(patience_s)
+            if failure is None:
+                link.patience_s = _LONGER * link.deaf_s
+                return
+            if link.has_answered:
+                break
+        # In TLS 1.3 a client learns only now that its certificate was refused.
+        await link.explain(self._where)
+        raise failure if failure is not None else AssertionError("no connection was tried")
+
+    async def _heard_within(self, patience_s: float) -> LinkError | None:
+        """None once all was read; else why not, as soon as waiting longer is of no use."""
+        end = steady_s() + patience_s
+        while True:
+            try:
+                await self._read_once()
+            except LinkError as error:
+                failure = error
+            else:
+                return None
+            self._silences, self._again_at = 0, 0.0
+            if not self.link.connected or self.link.has_answered or steady_s() > end:
+                return self._with_remedy(failure)
+
+    def _with_remedy(self, failure: LinkError) -> LinkError:
+        """A silence with what may be done about it."""
+        if not isinstance(failure, DeadlineError) or self.link.has_answered or not self.link.heard_nothing:
+            return failure
+        serial = isinstance(self._config, ModbusRtuBus)
+        keys = "device_id, serial_baud and parity" if serial else "device_id and transport"
+        said = str(failure).removesuffix("; reconnecting")
+        return DeadlineError(
+            f"{said}; the {'line is open' if serial else 'port takes connections'} and nothing comes back: "
+            f"correct {keys}, or give connect_delay_s where the device is deaf for long after connecting"
+        )
+
+    async def _read_once(self) -> None:
+        """Each block once: a block that is refused is split, and a single value that is refused is a mistake."""
+        pending = list(self._plan.blocks)
+        first: DeviceExceptionError | None = None
+        while pending:
+            block = pending.pop(0)
+            try:
+                await self._request(block)
+            except DeviceExceptionError as error:
+                if error.code != NO_SUCH_ADDRESS:
+                    raise
+                first = first or error
+                pending += self._plan.refuse(block, self._clock())
+        if first is not None and self._plan.refused:
+            names = ", ".join(point.name for block in self._plan.refused for point in block.points)
+            raise DeviceExceptionError(f"{first}; points that cannot be read: {names}", NO_SUCH_ADDRESS)
+        for block in self._planned(p for p in self._all.values() if p.type == "string"):
+            registers = await self._request(block)
+            for point in block.points:
+                self.texts[point.name] = self._text(point, registers, block)
+
+    def _text(self, point: Point, registers: Sequence[int], block: Block) -> str:
+        at = (point.address or 0) - block.address
+        try:
+            text = decode_text(registers[at : at + point.width], point.order)
+        except CodecError as error:
+            raise ConfigurationError(f"{self._where}: {point.name}: {error}") from error
+        if point.expect is not None and text != point.expect:
+            raise ConfigurationError(
+                f"{self._where}: {point.name} is {text!r} and the rig file expects {point.expect!r}; is this the right "
+                "device? Correct host, device_id or expect"
+            )
+        return text
+
+    def _planned(self, points: Iterable[Point], *, max_gap: int | None = None) -> list[Block]:
+        config = self._config
+        return plan_reads(
+            points,
+            max_read=config.max_read,
+            max_gap=config.max_gap if max_gap is None else max_gap,
+            max_read_bits=config.max_read_bits,
+            holes=config.hole,
+        )
+
+    def _slots_of(self, block: Block) -> list[_Slot]:
+        """Where the readings of a block go: index among the polled points, offset in the reply, decoder and judge."""
+        slots = self._slots.get(block)
+        if slots is None:
+            slots = [
+                (self._order[p.name], (p.address or 0) - block.address, decoder(p.type, p.order, p.bits), judge_of(p))
+                for p in block.points
+            ]
+            self._slots[block] = slots
+        return slots
+
+    def _forget(self) -> None:
+        """After the link was lost another device may answer."""
+        self._plan.forget()
+        self._slots.clear()
+        self._reads.clear()
+        self._has_read_write = self._config.read_write
+
+    async def read(self) -> Readings:
+        """All polled points; LINK_FAULT for those of a block that failed, and a reconnection is set going."""
+        count = len(self.points)
+        values, quality, source = [math.nan] * count, [int(Q.LINK_FAULT)] * count, [math.nan] * count
+        fault: str | None = None
+        pending = self._plan.due(self._clock())
+        while pending:
+            block = pending.pop(0)
+            asked = self._clock()
+            try:
+                registers = await self._request(block)
+            except DriverError as error:
+                fault = str(error)
+                if isinstance(error, LinkError):
+                    break
+                if isinstance(error, DeviceExceptionError) and error.code == NO_SUCH_ADDRESS:
+                    pending = self._plan.refuse(block, self._clock()) + pending
+                continue
+            now = self._clock()
+            for index, at, decoded, judged in self._slots_of(block):
+                values[index], quality[index] = judged(decoded(registers, at))
+                watch = self._watches[index]
+                if watch is not None:
+                    quality[index] = watch.judge(values[index], quality[index], now)
+                if now - asked > self.points[index].stale_after_s and quality[index] == Q.GOOD:
+                    quality[index] = int(Q.STALE)  # it may be as old as its request
+                source[index] = now
+        if self._plan.refused and fault is None:
+            fault = f"{self._where}: the device has no {', '.join(str(block) for block in self._plan.refused)}"
+        if self._uptime is not None and math.isfinite(values[self._uptime]):
+            device_time = values[self._uptime]
+            source = [device_time if math.isfinite(time) else time for time in source]
+        return Readings(values, quality, source, fault)
+
+    async def write(self, values: Mapping[str, float]) -> None:
+        """Write by point name, touching registers in one request (function 16); raises DriverError."""
+        for block, raw in self._writes.of(values):
+            await self._write(block, raw)
+
+    async def write_and_read_back(self, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+        """Write `values`, then ask for writable points `names`; the last write reads back, too, where it can (23)."""
+        found: dict[str, float] = {}
+        asked = self._planned((self._all[name] for name in names), max_gap=0)
+        written = self._writes.of(values)
+        for number, (block, raw) in enumerate(written, 1):
+            same = next((other for other in asked if set(block.points) & set(other.points)), None)
+            if number < len(written) or same is None or not await self._write_and_read(block, raw, same, found):
+                await self._write(block, raw)
+            else:
+                asked.remove(same)
+        return found | await self._held(asked)
+
+    async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
+        """Writable points as the device holds them."""
+        return await self._held(self._planned((self._all[name] for name in names), max_gap=0))
+
+    async def _write(self, block: Block, raw: Sequence[int]) -> None:
+        request = write_request(block, raw)
+        for tries_left in reversed(range(_BUSY_RETRIES + 1)):
+            try:
+                check_written(block, raw, request, await self._ask(request), self._where)
+                break
+            except DeviceExceptionError as error:
+                await self._busy(error, tries_left)
+
+    async def _write_and_read(self, block: Block, raw: Sequence[int], read: Block, found: dict[str, float]) -> bool:
+        """Write `block` and put what `read` then holds into `found`, in one request; False where that takes two."""
+        if not self._has_read_write or block.table != "holding" or len(raw) > MAX_READ_WRITE:
+            return False
+        exchange = ReadBack(block, raw, read)
+        try:
+            registers = await self._answered(exchange)
+        except DeviceExceptionError as error:
+            if error.code != NO_SUCH_FUNCTION:
+                raise
+            self._has_read_write = False
+            return False
+        found |= values_of(read, registers)
+        return True
+
+    async def _held(self, blocks: Iterable[Block]) -> dict[str, float]:
+        found: dict[str, float] = {}
+        for block in blocks:
+            found |= values_of(block, await self._request(block))
+        return found
+
+    async def close(self) -> None:
+        """Stop reconnecting and close the wire, for all that share it."""
+        await self.link.close()
+
+    async def _request(self, block: Block) -> Sequence[int]:
+        """The registers of a block, or its bits as 0 and 1; raises DriverError."""
+        read = self._reads.get(block)
+        if read is None:
+            read = self._reads[block] = Read(block)
+        return await self._answered(read)
+
+    async def _answered(self, read: Read | ReadBack) -> Sequence[int]:
+        """The registers that a request is answered with, asked for again while the device is busy."""
+        for tries_left in reversed(range(_BUSY_RETRIES + 1)):
+            try:
+                return read.raw_of(await self._ask(read.request), self._where)
+            except LateReplyError:
+                if tries_left == 0 or not isinstance(read, Read):
+                    raise
+            except DeviceExceptionError as error:
+                if error.code == GATEWAY_SILENCE:
+                    self._steps.doubt(read.request)
+                await self._busy(error, tries_left)
+            except ProtocolError:
+                self._steps.doubt(read.request)
+                raise
+        raise AssertionError("the last try returns or raises")
+
+    async def _busy(self, error: DeviceExceptionError, tries_left: int) -> None:
+        """Wait before another try where the device is only busy; else raise what it answered."""
+        self.exceptions[error.code] += 1
+        if error.code != BUSY or tries_left == 0:
+            raise error
+        await asyncio.sleep(_BUSY_WAIT_S)
+
+    async def _ask(self, request: bytes) -> bytes:
+        """The reply to a request of a device that is in step; raises LinkError, or ProtocolError of a garbled line."""
+        steps = self._steps
+        if self._silences and asyncio.get_running_loop().time() < self._again_at:
+            raise LinkError(f"{self._where}: gives no answer; asked again every {RECONNECT_EVERY_S:g} s")
+        if steps.open:
+            probe = steps.probe(self._plan.planned)
+            if probe is not None:
+                read = Read(probe)
+                read.raw_of(await self._exchange(read.request), self._where)
+                steps.found()
+        return await self._exchange(request)
+
+    async def _exchange(self, request: bytes) -> bytes:
+        config = self._config
+        self._steps.asked(request)
+        try:
+            reply = await self.link.ask(config.device_id, request, config.timeout_s, self._where)
+        except LateReplyError:
+            raise  # of this process, not of the device
+        except DeadlineError:
+            self.missed += 1
+            self._silences += 1
+            if self._silences >= _MUTE_AFTER and (self.link.is_rtu or self.link.devices > 1):
+                self._again_at = asyncio.get_running_loop().time() + RECONNECT_EVERY_S
+            raise
+        self._steps.answered()
+        self._silences = 0
+        return reply

@@ -1,0 +1,1 @@
+"""Modbus protocol without I/O: PDUs, frames, matching of replies."""

@@ -1,0 +1,82 @@
+"""RTU frames: the one module that imports pymodbus, whose framer computes the CRC.
+
+An RTU frame carries no transaction, so a reply that comes late looks like the answer to the next request; pymodbus's
+own client serves it as such, and goes on so. What is passed on here must be whole, with the right CRC, of the device,
+the function and the length that the request admits, and the only thing that came. What else is needed, a quiet line and
+a device that is known to be in step, is `drivers.modbus.link`'s and `drivers.modbus.bus`'s.
+"""
+
+from __future__ import annotations
+
+from pymodbus.framer import FramerRTU
+
+from drivers.modbus.protocol.replies import answers
+from drivers.modbus.protocol.reply_defects import ECHOES, READS
+from drivers.signals.points import ProtocolError
+
+_LONGEST = 256  # Modbus over serial line V1.02, 2.5.1
+
+
+def frame_of(device: int, pdu: bytes) -> bytes:
+    """Address, PDU and CRC."""
+    body = bytes((device,)) + pdu
+    return body + FramerRTU.compute_CRC(body).to_bytes(2, "big")
+
+
+def size_of(start: bytes) -> int | None:
+    """Length of the reply frame that begins so; None where more bytes must tell. ProtocolError where it is no reply."""
+    if len(start) < 2:
+        return None
+    code = start[1]
+    if code & 0x80:
+        return 5
+    if code in ECHOES:
+        return 8
+    if code not in READS:
+        raise ProtocolError(f"bytes that are no reply: {start[:8].hex(' ')}")
+    return None if len(start) < 3 else 5 + start[2]
+
+
+class RtuGuard:
+    """Cuts what arrives into frames. `dropped` counts whole frames that answer another request."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self.others: str | None = None
+        """Sentence about the last frame that was dropped."""
+        self._buffer = b""
+
+    def clear(self) -> None:
+        """Forget what has arrived: a new request goes out on a quiet line."""
+        self._buffer = b""
+
+    def feed(self, data: bytes, device: int, request: bytes) -> list[bytes]:
+        """PDUs that may answer `request` of `device`; ProtocolError where the line carries something else.
+
+        A frame that is right in itself and answers another request, or another device's, is dropped and counted.
+        """
+        self._buffer = (self._buffer + data).lstrip(b"\0\xff")  # no reply begins so: what a line gives as it turns
+        passed: list[bytes] = []
+        while self._buffer:
+            size = size_of(self._buffer)
+            if size is None or len(self._buffer) < size:
+                break
+            if size > _LONGEST:
+                raise ProtocolError(f"a reply of {size} bytes, which is more than a frame may have")
+            frame, self._buffer = self._buffer[:size], self._buffer[size:]
+            if not FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big")):
+                raise ProtocolError(
+                    f"a reply with a wrong CRC: {frame[:8].hex(' ')}; look for noise, termination and the line's speed"
+                )
+            if frame[0] == device and answers(frame[1:-2], request):
+                passed.append(frame[1:-2])
+            else:
+                self.dropped += 1
+                self.others = (
+                    f"it came from device {frame[0]} where device_id {device} was asked; correct device_id"
+                    if frame[0] != device
+                    else f"it was of function {frame[1]} with {len(frame) - 4} bytes; raise timeout_s of a slow device"
+                )
+        if passed and (self._buffer or len(passed) > 1):
+            raise ProtocolError("more than one reply to one request: which is ours is not known")
+        return passed

@@ -1,0 +1,1 @@
+"""Rig: all buses of a rig file together."""

@@ -1,0 +1,1 @@
+"""Rig file: its model, its checks, and messages with the line of each mistake."""

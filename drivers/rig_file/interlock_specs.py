@@ -1,0 +1,118 @@
+"""Interlocks as a rig file declares them, `[[interlock]]`: what is watched, how far it may go, what follows.
+
+A `warning` suspends the run (safe outputs, the profile's clock stands) and lets it go on by itself; an `alarm` latches
+a trip. Deadband and delays are those of ANSI/ISA-18.2: a condition must hold for `on_delay_s` before it counts, and be
+gone by `deadband` for `off_delay_s` before it is over. A point that is stale or faulty counts as beyond its limit after
+the rig's `abort_after_s`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from drivers.rig_file.plain_values import refuse_quoted_numbers
+
+Level = Literal["warning", "alarm"]
+
+
+class _Spec(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_not_quoted(cls, data: Any) -> Any:
+        refuse_quoted_numbers(cls, data)
+        return data
+
+    level: Level
+    deadband: Annotated[float, Field(ge=0)] = 0.0
+    on_delay_s: Annotated[float, Field(ge=0)] = 0.0
+    off_delay_s: Annotated[float, Field(ge=0)] = 10.0
+    doc: str = ""
+
+    @property
+    def points(self) -> dict[str, str]:
+        """Key -> name of each point that this interlock reads."""
+        keys = ("point", "heater", "flow", "setpoint")
+        return {key: getattr(self, key) for key in keys if hasattr(self, key)}
+
+
+class LimitSpec(_Spec):
+    """`point` must stay between `low` and `high`, in its unit."""
+
+    kind: Literal["limit"]
+    point: str
+    low: float | None = None
+    high: float | None = None
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if self.low is None and self.high is None:
+            raise ValueError("a limit needs low, high or both")
+        if self.low is not None and self.high is not None and self.high - self.low <= 2 * self.deadband:
+            raise ValueError(f"between low {self.low:g} and high {self.high:g} there is no room for the deadband")
+        return self
+
+
+class RateOfRiseSpec(_Spec):
+    """`point` must not rise faster than `high` of its unit a second, over `window_s`."""
+
+    kind: Literal["rate_of_rise"]
+    point: str
+    high: Annotated[float, Field(gt=0)]
+    window_s: Annotated[float, Field(gt=0, le=3600)] = 10.0
+
+
+class NoFlowSpec(_Spec):
+    """No heat without flow: while `heater` is above `above`, `flow` must be at least `low`."""
+
+    kind: Literal["no_flow"]
+    heater: str
+    above: Annotated[float, Field(ge=0)] = 0.0
+    flow: str
+    low: Annotated[float, Field(gt=0)]
+
+
+class SensorSpec(_Spec):
+    """`point` must be good: neither stale, implausible nor faulty for longer than the rig's `abort_after_s`."""
+
+    kind: Literal["sensor"]
+    point: str
+
+
+class HeaterPowerSpec(_Spec):
+    """What `setpoint` asks for and what its `readback` measures must not be further apart than `tolerance`.
+
+    `on_delay_s` None: the set-point's `readback_within_s`, for the lag of the actuator.
+    """
+
+    kind: Literal["heater_power"]
+    setpoint: str
+    tolerance: Annotated[float, Field(gt=0)]
+    on_delay_s: Annotated[float, Field(ge=0)] | None = None  # type: ignore[assignment]
+
+
+class ResidualSpec(_Spec):
+    """Measured minus `twin`'s prediction of `sensor` (a name of the twin file) must stay within `high` kelvin.
+
+    A warning only: that a twin is wrong is no danger. It is a mean over the calibrator's block of some seconds.
+    """
+
+    kind: Literal["residual"]
+    twin: str = "static"
+    sensor: str
+    high: Annotated[float, Field(gt=0)]
+
+    @model_validator(mode="after")
+    def _no_alarm(self) -> Self:
+        if self.level != "warning":
+            raise ValueError("a twin that is wrong is no danger to the rig; use level = 'warning'")
+        return self
+
+
+KINDS = ("limit", "rate_of_rise", "no_flow", "sensor", "heater_power", "residual")
+InterlockSpec = Annotated[
+    LimitSpec | RateOfRiseSpec | NoFlowSpec | SensorSpec | HeaterPowerSpec | ResidualSpec, Field(discriminator="kind")
+]

@@ -1,0 +1,284 @@
+"""What a rig file says, parsed: points, heartbeat and the rig as a whole, as frozen, validated objects.
+
+Addresses are PDU addresses, zero-based (Modbus application protocol V1.1b3, 4.4).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from drivers.rig_file.bus_sections import AnyBus, Section, Table
+from drivers.rig_file.interlock_specs import InterlockSpec
+from drivers.signals.codec import (
+    UNSIGNED,
+    WIDTH,
+    ByteOrder,
+    CodecError,
+    RegisterType,
+    encode,
+    raw_bounds,
+    raw_sentinels,
+)
+from drivers.signals.points import Signal
+from drivers.signals.units import canonical_unit
+
+Interval = tuple[float, float]
+
+
+class Point(Section):
+    """One quantity on a bus: where it is, how its raw value becomes an engineering value, and what it may be.
+
+    engineering value = raw * scale + offset. A point with `access` `w` or `rw` is a set-point when it has `limits`.
+    `bits` takes the lowest and the highest bit of an unsigned register, bit 0 being the least significant; `labels`
+    names the numbers that an enumeration may have. A point of type `string` is `length` registers of text that is read
+    once, when the rig is connected, and must be `expect` where that is given: a serial number, a firmware.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+    bus: str
+    unit: str
+    access: Literal["r", "w", "rw"] = "r"
+    role: str | None = None
+    doc: str = ""
+    # where: Modbus
+    table: Table | None = None
+    address: Annotated[int, Field(ge=0, le=65535)] | None = None
+    type: RegisterType = "uint16"
+    order: ByteOrder = "ABCD"
+    scale: float = 1.0
+    offset: float = 0.0
+    bits: tuple[Annotated[int, Field(ge=0, le=63)], Annotated[int, Field(ge=0, le=63)]] | None = None
+    labels: dict[str, str] | None = None
+    length: Annotated[int, Field(ge=1, le=125)] | None = None
+    expect: str | None = None
+    # where: CAN
+    message: str | None = None
+    signal: str | None = None
+    # what a reading may be
+    kind: Literal["measured", "status"] = "measured"
+    invalid: tuple[Annotated[float, Field(allow_inf_nan=True)], ...] = ()
+    plausible: Interval | None = None
+    stale_after_s: Annotated[float, Field(gt=0)] = 3.0
+    stuck_after_s: Annotated[float, Field(gt=0)] | None = None
+    max_change_per_s: Annotated[float, Field(gt=0)] | None = None
+    alarm: Interval | None = None
+    # what may be written
+    limits: Interval | None = None
+    max_rate: Annotated[float, Field(gt=0)] | None = None
+    safe_value: float | None = None
+    safe_order: int = 0
+    readback: str | None = None
+    readback_tolerance: Annotated[float, Field(gt=0)] = 1.0
+    readback_within_s: Annotated[float, Field(gt=0)] = 30.0
+    safe_below: float | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _bits_are_bool(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("table") in ("coil", "discrete"):
+            return {"type": "bool", **data}
+        return data
+
+    @field_validator("unit")
+    @classmethod
+    def _known_unit(cls, unit: str) -> str:
+        return canonical_unit(unit)
+
+    @field_validator("plausible", "alarm", "limits")
+    @classmethod
+    def _ordered(cls, interval: Interval | None) -> Interval | None:
+        if interval is not None and interval[0] >= interval[1]:
+            raise ValueError(f"the lower bound {interval[0]:g} must be below the upper bound {interval[1]:g}")
+        return interval
+
+    @field_validator("scale")
+    @classmethod
+    def _invertible(cls, scale: float) -> float:
+        if scale == 0:
+            raise ValueError("a scale of 0 loses the value; give the engineering value of one raw count")
+        return scale
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.limits is not None:
+            if self.access == "r":
+                raise ValueError("has limits, which are for set-points; add access = 'rw' or take limits out")
+            if self.safe_value is None:
+                raise ValueError("is a set-point without safe_value; give the value that it is left at")
+            if self.safe_below is not None and self.readback is None:
+                raise ValueError(
+                    "has safe_below, which is a reading of its meter; add readback, or take safe_below out"
+                )
+            if not self.limits[0] <= self.safe_value <= self.limits[1]:
+                raise ValueError(f"safe_value {self.safe_value:g} is outside limits {list(self.limits)}")
+        for mistake in (self._mistaken_type(), self._mistaken_number()):
+            if mistake is not None:
+                raise ValueError(mistake)
+        return self
+
+    def _mistaken_type(self) -> str | None:
+        """What type, bits, labels and length say against one another, or None."""
+        if self.table in ("coil", "discrete") and self.type != "bool":
+            return f"a {self.table} is one bit and has no type {self.type}; take type out"
+        if (self.length is not None) != (self.type == "string"):
+            return "length is the number of registers of a string; give it with type = 'string', and only there"
+        if self.type == "string":
+            if self.access != "r" or self.order not in ("ABCD", "BADC"):
+                return "a string is only read, in order 'ABCD' or 'BADC'; take access or order out"
+            if self.bits is not None or self.labels is not None or self.invalid:
+                return "a string has neither bits nor labels nor invalid; take them out"
+        elif self.expect is not None:
+            return "expect is the text that a point of type = 'string' must have; take it out"
+        if self.bits is not None:
+            if self.type not in UNSIGNED or not self.bits[0] <= self.bits[1] < 16 * self.width:
+                return (
+                    f"bits {list(self.bits)} are the lowest and the highest bit of an unsigned integer; "
+                    f"{self.type} has {16 * self.width if self.type in UNSIGNED else 'none'}"
+                )
+            if self.access != "r":
+                return "bits of a register can only be read here; write the whole register, as a point without bits"
+        if self.labels is not None:
+            if any(re.fullmatch(r"-?\d{1,19}", key) is None for key in self.labels):
+                return "labels name whole numbers; write them as labels = { 0 = 'off', 1 = 'on' }"
+            if self.type.startswith("float") or self.scale != 1.0 or self.offset != 0.0:
+                return "labels name raw whole numbers; take scale and offset out, and use an integer type"
+        return None
+
+    def _mistaken_number(self) -> str | None:
+        """A limit or safe value that cannot be written, or a sentinel that cannot come; None where all can."""
+        if self.table is None or self.type == "string":
+            return None
+        written = [*(self.limits or ()), *([] if self.safe_value is None else [self.safe_value])]
+        for value in written:
+            try:
+                encode((value - self.offset) / self.scale, self.type, self.order)
+            except CodecError as error:
+                return f"{value:g} {self.unit} cannot be written: raw {error}; correct type, scale or limits"
+        low, high = raw_bounds(self.type, self.bits)
+        for sentinel in self.invalid:
+            scaled = (sentinel - self.offset) / self.scale
+            met = any(low <= raw <= high for raw in (*raw_sentinels((sentinel,), self.type), scaled))
+            if not met and not (math.isnan(sentinel) or self.type.startswith("float")):
+                return f"invalid {sentinel:g} never comes out of a {self.type}; give the raw number, or its value"
+        return None
+
+    @property
+    def is_setpoint(self) -> bool:
+        """Whether profiles may drive this point."""
+        return self.limits is not None
+
+    @property
+    def width(self) -> int:
+        """Number of registers; of a coil or a discrete input one bit."""
+        return WIDTH[self.type] if self.length is None else self.length
+
+    @property
+    def is_polled(self) -> bool:
+        """Whether it is read on every tick."""
+        return self.access == "r" and self.type != "string"
+
+    @cached_property
+    def sentinels(self) -> frozenset[float]:
+        """Raw numbers that say that the sensor is faulty."""
+        return raw_sentinels(self.invalid, self.type if self.table is not None else "float64")
+
+    @cached_property
+    def label_of(self) -> dict[int, str] | None:
+        """Names of the numbers that an enumeration may have, or None."""
+        return None if self.labels is None else {int(key): text for key, text in self.labels.items()}
+
+    def as_signal(self) -> Signal:
+        """The point without its address."""
+        kind: Literal["measured", "setpoint", "status"] = "setpoint" if self.is_setpoint else self.kind
+        return Signal(self.name, self.unit, kind, self.role, self.bus, self.plausible, self.doc)
+
+
+class Heartbeat(Section):
+    """How rig and harness watch each other: the harness changes `point` each tick, the rig's `counter` must advance.
+
+    `arm` is the point that lets outputs go live when 1 is written. The rig says on `status` that it has tripped by
+    itself: any bit of `trip_mask`. Those of `watchdog_mask` say no more than that the heartbeat stayed away, as it does
+    after every run; any other must be acknowledged before the next one starts. `counter` must advance within
+    `timeout_s`.
+
+    `watchdog` is the point, in s, that says how long the rig waits for a beat before it cuts its heater itself. Where
+    it is named the harness sets it before it arms (`Rig.watchdog_s`), and arms no rig that does not hold it.
+    """
+
+    point: str
+    counter: str | None = None
+    arm: str | None = None
+    status: str | None = None
+    trip_mask: Annotated[int, Field(ge=0, le=65535)] = 0
+    watchdog_mask: Annotated[int, Field(ge=0, le=65535)] = 0
+    watchdog: str | None = None
+    watchdog_s: Annotated[float, Field(gt=0)] | None = None
+    timeout_s: Annotated[float, Field(gt=0)] = 10.0
+
+
+class Rig(Section):
+    """A whole rig file. `twin` is the twin file that runs beside this rig unless another is named.
+
+    A run that an alarm has tripped waits `acknowledge_within_s` at safe values for an operator; 0 ends it at once. One
+    that a warning suspends waits `suspend_at_most_s` for it to go away; 0 is for as long as it takes.
+
+    The clock of the rig runs `time_scale` times real time, as that of a simulated device may. Every time in the file is
+    in the rig's time but those of a bus, which are of the wire.
+    """
+
+    name: str
+    description: str = ""
+    period_s: Annotated[float, Field(gt=0, le=3600)] = 1.0
+    time_scale: Annotated[float, Field(gt=0, le=100)] = 1.0
+    abort_after_s: Annotated[float, Field(gt=0)] = 5.0
+    acknowledge_within_s: Annotated[float, Field(ge=0)] = 0.0
+    suspend_at_most_s: Annotated[float, Field(ge=0)] = 0.0
+    twin: Path | None = None
+    heartbeat: Heartbeat | None = None
+    bus: dict[str, Annotated[AnyBus, Field(discriminator="transport")]]
+    point: tuple[Point, ...]
+    interlock: tuple[InterlockSpec, ...] = ()
+
+    @property
+    def setpoints(self) -> tuple[Point, ...]:
+        """Points that a profile may drive, in file order."""
+        return tuple(point for point in self.point if point.is_setpoint)
+
+    @property
+    def watchdog_s(self) -> float | None:
+        """Time-out that the harness gives the rig's own watchdog, s; None where it is not told how.
+
+        As the rig file says, else `abort_after_s`: with the link gone the rig need not wait longer than the harness.
+        Rounded down to what the point can hold.
+        """
+        if self.heartbeat is None or self.heartbeat.watchdog is None:
+            return None
+        wanted, point = self.heartbeat.watchdog_s or self.abort_after_s, self.get(self.heartbeat.watchdog)
+        if point.type.startswith("float"):
+            return wanted
+        return math.floor((wanted - point.offset) / point.scale + 1e-9) * point.scale + point.offset
+
+    def get(self, name: str) -> Point:
+        """The point called `name`; KeyError where there is none."""
+        for point in self.point:
+            if point.name == name:
+                return point
+        raise KeyError(name)
+
+    def setpoint_of_column(self, name: str) -> Point | None:
+        """The set-point that a profile calls `name`: its own name or the name of the point it moves."""
+        return next((p for p in self.setpoints if name in (p.name, p.readback)), None)
+
+    def with_ports(self, ports: dict[str, int]) -> Rig:
+        """The same rig with other TCP ports, by bus name."""
+        buses = {
+            name: bus.model_copy(update={"port": ports[name]}) if name in ports else bus
+            for name, bus in self.bus.items()
+        }
+        return self.model_copy(update={"bus": buses})

@@ -1,0 +1,1 @@
+"""Signals: points, units, roles, and codecs of raw numbers."""

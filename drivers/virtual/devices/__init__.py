@@ -1,0 +1,1 @@
+"""Devices of the virtual rig: PLC with Modbus server, CAN node, control port."""

@@ -1,0 +1,69 @@
+"""The PLC's Modbus ports, which close and open again with its power: Modbus/TCP or TLS, RTU over TCP, a serial line."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from pathlib import Path
+
+from drivers.virtual.devices.modbus_protocol import ModbusConnection
+from drivers.virtual.devices.registers import Registers
+from drivers.virtual.devices.rtu_protocol import PseudoLine, RtuConnection
+from drivers.virtual.devices.supervision import listen, port_of
+
+
+class ModbusServer:
+    """Serves `registers` on `port`, and on `rtu_port` and a pseudo-terminal where that is asked for."""
+
+    def __init__(
+        self, registers: Registers, host: str, port: int, tls: ssl.SSLContext | None, rtu_port: int | None = None
+    ) -> None:
+        self.port = port
+        self.rtu_port = rtu_port
+        self.line: PseudoLine | None = None
+        self._registers, self._host, self._tls = registers, host, tls
+        self._tcp: set[ModbusConnection] = set()
+        self._rtu: set[RtuConnection] = set()
+        self._servers: list[asyncio.Server] = []
+
+    def open_line(self) -> None:
+        """Make the pseudo-terminal."""
+        self.line = PseudoLine(self._registers)
+
+    async def open(self) -> None:
+        """Listen; on the same ports when it is opened again."""
+        server = await listen(
+            lambda: ModbusConnection(self._registers, self._tcp), self._host, self.port, "Modbus", self._tls
+        )
+        self._servers.append(server)
+        self.port = port_of(server)
+        if self.rtu_port is not None:
+            server = await listen(
+                lambda: RtuConnection(self._registers, self._rtu), self._host, self.rtu_port, "Modbus RTU"
+            )
+            self._servers.append(server)
+            self.rtu_port = port_of(server)
+        if self.line is not None:
+            self.line.powered = True
+
+    def close(self) -> None:
+        """Close the ports and every connection; the serial line falls silent."""
+        for server in self._servers:
+            server.close()
+        self._servers.clear()
+        for connection in tuple(self._tcp):
+            connection.close()
+        for client in tuple(self._rtu):
+            client.close()
+        if self.line is not None:
+            self.line.powered = False
+
+
+def tls_context(certificate: Path, key: Path, ca: Path) -> ssl.SSLContext:
+    """TLS 1.2 or later, and no client without a certificate of `ca` (Modbus/TCP Security, 8.2 and 8.5)."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.load_cert_chain(certificate, key)
+    context.load_verify_locations(ca)
+    context.verify_mode = ssl.CERT_REQUIRED
+    return context

@@ -1,0 +1,74 @@
+"""What was true on the virtual rig, kept by the rig itself: a file of fixed-size records that nobody else writes.
+
+One record a period, and one whenever a write changes what reaches the heater. Whoever tests a harness compares with
+this, and not with what the harness says of itself. Times are Unix times of this machine.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from drivers.virtual.devices.registers import Registers
+from drivers.virtual.plant.geometry import CHANNELS
+from drivers.virtual.plant.plant import Plant
+
+_RECORD = struct.Struct(f"<dddH5d{len(CHANNELS)}d")
+
+
+class Moment(NamedTuple):
+    """`heater_W` is the set-point that reaches the heater; `power_W` what it takes; `status` the PLC's bits."""
+
+    wall_s: float
+    rig_s: float
+    heater_W: float
+    status: int
+    power_W: float
+    flow_L_per_min: float
+    pump_pct: float
+    fan_pct: float
+    ambient_C: float
+    junctions_C: tuple[float, ...]
+
+
+class TruthLog:
+    """Writes the file; unbuffered, so that it is whole whenever the rig is killed."""
+
+    def __init__(self, path: Path, plant: Plant) -> None:
+        self._file = path.open("wb", buffering=0)
+        self._plant = plant
+        self._heater_W = -1.0
+
+    def note(self, registers: Registers, *, period: bool) -> None:
+        """A record, at the end of a `period`, else only where what reaches the heater has changed."""
+        heater_W = registers.heater_W
+        if not period and heater_W == self._heater_W:
+            return
+        self._heater_W, plant = heater_W, self._plant
+        self._file.write(
+            _RECORD.pack(
+                time.time(),
+                plant.time_s,
+                heater_W,
+                registers.status,
+                plant.heater_power_W,
+                plant.flow_L_per_min,
+                plant.pump_speed_pct,
+                plant.fan_speed_pct,
+                plant.ambient_C,
+                *plant.junction.tolist(),
+            )
+        )
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def read_truth(path: Path) -> list[Moment]:
+    """All whole records of a file, in their order."""
+    data = path.read_bytes()
+    whole = len(data) - len(data) % _RECORD.size
+    return [Moment._make((*fields[:9], fields[9:])) for fields in _RECORD.iter_unpack(data[:whole])]

@@ -1,0 +1,1 @@
+"""Faulty links and replies on request."""

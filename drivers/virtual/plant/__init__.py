@@ -1,0 +1,1 @@
+"""Plant of the virtual rig and its instruments."""
