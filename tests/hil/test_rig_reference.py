@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from drivers import bus_sections, interlock_specs
+from drivers.rig_file import bus_sections, interlock_specs
 from drivers.rig_file.bus_sections import CanBus, CanMessage, Hole
 from drivers.rig_file.model import Heartbeat, Point, Rig
 from drivers.rig_file.reader import RigFileError, load_rig

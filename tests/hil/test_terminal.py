@@ -9,6 +9,7 @@ import pytest
 
 import hil.run.session.terminal
 from hil.diagnosis.live import Reply
+from hil.run.engine.engine import Outcome
 from hil.run.session.session import RunResult
 from hil.run.session.terminal import LiveRun, Steps
 
@@ -41,7 +42,7 @@ def test_a_path_that_is_told_can_be_pasted(monkeypatch, capsys):
     with Steps("diagnosing", 6.0) as steps:
         steps.say(f"adopted as {path}")
     assert capsys.readouterr().err.splitlines() == 2 * [f"adopted as {path}"]
-    outcome = SimpleNamespace(status="done", overruns=0, reason="", ticks=0, away=False, safe=True, problems=[])
+    outcome = Outcome("done", "", safe=True)
     told = Reply(problem="too short", revision=path)
     folder = SimpleNamespace(path=path.parent, read_manifest=dict)
     live.show_result(RunResult(folder, outcome, None, 1.0, 1.0, False, told, gates="held [everything] in 6 of 120"))
