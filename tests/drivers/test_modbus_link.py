@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from drivers.modbus.link import ModbusLink
-from drivers.modbus.protocol.rtu import frame_of
+from drivers.modbus.protocol.pymodbus_codec import rtu_frame
 from drivers.rig_file.bus_sections import ModbusBusSection, ModbusRtuTcpBus, ModbusTcpBus
 from drivers.signals.points import DeadlineError
 
@@ -39,7 +39,7 @@ class OnTheWire:
 @pytest.mark.parametrize(
     ("config", "framed"),
     [
-        (ModbusRtuTcpBus(transport="modbus_rtu_tcp"), lambda pdu: frame_of(1, pdu)),
+        (ModbusRtuTcpBus(transport="modbus_rtu_tcp"), lambda pdu: rtu_frame(1, pdu)),
         (ModbusTcpBus(transport="modbus_tcp", transaction="zero"), tcp_frame),
     ],
     ids=["rtu over tcp", "transaction 0"],

@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 import pytest
 
 from drivers.modbus.bus import ModbusBus
-from drivers.modbus.protocol.rtu import frame_of
+from drivers.modbus.protocol.pymodbus_codec import rtu_frame
 from drivers.rig.watch import RigWatch
 from drivers.rig_file.bus_sections import ModbusBusSection, ModbusRtuTcpBus, ModbusTcpBus
 from drivers.rig_file.model import Point
@@ -120,7 +120,7 @@ STRANGERS: dict[str, tuple[Serve, str]] = {
     "another transaction": (every(lambda t, u, p: mbap(t + 7, u, answer(p))), "transaction 8 where 1 was asked"),
     "transaction 0": (every(lambda t, u, p: mbap(0, u, answer(p))), "give transaction = 'zero'"),
     "another protocol": (every(lambda t, u, p: mbap(t, u, answer(p), protocol=5)), "protocol 5 where Modbus has 0"),
-    "RTU": (every(lambda t, u, p: frame_of(u, answer(p))), "in RTU framing; use transport = 'modbus_rtu_tcp'"),
+    "RTU": (every(lambda t, u, p: rtu_frame(u, answer(p))), "in RTU framing; use transport = 'modbus_rtu_tcp'"),
     "HTTP": (says(b"HTTP/1.1 400 Bad Request\r\n\r\n"), r"a web server \(HTTP\) answers there; correct host and port"),
     "SSH": (says(b"SSH-2.0-OpenSSH_9.6\r\n", at_once=True), "an SSH server answers there"),
     "TLS": (says(b"\x15\x03\x03\0\x02\x02\x16"), "the port speaks TLS; use transport = 'modbus_tls'"),
@@ -142,7 +142,7 @@ async def test_what_answers_otherwise_is_named_with_what_to_change(kind, monkeyp
     ("reply", "words"),
     [
         (lambda t, u, p: mbap(t, u, answer(p)), "Modbus/TCP framing; use transport = 'modbus_tcp'"),
-        (lambda t, u, p: frame_of(5, answer(p)), "from device 5 where device_id 1 was asked"),
+        (lambda t, u, p: rtu_frame(5, answer(p)), "from device 5 where device_id 1 was asked"),
     ],
     ids=["Modbus/TCP", "another device"],
 )

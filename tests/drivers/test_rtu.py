@@ -9,21 +9,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.modbus.protocol.pdu import Read
+from drivers.modbus.protocol.pymodbus_codec import rtu_frame
 from drivers.modbus.protocol.reply_offset import Steps
-from drivers.modbus.protocol.rtu import RtuGuard, frame_of
+from drivers.modbus.protocol.rtu import RtuGuard
 from drivers.modbus.read_plan import plan_reads
 from drivers.rig_file.model import Point
 from drivers.signals.points import ProtocolError
 from drivers.virtual.devices.rtu_protocol import crc
 
 REQUEST = struct.pack(">BHH", 4, 8, 2)
-REPLY = frame_of(3, b"\4\4\0\1\0\2")
+REPLY = rtu_frame(3, b"\4\4\0\1\0\2")
 
 
 def test_the_crc_is_that_of_the_specification():
     # Modbus over serial line V1.02, 6.2.2: address 02, function 07 give 0x1241, low byte first
-    assert frame_of(2, b"\7") == bytes.fromhex("02074112")
-    assert frame_of(3, REQUEST)[-2:] == crc(b"\3" + REQUEST)
+    assert rtu_frame(2, b"\7") == bytes.fromhex("02074112")
+    assert rtu_frame(3, REQUEST)[-2:] == crc(b"\3" + REQUEST)
 
 
 def test_a_reply_is_found_however_it_is_cut_and_after_what_a_line_gives_as_it_turns():
@@ -34,7 +35,12 @@ def test_a_reply_is_found_however_it_is_cut_and_after_what_a_line_gives_as_it_tu
 
 @pytest.mark.parametrize(
     "frame",
-    [frame_of(4, REPLY[1:-2]), frame_of(3, b"\3" + REPLY[2:-2]), frame_of(3, b"\4\2\0\1"), frame_of(3, b"\6\0\1\0\2")],
+    [
+        rtu_frame(4, REPLY[1:-2]),
+        rtu_frame(3, b"\3" + REPLY[2:-2]),
+        rtu_frame(3, b"\4\2\0\1"),
+        rtu_frame(3, b"\6\0\1\0\2"),
+    ],
     ids=["another device", "another function", "another length", "a write"],
 )
 def test_frames_that_answer_something_else_are_dropped_and_counted(frame):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from drivers.modbus.protocol.pymodbus_codec import rtu_frame, tcp_frame
 from drivers.modbus.protocol.replies import FrameGuard, answers
 from drivers.modbus.protocol.reply_defects import HEADER, is_tcp_frame, service_of
-from drivers.modbus.protocol.rtu import RtuGuard, frame_of
+from drivers.modbus.protocol.rtu import RtuGuard
 from drivers.rig_file.bus_sections import ModbusBusSection, ModbusTcpBus, is_numbered, is_rtu
 from drivers.signals.points import ProtocolError
 
@@ -29,7 +30,7 @@ class TcpFrames:
             self._guard.clear()
         self._transaction = self._transaction % 65535 + 1
         self._device = device
-        return HEADER.pack(self._transaction, 0, len(pdu) + 1, device) + pdu
+        return tcp_frame(device, self._transaction, pdu)
 
     def feed(self, data: bytes, device: int, pdu: bytes) -> bytes | None:
         """PDU of the reply to that request, once it is whole; raises ProtocolError."""
@@ -73,7 +74,7 @@ class RtuFrames:
         """Frame of a request."""
         self._guard.clear()
         self._came = b""
-        return frame_of(device, pdu)
+        return rtu_frame(device, pdu)
 
     def feed(self, data: bytes, device: int, pdu: bytes) -> bytes | None:
         """PDU of the reply to that request, once it is whole; raises ProtocolError."""

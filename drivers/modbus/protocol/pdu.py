@@ -1,11 +1,14 @@
-"""Requests and replies of Modbus as bytes, without framing: pure (Modbus application protocol V1.1b3, 6 and 7)."""
+"""Requests of blocks, and the checks of their replies, without framing: pure (Modbus application protocol V1.1b3).
+
+pymodbus encodes and decodes; here a reply is checked against what was asked before its values are taken.
+"""
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from typing import NoReturn
 
+from drivers.modbus.protocol import pymodbus_codec as codec
 from drivers.modbus.read_plan import BIT_TABLES, Block
 from drivers.signals.points import DeviceExceptionError, ProtocolError
 
@@ -34,8 +37,7 @@ class ReadBack:
 
     def __init__(self, written: Block, raw: Sequence[int], read: Block) -> None:
         self.read = read
-        counts = read.address, read.count, written.address, written.count
-        self.request = struct.pack(f">BHHHHB{len(raw)}H", self.code, *counts, 2 * len(raw), *raw)
+        self.request = codec.read_back_request((read.address, read.count), written.address, raw)
         self._written = written
 
     def raw_of(self, reply: bytes, where: str) -> Sequence[int]:
@@ -47,7 +49,7 @@ class ReadBack:
                 f"{where} answered {reply[1] // 2} registers where {count} were asked ({self.read}); the reply is not "
                 "used"
             )
-        return struct.unpack_from(f">{count}H", reply, 2)
+        return codec.values_of(reply, count)
 
 
 class Read:
@@ -55,19 +57,17 @@ class Read:
 
     def __init__(self, block: Block) -> None:
         self.block = block
-        self.request = struct.pack(">BHH", block.read_code, block.address, block.count)
+        self.request = codec.read_request(block.read_code, block.address, block.count)
         self._is_bits = block.table in BIT_TABLES
         size = -(-block.count // 8) if self._is_bits else 2 * block.count
         self._head = bytes((block.read_code, size))
         self._size = 2 + size
-        self._unpack = struct.Struct(f"{size}B" if self._is_bits else f">{block.count}H").unpack_from
 
     def raw_of(self, reply: bytes, where: str) -> Sequence[int]:
         """Registers of the block, or its bits as 0 and 1; raises ProtocolError where the reply is not the block's."""
         if reply[:2] != self._head or len(reply) < self._size:
             self._refuse(reply, where)
-        raw = self._unpack(reply, 2)
-        return [raw[at >> 3] >> (at & 7) & 1 for at in range(self.block.count)] if self._is_bits else raw
+        return codec.values_of(reply, self.block.count)
 
     def _refuse(self, reply: bytes, where: str) -> NoReturn:
         block = self.block
@@ -81,22 +81,14 @@ class Read:
 
 def write_request(block: Block, raw: Sequence[int]) -> bytes:
     """Request that writes a block of registers, or of bits as 0 and 1 (6.5, 6.6, 6.11 and 6.12)."""
-    code = block.write_code
-    if code == 5:
-        return struct.pack(">BHH", code, block.address, 0xFF00 if raw[0] else 0)
-    if code == 6:
-        return struct.pack(">BHH", code, block.address, raw[0])
-    if code == 15:
-        packed = sum(bool(bit) << at for at, bit in enumerate(raw)).to_bytes(-(-len(raw) // 8), "little")
-        return struct.pack(">BHHB", code, block.address, len(raw), len(packed)) + packed
-    return struct.pack(f">BHHB{len(raw)}H", code, block.address, len(raw), 2 * len(raw), *raw)
+    return codec.write_request(block.write_code, block.address, raw)
 
 
 def check_written(block: Block, raw: Sequence[int], request: bytes, reply: bytes, where: str) -> None:
     """Raise ProtocolError where a device confirms something else than what was written."""
     code = block.write_code
     _check_function(code, block, reply, where)
-    address, said = struct.unpack_from(">HH", reply, 1)
+    address, said = codec.confirmation_of(reply)
     if code in (15, 16):
         if (address, said) != (block.address, block.count):
             what = "coils" if code == 15 else "registers"
@@ -111,7 +103,8 @@ def _check_function(code: int, block: Block, reply: bytes, where: str) -> None:
     if len(reply) < 2:
         raise ProtocolError(f"{where} answered nothing that is a reply")
     if reply[0] == code | 0x80:
-        what = EXCEPTIONS.get(reply[1], "an unknown exception")
-        raise DeviceExceptionError(f"{where} refused {block}: exception {reply[1]}, {what}", reply[1])
+        exception = codec.exception_of(reply)
+        what = EXCEPTIONS.get(exception, "an unknown exception")
+        raise DeviceExceptionError(f"{where} refused {block}: exception {exception}, {what}", exception)
     if reply[0] != code:
         raise ProtocolError(f"{where} answered function {reply[0] & 0x7F} to function {code}")

@@ -1,4 +1,4 @@
-"""RTU frames: the one module that imports pymodbus, whose framer computes the CRC.
+"""Guard of RTU frames on a serial line: pure.
 
 An RTU frame carries no transaction, so a reply that comes late looks like the answer to the next request; pymodbus's
 own client serves it as such, and goes on so. What is passed on here must be whole, with the right CRC, of the device,
@@ -8,33 +8,21 @@ a device that is known to be in step, is `drivers.modbus.link`'s and `drivers.mo
 
 from __future__ import annotations
 
-from pymodbus.framer import FramerRTU
-
+from drivers.modbus.protocol.pymodbus_codec import has_right_crc, rtu_size
 from drivers.modbus.protocol.replies import answers
-from drivers.modbus.protocol.reply_defects import ECHOES, READS
 from drivers.signals.points import ProtocolError
 
 _LONGEST = 256  # Modbus over serial line V1.02, 2.5.1
-
-
-def frame_of(device: int, pdu: bytes) -> bytes:
-    """Address, PDU and CRC."""
-    body = bytes((device,)) + pdu
-    return body + FramerRTU.compute_CRC(body).to_bytes(2, "big")
 
 
 def size_of(start: bytes) -> int | None:
     """Length of the reply frame that begins so; None where more bytes must tell. ProtocolError where it is no reply."""
     if len(start) < 2:
         return None
-    code = start[1]
-    if code & 0x80:
-        return 5
-    if code in ECHOES:
-        return 8
-    if code not in READS:
-        raise ProtocolError(f"bytes that are no reply: {start[:8].hex(' ')}")
-    return None if len(start) < 3 else 5 + start[2]
+    try:
+        return rtu_size(start)
+    except KeyError:
+        raise ProtocolError(f"bytes that are no reply: {start[:8].hex(' ')}") from None
 
 
 class RtuGuard:
@@ -64,7 +52,7 @@ class RtuGuard:
             if size > _LONGEST:
                 raise ProtocolError(f"a reply of {size} bytes, which is more than a frame may have")
             frame, self._buffer = self._buffer[:size], self._buffer[size:]
-            if not FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big")):
+            if not has_right_crc(frame):
                 raise ProtocolError(
                     f"a reply with a wrong CRC: {frame[:8].hex(' ')}; look for noise, termination and the line's speed"
                 )

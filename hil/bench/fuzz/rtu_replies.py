@@ -10,7 +10,8 @@ from __future__ import annotations
 import random
 import struct
 
-from drivers.modbus.protocol.rtu import RtuGuard, frame_of
+from drivers.modbus.protocol.pymodbus_codec import rtu_frame
+from drivers.modbus.protocol.rtu import RtuGuard
 from drivers.signals.points import ProtocolError
 
 DEVICE, COUNT = 3, 12
@@ -43,7 +44,7 @@ def mutate_rtu(count: int, seed: int) -> dict[str, tuple[int, int, int, int]]:
 
 
 def _mutated(kind: str, pick: random.Random, pdu: bytes) -> list[bytes]:
-    good = frame_of(DEVICE, pdu)
+    good = rtu_frame(DEVICE, pdu)
     frame = int.from_bytes(good, "big")
     bits = 8 * len(good)
     if kind == "in segments":
@@ -59,11 +60,11 @@ def _mutated(kind: str, pick: random.Random, pdu: bytes) -> list[bytes]:
         frame ^= pick.randrange(1, 2**16) << pick.randrange(bits - 16)
         return [frame.to_bytes(len(good), "big")]
     if kind == "device":
-        return [frame_of(pick.choice([d for d in range(1, 248) if d != DEVICE]), pdu)]
+        return [rtu_frame(pick.choice([d for d in range(1, 248) if d != DEVICE]), pdu)]
     if kind == "function":
-        return [frame_of(DEVICE, bytes((pick.choice([f for f in range(1, 128) if f != 4]),)) + pdu[1:])]
+        return [rtu_frame(DEVICE, bytes((pick.choice([f for f in range(1, 128) if f != 4]),)) + pdu[1:])]
     if kind == "byte count":
-        return [frame_of(DEVICE, pdu[:1] + bytes((pick.choice([n for n in range(256) if n != pdu[1]]),)) + pdu[2:])]
+        return [rtu_frame(DEVICE, pdu[:1] + bytes((pick.choice([n for n in range(256) if n != pdu[1]]),)) + pdu[2:])]
     if kind == "truncated":
         return [good[: pick.randrange(len(good))]]
     if kind == "trailing bytes":
@@ -72,5 +73,5 @@ def _mutated(kind: str, pick: random.Random, pdu: bytes) -> list[bytes]:
         return [good + good]
     if kind == "the reply of another length before":
         other = pick.choice([n for n in range(1, 40) if n != COUNT])
-        return [frame_of(DEVICE, struct.pack(f">BB{other}H", 4, 2 * other, *(666 for _ in range(other)))) + good]
+        return [rtu_frame(DEVICE, struct.pack(f">BB{other}H", 4, 2 * other, *(666 for _ in range(other)))) + good]
     return [pick.randbytes(pick.randint(1, 60))] if kind == "noise" else [good]
