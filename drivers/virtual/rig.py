@@ -237,7 +237,7 @@ async def _spawn(name: str, arguments: list[str], link: socket.socket) -> _Child
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",
-        f"drivers.virtual.{name}",
+        f"drivers.virtual.devices.{name}",
         *arguments,
         "--link-fd",
         str(link.fileno()),
