@@ -16,13 +16,15 @@ import socket
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 from drivers.virtual.plant.effects import load_effects
 
 Mode = Literal["real", "scaled", "lockstep"]
+Server = Literal["own", "pymodbus"]
 
 START_TIMEOUT_S = 120.0
 """The first start on a machine compiles the physics."""
@@ -149,69 +151,109 @@ class VirtualRig:
         self._ended.set()
 
 
-async def start_virtual_rig(
-    *,
-    seed: int = 0,
-    mode: Mode = "real",
-    speed: float = 1.0,
-    period_s: float = 1.0,
-    modbus_port: int = 0,
-    can_port: int = 0,
-    control_port: int = 0,
-    rtu_port: int | None = None,
-    serial: bool = False,
-    effects: Path | None = None,
-    host: str = "127.0.0.1",
-    unit: int | None = None,
-    truth: Path | None = None,
-    tls: tuple[Path, Path, Path] | None = None,
-    start_s: float = 0.0,
-) -> VirtualRig:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VirtualRigOptions:
+    """Options of a virtual rig.
+
+    Attributes:
+        seed: of noise, offsets and draughts.
+        mode: whether the rig's time is real, `speed` times as fast, or granted step by step on the control port.
+        speed: times real time, in scaled mode.
+        period_s: seconds between samples, 0.02 to 10.
+        modbus_port, can_port, control_port: 0 takes a free one.
+        rtu_port: where Modbus is served in RTU frames over TCP as well; None for nowhere.
+        serial: whether it is served on a pseudo-terminal as well.
+        effects: file of effects that no twin knows of.
+        host: address to listen on.
+        unit: specimen; the same one has the same sensors' offsets. None takes another one for every seed.
+        truth: file in which the rig keeps what is true (see `devices.truth`).
+        tls: files of certificate, key and authority; Modbus is then served over TLS to clients of that authority.
+        start_s: rig time at the start, s: room and effects are as then, the rig itself is cold.
+        server: the project's own Modbus server, or that of pymodbus.
+
+    Raises:
+        ValueError: an option that makes no rig.
+    """
+
+    seed: int = 0
+    mode: Mode = "real"
+    speed: float = 1.0
+    period_s: float = 1.0
+    modbus_port: int = 0
+    can_port: int = 0
+    control_port: int = 0
+    rtu_port: int | None = None
+    serial: bool = False
+    effects: Path | None = None
+    host: str = "127.0.0.1"
+    unit: int | None = None
+    truth: Path | None = None
+    tls: tuple[Path, Path, Path] | None = None
+    start_s: float = 0.0
+    server: Server = "own"
+
+    def __post_init__(self) -> None:
+        if self.mode not in get_args(Mode):
+            raise ValueError(f"mode is {self.mode!r}; use real, scaled or lockstep.")
+        if self.server not in get_args(Server):
+            raise ValueError(f"server is {self.server!r}; use own or pymodbus.")
+        if not (math.isfinite(self.period_s) and 0.02 <= self.period_s <= 10.0):
+            raise ValueError(f"period_s is {self.period_s}; give 0.02 to 10 s.")
+        if not (math.isfinite(self.speed) and self.speed > 0.0):
+            raise ValueError(f"speed is {self.speed}; give a factor above 0.")
+        if not (math.isfinite(self.start_s) and self.start_s >= 0.0):
+            raise ValueError(f"start_s is {self.start_s}; give 0 s or more.")
+        for name in ("modbus_port", "can_port", "control_port", "rtu_port"):
+            port = getattr(self, name) or 0
+            if not 0 <= port <= 65535:
+                raise ValueError(f"{name} is {port}; give 0 (any free port) to 65535.")
+
+    def common_arguments(self) -> list[str]:
+        """Return the command line that both processes of the rig get."""
+        words = ["--seed", str(self.seed), "--host", self.host]
+        if self.effects is not None:
+            words += ["--with", str(self.effects)]
+        if self.unit is not None:
+            words += ["--unit", str(self.unit)]
+        return words
+
+    def plc_arguments(self) -> list[str]:
+        """Return the command line of the process with plant and PLC."""
+        words = ["--mode", self.mode, "--speed", repr(self.speed), "--period", repr(self.period_s)]
+        words += ["--modbus-port", str(self.modbus_port), "--control-port", str(self.control_port)]
+        words += ["--start", repr(self.start_s), "--server", self.server]
+        if self.truth is not None:
+            words += ["--truth", str(self.truth)]
+        if self.tls is not None:
+            words += [word for name, path in zip(_TLS, self.tls, strict=True) for word in (name, str(path))]
+        if self.rtu_port is not None:
+            words += ["--rtu-port", str(self.rtu_port)]
+        if self.serial:
+            words.append("--serial")
+        return words
+
+
+async def start_virtual_rig(options: VirtualRigOptions | None = None, **changes: Any) -> VirtualRig:
     """Start plant and PLC in one process, thermocouple module and CAN bus in another; return when both serve.
 
-    Ports of 0 are chosen by the system. `unit` is the specimen: the same one has the same sensors' offsets, whatever
-    the seed; by default another one for every seed. `start_s` is its clock at the start: room and effects are as then,
-    the rig itself is cold. What is true is kept in the file `truth` (see `devices.truth`). With `tls`, files of
-    certificate, key and certificate authority, Modbus is served over TLS to clients that have a certificate of that
-    authority. With `rtu_port` it is served in RTU frames over TCP as well, with `serial` on a pseudo-terminal.
-    Raises `PortInUseError`, `EffectFileError`, `VirtualRigError`, and `ValueError` for arguments that make no rig.
+    Parameters:
+        options: of the rig; by default those of `VirtualRigOptions`.
+        changes: single options by name, in place of those in `options`.
+
+    Raises:
+        PortInUseError, EffectFileError, VirtualRigError: the rig cannot be started; the message says why.
+        ValueError: options that make no rig.
     """
-    if mode not in ("real", "scaled", "lockstep"):
-        raise ValueError(f"mode is {mode!r}; use real, scaled or lockstep.")
-    if not (math.isfinite(period_s) and 0.02 <= period_s <= 10.0):
-        raise ValueError(f"period_s is {period_s}; give 0.02 to 10 s.")
-    if not (math.isfinite(speed) and speed > 0.0):
-        raise ValueError(f"speed is {speed}; give a factor above 0.")
-    if not (math.isfinite(start_s) and start_s >= 0.0):
-        raise ValueError(f"start_s is {start_s}; give 0 s or more.")
-    asked = {"modbus_port": modbus_port, "can_port": can_port, "control_port": control_port, "rtu_port": rtu_port or 0}
-    for name, port in asked.items():
-        if not 0 <= port <= 65535:
-            raise ValueError(f"{name} is {port}; give 0 (any free port) to 65535.")
-    if effects is not None:
-        load_effects(effects)
-    common = ["--seed", str(seed), "--host", host]
-    if effects is not None:
-        common += ["--with", str(effects)]
-    if unit is not None:
-        common += ["--unit", str(unit)]
+    options = replace(options or VirtualRigOptions(), **changes)
+    if options.effects is not None:
+        load_effects(options.effects)
+    common = options.common_arguments()
     near, far = socket.socketpair()
     children: list[_Child] = []
     try:
         with near, far:
-            plc = ["--mode", mode, "--speed", repr(speed), "--period", repr(period_s)]
-            plc += ["--modbus-port", str(modbus_port), "--control-port", str(control_port)]
-            if truth is not None:
-                plc += ["--truth", str(truth)]
-            if tls is not None:
-                plc += [word for name, path in zip(_TLS, tls, strict=True) for word in (name, str(path))]
-            plc += ["--start", repr(start_s)]
-            if rtu_port is not None:
-                plc += ["--rtu-port", str(rtu_port)]
-            if serial:
-                plc.append("--serial")
-            children.append(await _spawn("plc", [*common, *plc], near))
-            module = ["--port", str(can_port), "--epoch", repr(time.time())]
+            children.append(await _spawn("plc", [*common, *options.plc_arguments()], near))
+            module = ["--port", str(options.can_port), "--epoch", repr(time.time())]
             children.append(await _spawn("thermocouples", [*common, *module], far))
         ports: dict[str, Any] = {}
         async with asyncio.timeout(START_TIMEOUT_S):
@@ -229,7 +271,7 @@ async def start_virtual_rig(
     except BaseException:
         await asyncio.gather(*(child.end() for child in children))
         raise
-    return VirtualRig(host, mode, period_s, children, ports)
+    return VirtualRig(options.host, options.mode, options.period_s, children, ports)
 
 
 async def _spawn(name: str, arguments: list[str], link: socket.socket) -> _Child:

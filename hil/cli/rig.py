@@ -22,6 +22,9 @@ from hil.cli.options.paths import INPUT_FILE
 @click.option("--seed", default=0, show_default=True, help="Seed of noise, offsets and draughts.")
 @click.option("--with", "effects", type=INPUT_FILE, help="TOML file of effects that no twin knows of.")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
+@click.option(
+    "--server", type=click.Choice(["own", "pymodbus"]), default="own", show_default=True, help="Whose Modbus server."
+)
 @click.option("--tls-certificate", type=INPUT_FILE, help="Serve Modbus over TLS with this certificate (PEM).")
 @click.option("--tls-key", type=INPUT_FILE, help="Its key.")
 @click.option("--tls-ca", type=INPUT_FILE, help="Authority that signs the certificates of clients.")
@@ -37,6 +40,7 @@ def command(
     seed: int,
     effects: Path | None,
     host: str,
+    server: str,
     tls_certificate: Path | None,
     tls_key: Path | None,
     tls_ca: Path | None,
@@ -70,6 +74,7 @@ def command(
             seed=seed,
             effects=effects,
             host=host,
+            server=server,
             tls=tls,
         )
     except ValueError as error:

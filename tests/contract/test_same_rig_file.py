@@ -25,7 +25,9 @@ async def test_the_virtual_rig_is_read_written_and_armed(transport, tmp_path: Pa
     if transport == "tls" and certificates is None:
         pytest.skip("certificates are made by the openssl program, which is not installed")
     tls = certificates.rig if transport == "tls" and certificates is not None else None
-    async with await start_virtual_rig(period_s=0.1, rtu_port=0, serial=True, tls=tls) as rig:
+    server = "pymodbus" if "pymodbus" in transport else "own"
+    transport = transport.removesuffix(" to pymodbus")
+    async with await start_virtual_rig(period_s=0.1, rtu_port=0, serial=True, tls=tls, server=server) as rig:
         section = {
             "tcp": f'transport = "modbus_tcp"\nport = {rig.modbus_port}\n',
             "tls": f'transport = "modbus_tls"\nport = {rig.modbus_port}\n',

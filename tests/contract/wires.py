@@ -24,13 +24,18 @@ from drivers.rig_file.model import Point
 from drivers.signals.points import DeadlineError, LinkError, Quality
 from drivers.virtual.devices.modbus_protocol import ModbusConnection
 from drivers.virtual.devices.modbus_server import tls_context
+from drivers.virtual.devices.pymodbus_server import PymodbusServer
 from drivers.virtual.devices.registers import INPUT_COUNT, Registers
 from drivers.virtual.devices.rtu_protocol import RtuConnection
 from drivers.virtual.faults.faulty_link import Change, FaultyLink, modbus_frames, rtu_frames
 from drivers.virtual.faults.faulty_replies import in_rtu
 from hil.bench.faults.tls import Certificates
 
-TRANSPORTS = ("tcp", "tls", "tcp, transaction 0", "rtu over tcp", "rtu serial")
+TRANSPORTS = (
+    *("tcp", "tls", "tcp, transaction 0", "rtu over tcp", "rtu serial"),
+    *("tcp to pymodbus", "rtu over tcp to pymodbus"),
+)
+"""Those to pymodbus end at its server, the others at the virtual rig's own."""
 POINTS = (
     *(Point(name=f"p{a}", bus="b", unit="1", table="input", address=a) for a in range(INPUT_COUNT)),
     Point(name="set", bus="b", unit="1", table="holding", address=1, access="rw"),
@@ -166,16 +171,36 @@ async def _tls_front(port: int, certificates: Certificates) -> AsyncIterator[int
 
 
 @contextlib.asynccontextmanager
-async def wired(transport: str, certificates: Certificates | None, **changes: object) -> AsyncIterator[Wired]:
-    """A connected driver on one transport."""
-    registers, clients = Registers(), set()
-    is_rtu = transport.startswith("rtu")
+async def _served(registers: Registers, is_rtu: bool, *, by_pymodbus: bool) -> AsyncIterator[int]:
+    """Serve the registers on a port."""
+    if by_pymodbus:
+        served = PymodbusServer(registers, "127.0.0.1", 0, None, rtu_port=0)
+        await served.open()
+        try:
+            yield (served.rtu_port or 0) if is_rtu else served.port
+        finally:
+            served.close()
+            await asyncio.sleep(0)
+        return
+    clients: set[ModbusConnection | RtuConnection] = set()
     kind: Callable[..., asyncio.Protocol] = RtuConnection if is_rtu else ModbusConnection
     server = await asyncio.get_running_loop().create_server(lambda: kind(registers, clients), "127.0.0.1", 0)
+    try:
+        yield server.sockets[0].getsockname()[1]
+    finally:
+        for client in list(clients):
+            client.close()
+        server.close()
+
+
+@contextlib.asynccontextmanager
+async def wired(transport: str, certificates: Certificates | None, **changes: object) -> AsyncIterator[Wired]:
+    """A connected driver on one transport."""
+    registers = Registers()
+    is_rtu = transport.startswith("rtu")
     async with contextlib.AsyncExitStack() as stack:
-        stack.callback(lambda: [client.close() for client in list(clients)])
-        stack.callback(server.close)
-        port = server.sockets[0].getsockname()[1]
+        port = await stack.enter_async_context(_served(registers, is_rtu, by_pymodbus="pymodbus" in transport))
+        transport = transport.removesuffix(" to pymodbus")
         if transport == "tcp, transaction 0":
             device = await stack.enter_async_context(FaultyLink(port, modbus_frames))
             device.change = lambda frame: [(0.0, b"\0\0" + frame[2:])]

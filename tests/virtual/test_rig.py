@@ -363,12 +363,15 @@ async def test_children_die_with_a_killed_parent() -> None:
     drive()
 
 
-@pytest.mark.parametrize("which", ["modbus_port", "can_port", "control_port"])
-async def test_a_port_in_use_is_one_sentence(which: str) -> None:
+@pytest.mark.parametrize(
+    ("which", "server"),
+    [("modbus_port", "own"), ("modbus_port", "pymodbus"), ("can_port", "own"), ("control_port", "own")],
+)
+async def test_a_port_in_use_is_one_sentence(which: str, server: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(PortInUseError, match=rf"port 127\.0\.0\.1:{port} is in use; choose another") as caught:
-            await start_virtual_rig(**{which: port})
+            await start_virtual_rig(**{which: port, "server": server})
     assert isinstance(caught.value, OSError)
     assert isinstance(caught.value, VirtualRigError)
 

@@ -13,6 +13,7 @@ import math
 import socket
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from drivers.virtual.devices import link
 from drivers.virtual.devices.control import ControlConnection
@@ -24,7 +25,11 @@ from drivers.virtual.plant.effects import Effect, load_effects
 from drivers.virtual.plant.instruments import Instruments
 from drivers.virtual.plant.plant import Plant
 
+if TYPE_CHECKING:
+    from drivers.virtual.devices.pymodbus_server import PymodbusServer
+
 MODES = ("real", "scaled", "lockstep")
+SERVERS = ("own", "pymodbus")
 LONGEST_REBOOT_S = 600.0
 LARGEST_BACKLOG_S = 5.0
 """Wall-clock seconds that the plant catches up with after a stall of the host; older time is lost."""
@@ -52,7 +57,7 @@ class Plc:
         self.controller: ControlConnection | None = None
         self.link: link.LinkSender | None = None
         self.truth: TruthLog | None = None
-        self.server: ModbusServer | None = None
+        self.server: ModbusServer | PymodbusServer | None = None
         self.missed_records = 0
         self.ended_because = "stopped"
         self._timer: asyncio.TimerHandle | None = None
@@ -176,9 +181,12 @@ async def run(arguments: argparse.Namespace) -> int:
     tls = None
     if arguments.tls_certificate is not None:
         tls = tls_context(arguments.tls_certificate, arguments.tls_key, arguments.tls_ca)
-    modbus = plc.server = ModbusServer(
-        plc.registers, arguments.host, arguments.modbus_port, tls, rtu_port=arguments.rtu_port
-    )
+    kind: type[ModbusServer] | type[PymodbusServer] = ModbusServer
+    if arguments.server == "pymodbus":
+        from drivers.virtual.devices.pymodbus_server import PymodbusServer
+
+        kind = PymodbusServer
+    modbus = plc.server = kind(plc.registers, arguments.host, arguments.modbus_port, tls, rtu_port=arguments.rtu_port)
     if arguments.serial:
         modbus.open_line()
     await modbus.open()
@@ -226,6 +234,7 @@ def main() -> int:
     parser.add_argument("--tls-ca", type=Path, help="... to clients with a certificate of this authority")
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--modbus-port", type=int, default=0)
+    parser.add_argument("--server", choices=SERVERS, default="own", help="whose Modbus server it is")
     parser.add_argument("--rtu-port", type=int, help="serve RTU over TCP on this port, too")
     parser.add_argument("--serial", action="store_true", help="serve RTU on a pseudo-terminal, too")
     parser.add_argument("--control-port", type=int, default=0)

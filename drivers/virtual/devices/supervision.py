@@ -30,8 +30,13 @@ async def listen(
         return await asyncio.get_running_loop().create_server(factory, host, port, ssl=tls, reuse_address=True)
     except OSError as error:
         reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be opened ({error.strerror or error})"
-        say(event="error", errno=error.errno, port=port, message=f"{what} port {host}:{port} {reason}; choose another.")
-        raise SystemExit(EXIT_PORT_IN_USE) from error
+        raise port_refused(what, host, port, reason, error.errno) from error
+
+
+def port_refused(what: str, host: str, port: int, reason: str, number: int | None) -> SystemExit:
+    """Report a port that cannot be had to the parent; return the exit of this process. `number` is of `errno`."""
+    say(event="error", errno=number, port=port, message=f"{what} port {host}:{port} {reason}; choose another.")
+    return SystemExit(EXIT_PORT_IN_USE)
 
 
 def port_of(server: asyncio.Server) -> int:
