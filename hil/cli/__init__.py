@@ -1,3 +1,4 @@
 """Command line `hil`: one module a command."""
 
-from hil.cli.group import main as main
+from hil.cli.verbs import group as group
+from hil.cli.verbs import main as main
