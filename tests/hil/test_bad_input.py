@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from hil.cli import verbs as group
+from hil.cli import group
 from hil.errors import explained
 from hil.record.reader import Record, read_record, write_record
 from hil.rig.element_kinds import parameters_of

@@ -25,7 +25,7 @@ from hil.bench.discovery.repeated import Chain
 from hil.bench.discovery.score import Outcome, alike, judge, risk_at_coverage, volume, wilson
 from hil.bench.discovery.tables import failure, tables
 from hil.bench.discovery.worker import Worker, WorkerError
-from hil.cli import verbs as group
+from hil.cli import group
 from hil.profile.load_profile import read_profile
 from hil.record.reader import read_record
 from hil.synthetic.hidden_effects import KINDS, effects_text, lasting, profile, profile_text, setting, truth

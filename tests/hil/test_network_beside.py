@@ -18,7 +18,7 @@ from click.testing import CliRunner
 
 from drivers.rig_file.reader import file_sha256
 from drivers.signals.points import Signal
-from hil.cli import verbs as group
+from hil.cli import group
 from hil.journal.writer import Header, JournalReader, JournalWriter
 from hil.record.reader import Record, read_record, write_record
 from hil.run.session.interrupted_run import request_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.cli import verbs as group
+from hil.cli import group
 from hil.record.reader import Record, RecordError, read_record
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.cli import verbs as group
+from hil.cli import group
 from hil.record.reader import Record, read_record, write_record
 from hil.tracking.twins import OUTDONE, Misses, TrackingConfig, Twins, disturbance, window_kind
 from twin.kernel import simulate

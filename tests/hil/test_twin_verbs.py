@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
-from hil.cli import verbs as group
+from hil.cli import group
 from hil.errors import exit_code
 from hil.run.session import terminal
 from twin.network import Revision
