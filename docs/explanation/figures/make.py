@@ -224,20 +224,20 @@ def scores() -> plt.Figure:
 
 
 PLACES = {
-    "idle": (0.0, 4.6),
-    "validating": (1.9, 4.6),
-    "connecting": (3.8, 4.6),
-    "soaking": (5.7, 4.6),
-    "running": (2.6, 2.6),
+    "idle": (0.4, 4.6),
+    "validating": (3.2, 4.6),
+    "connecting": (6.0, 4.6),
+    "soaking": (8.8, 4.6),
+    "running": (3.0, 2.6),
     "held": (0.4, 0.9),
-    "suspended": (4.8, 0.9),
-    "paused": (2.6, -0.8),
-    "finishing": (6.9, 2.6),
-    "done": (8.6, 3.4),
-    "aborted": (8.6, 2.6),
-    "faulted": (8.6, 1.8),
+    "suspended": (5.6, 0.9),
+    "paused": (3.0, -0.8),
+    "finishing": (7.4, 2.6),
+    "done": (10.2, 3.5),
+    "aborted": (10.2, 2.6),
+    "faulted": (10.2, 1.7),
 }
-AGAIN = {"soaking": (2.6, 2.6), "held": (0.4, 0.9), "suspended": (4.8, 0.9), "paused": (2.6, -0.8)}
+AGAIN = {"soaking": (3.0, 2.6), "held": (0.4, 0.9), "suspended": (5.6, 0.9), "paused": (3.0, -0.8)}
 """Places of the states of a run that is led back to where it was cut."""
 FILL = {"heat": "#fde3d3", "safe": "#dcf0e6", "none": "#eeeeee"}
 
@@ -248,27 +248,29 @@ def states() -> plt.Figure:
         module = importlib.import_module("hil.run.states")
     except ModuleNotFoundError:
         module = importlib.import_module("hil.states")
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12.0, 5.2), width_ratios=(10.6, 6.4))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(12.5, 5.0), width_ratios=(11.5, 7.0))
     arrows: dict[tuple[str, str], list[str]] = {}
     for (source, event), target in module.TABLE.items():
         if source != target and target != "finishing" and not (source in module.UNTOUCHED and target in module.ENDED):
             arrows.setdefault((source.value, target.value), []).append(event.value)
     again = {pair: e for pair, e in arrows.items() if "soaking" in pair and set(pair) <= set(AGAIN)}
     again |= {pair: e for pair, e in arrows.items() if set(pair) <= set(AGAIN) - {"soaking"}}
+    # A trip ends a run that is led back (the supervisor asks for `fail` instead).
+    again = {pair: [e for e in events if e != "trip"] for pair, events in again.items()}
     first = {pair: e for pair, e in arrows.items() if not ("soaking" in pair and set(pair) <= set(AGAIN))}
     _draw(left, module, PLACES, first)
     _draw(right, module, AGAIN, again)
-    left.add_patch(FancyArrowPatch((3.2, 2.6), (6.28, 2.6), arrowstyle="-|>", mutation_scale=10, color=RED, lw=1.1))
-    left.text(5.0, 2.72, "complete", fontsize=7, ha="center", color=RED)
-    left.text(6.9, 1.75, "abort, fail: to finishing\nfrom every state with outputs", fontsize=7, ha="center", color=RED)
+    left.add_patch(FancyArrowPatch((3.7, 2.6), (6.75, 2.6), arrowstyle="-|>", mutation_scale=10, color=RED, lw=1.1))
+    left.text(5.2, 2.72, "complete", fontsize=7, ha="center", color=RED)
+    left.text(6.9, 1.35, "abort, fail: to finishing\nfrom every state with outputs", fontsize=7, ha="center", color=RED)
     left.set_title("a run (events on the arrows)")
     right.set_title("thermal restore after a cut")
     said = {"heat": "outputs may be away from safe", "safe": "outputs at safe values", "none": "outputs untouched"}
     for k, (key, text) in enumerate(said.items()):
-        left.add_patch(Rectangle((5.6, 0.4 - 0.45 * k), 0.3, 0.25, fc=FILL[key], ec="black", lw=0.6))
-        left.text(6.05, 0.52 - 0.45 * k, text, fontsize=8, va="center")
-    left.set(xlim=(-0.9, 9.4), ylim=(-1.3, 5.1))
-    right.set(xlim=(-0.6, 5.8), ylim=(-1.3, 5.1))
+        left.add_patch(Rectangle((7.0, 0.4 - 0.45 * k), 0.3, 0.25, fc=FILL[key], ec="black", lw=0.6))
+        left.text(7.45, 0.52 - 0.45 * k, text, fontsize=8, va="center")
+    left.set(xlim=(-0.5, 11.0), ylim=(-1.3, 5.1))
+    right.set(xlim=(-0.5, 6.5), ylim=(-1.3, 5.1))
     return figure
 
 
@@ -277,11 +279,11 @@ def _draw(
 ) -> None:
     for (source, target), events in arrows.items():
         a, b = np.array(places[source]), np.array(places[target])
-        bend = 0.16 if (target, source) in arrows else 0.0
+        bend = 0.22 if (target, source) in arrows else 0.0
         axes.add_patch(FancyArrowPatch(a, b, connectionstyle=f"arc3,rad={bend}", arrowstyle="-|>", mutation_scale=10,
                                        shrinkA=22, shrinkB=22, color=GREY, lw=0.9))  # fmt: skip
         across = np.array([b[1] - a[1], a[0] - b[0]])
-        axes.text(*(0.5 * (a + b) + 0.5 * bend * across), ", ".join(events), fontsize=7, ha="center", va="center",
+        axes.text(*(0.5 * (a + b) + 0.5 * bend * across), ",\n".join(events), fontsize=7, ha="center", va="center",
                   bbox={"fc": "white", "ec": "none", "pad": 0.4})  # fmt: skip
     for name, (x, y) in places.items():
         state = module.State(name)
