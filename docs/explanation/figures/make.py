@@ -262,7 +262,7 @@ def states() -> plt.Figure:
     _draw(right, module, AGAIN, again)
     left.add_patch(FancyArrowPatch((3.7, 2.6), (6.75, 2.6), arrowstyle="-|>", mutation_scale=10, color=RED, lw=1.1))
     left.text(5.2, 2.72, "complete", fontsize=7, ha="center", color=RED)
-    left.text(6.9, 1.35, "abort, fail: to finishing\nfrom every state with outputs", fontsize=7, ha="center", color=RED)
+    left.text(8.3, 0.95, "abort, fail: to finishing\nfrom every state with outputs", fontsize=7, ha="center", color=RED)
     left.set_title("a run (events on the arrows)")
     right.set_title("thermal restore after a cut")
     said = {"heat": "outputs may be away from safe", "safe": "outputs at safe values", "none": "outputs untouched"}
