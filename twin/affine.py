@@ -13,20 +13,20 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 ONE, ZERO = "1.0", "0.0"
-PARSING = threading.Lock()
+PARSER_LOCK = threading.Lock()
 
 
-def parsed(text: str) -> ast.expr:
+def parse_expression(text: str) -> ast.expr:
     """An expression's syntax tree.
 
     One thread at a time: CPython counts the depth of the tree that it builds in a place that all threads share, and
     where one is interrupted by a finalizer another's count is off ("AST constructor recursion depth mismatch").
     """
-    with PARSING:
+    with PARSER_LOCK:
         return ast.parse(text, mode="eval").body
 
 
-class NotAffine(Exception):
+class NotAffineError(Exception):
     """The expression is not affine in the temperatures."""
 
 
@@ -40,40 +40,40 @@ class Form:
     def __add__(self, other: Form) -> Form:
         slopes = dict(self.slopes)
         for name, text in other.slopes.items():
-            slopes[name] = plus(slopes.get(name, ZERO), text)
-        return Form({name: text for name, text in slopes.items() if text != ZERO}, plus(self.offset, other.offset))
+            slopes[name] = add(slopes.get(name, ZERO), text)
+        return Form({name: text for name, text in slopes.items() if text != ZERO}, add(self.offset, other.offset))
 
     def scaled(self, factor: str) -> Form:
         """The form times a factor that does not depend on temperature."""
-        slopes = {name: times(text, factor) for name, text in self.slopes.items()}
-        return Form({name: text for name, text in slopes.items() if text != ZERO}, times(self.offset, factor))
+        slopes = {name: multiply(text, factor) for name, text in self.slopes.items()}
+        return Form({name: text for name, text in slopes.items() if text != ZERO}, multiply(self.offset, factor))
 
     def text(self) -> str:
         """The form as one expression."""
         total = self.offset
         for name, slope in self.slopes.items():
-            total = plus(total, times(slope, name))
+            total = add(total, multiply(slope, name))
         return total
 
 
-def affine(text: str, variables: Iterable[str], known: Mapping[str, Form]) -> Form:
+def affine_form(text: str, variables: Iterable[str], known: Mapping[str, Form]) -> Form:
     """Affine form of an expression in `variables`; names in `known` stand for forms of their own.
 
     Raises:
         NotAffine: a variable occurs other than linearly.
     """
-    return _form(parsed(text), frozenset(variables), known)
+    return _form(parse_expression(text), frozenset(variables), known)
 
 
 @lru_cache(maxsize=20_000)  # networks that differ in one element share nearly all of their text
 def names_in(text: str) -> frozenset[str]:
     """Names that occur in an expression."""
-    return frozenset(node.id for node in ast.walk(parsed(text)) if isinstance(node, ast.Name))
+    return frozenset(node.id for node in ast.walk(parse_expression(text)) if isinstance(node, ast.Name))
 
 
-def shared_call(text: str, apart: Collection[str]) -> str | None:
+def lane_free_call(text: str, apart: Collection[str]) -> str | None:
     """The first function call in an expression that uses none of the names `apart`, outermost first."""
-    queue: list[ast.AST] = [parsed(text)]
+    queue: list[ast.AST] = [parse_expression(text)]
     while queue:
         node = queue.pop(0)
         if isinstance(node, ast.Call) and not {n.id for n in ast.walk(node) if isinstance(n, ast.Name)} & set(apart):
@@ -82,7 +82,7 @@ def shared_call(text: str, apart: Collection[str]) -> str | None:
     return None
 
 
-def plus(a: str, b: str) -> str:
+def add(a: str, b: str) -> str:
     if a == ZERO:
         return b
     if b == ZERO:
@@ -90,7 +90,7 @@ def plus(a: str, b: str) -> str:
     return f"{a} + {b}"
 
 
-def times(a: str, b: str) -> str:
+def multiply(a: str, b: str) -> str:
     if ZERO in (a, b):
         return ZERO
     if a == ONE:
@@ -98,13 +98,13 @@ def times(a: str, b: str) -> str:
     if b == ONE:
         return a
     if a == "-1.0":
-        return negative(b)
+        return negate(b)
     if b == "-1.0":
-        return negative(a)
+        return negate(a)
     return f"{_factor(a)} * {_factor(b)}"
 
 
-def negative(a: str) -> str:
+def negate(a: str) -> str:
     return ZERO if a == ZERO else f"-{_factor(a)}" if a != ONE else "-1.0"
 
 
@@ -131,16 +131,16 @@ def _form(node: ast.expr, variables: frozenset[str], known: Mapping[str, Form]) 
             return right.scaled(left.offset) if right.slopes else left.scaled(right.offset)
         if isinstance(node.op, ast.Div) and not right.slopes:
             return left.scaled(f"1.0 / {_factor(right.offset)}")
-    raise NotAffine(ast.unparse(node))
+    raise NotAffineError(ast.unparse(node))
 
 
 def _constant(node: ast.expr) -> str:
     """Text of an expression without variables, with products by 0 and 1 and sums with 0 left out."""
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-        return negative(_constant(node.operand))
+        return negate(_constant(node.operand))
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub | ast.Mult):
         left, right = _constant(node.left), _constant(node.right)
         if isinstance(node.op, ast.Mult):
-            return times(left, right)
-        return plus(left, right if isinstance(node.op, ast.Add) else negative(right))
+            return multiply(left, right)
+        return add(left, right if isinstance(node.op, ast.Add) else negate(right))
     return ast.unparse(node)

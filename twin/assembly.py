@@ -12,13 +12,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from twin.affine import ZERO, Form, NotAffine, affine, names_in, parsed, plus, times
+from twin.affine import ZERO, Form, NotAffineError, add, affine_form, multiply, names_in, parse_expression
 from twin.elements import Fragment, Names
-from twin.elements.base import Drive
+from twin.elements.base import InputDrive
 from twin.elements.symbols import Stream, Symbols
 from twin.network import Network
 
-FEW = 5
+FEW_STATES = 5
 """In networks of more states than this, shared intermediate results stay so: written out, a chain of volumes that
 hand on water has as many products as a full matrix."""
 
@@ -36,7 +36,7 @@ class DelayLine:
 
 
 @dataclass(frozen=True)
-class Follower:
+class FirstOrderLag:
     """A lag: weighted temperatures, time constant."""
 
     name: str
@@ -60,7 +60,7 @@ class System:
         self._named: dict[str, str] = {}
         parameters = {p.id: network.ids.index(p.same_as or p.id) for p in network.parameters.values()}
         self._symbols = symbols = Symbols(parameters, network.input_columns, network.nodes)
-        streams = streams_of(network)
+        streams = feeding_streams(network)
         neutral = {
             p.id: p.value
             for p in network.parameters.values()
@@ -75,7 +75,7 @@ class System:
         self.parts = tuple(parts)
         self.states = tuple(symbols.names["x"])
         self.lags = tuple(symbols.names["f"])
-        self.drives: tuple[tuple[str, Drive], ...] = tuple((name, f.drive) for name, f in parts if f.drive)
+        self.drives: tuple[tuple[str, InputDrive], ...] = tuple((name, f.drive) for name, f in parts if f.drive)
         self.driven = {network.input_columns.index(d.column) for _, d in self.drives}
 
     @cached_property
@@ -129,13 +129,13 @@ class System:
         forms: dict[str, Form] = {}
         others: dict[str, str] = {}
         chain: dict[str, Form] = {}
-        used = self._uses() if len(self.states) > FEW else Counter[str]()
+        used = self._uses() if len(self.states) > FEW_STATES else Counter[str]()
         for name, value in self.locals_.items():
             try:
                 if names_in(value) & others.keys():
-                    raise NotAffine(name)
-                form = self._name_terms(affine(value, self.variables | chain.keys(), forms))
-            except NotAffine:
+                    raise NotAffineError(name)
+                form = self._name_terms(affine_form(value, self.variables | chain.keys(), forms))
+            except NotAffineError:
                 others[name] = value
                 continue
             if used[name] > 1 and len(form.slopes) > 1:
@@ -150,7 +150,7 @@ class System:
         texts += [s.rate for _, f in self.parts for s in f.states] + [d.water for d in self.delays]
         found: Counter[str] = Counter()
         for text in texts:
-            for node in ast.walk(parsed(text)):
+            for node in ast.walk(parse_expression(text)):
                 if isinstance(node, ast.Name):
                     found[node.id] += 1
         return found
@@ -163,8 +163,8 @@ class System:
         """
         forms, others, chain = self._forms
         if names_in(text) & others.keys():
-            raise NotAffine(text)
-        return affine(text, self.variables | chain.keys(), forms)
+            raise NotAffineError(text)
+        return affine_form(text, self.variables | chain.keys(), forms)
 
     def _name_terms(self, form: Form) -> Form:
         """The form with a name for every coefficient that is more than a name, so that texts stay short."""
@@ -186,7 +186,7 @@ class System:
         rows = []
         for j, node in enumerate(self.network.nodes):
             form, rest = self._sum([f.heat[node] for _, f in self.parts if node in f.heat])
-            rows.append((form.scaled(f"c{j}"), times(rest, f"c{j}")))
+            rows.append((form.scaled(f"c{j}"), multiply(rest, f"c{j}")))
         for _, f in self.parts:
             rows += [self._sum([s.rate]) for s in f.states]
         return tuple((self._name_terms(form), rest) for form, rest in rows)
@@ -196,8 +196,8 @@ class System:
         for term in terms:
             try:
                 form = form + self.form(term)
-            except NotAffine:
-                rest = plus(rest, f"({term})")
+            except NotAffineError:
+                rest = add(rest, f"({term})")
         return form, rest
 
     @cached_property
@@ -224,7 +224,7 @@ class System:
         for j, (form, rest) in enumerate(self.slopes):
             own = form.slopes.get(f"x{j}", ZERO)
             if rest == ZERO and not self.chain and not late & self.behind(own):
-                rows.append(times(own, "-1.0"))
+                rows.append(multiply(own, "-1.0"))
             elif j < len(self.network.nodes):
                 node = self.network.nodes[j]
                 found = [f"({f.conductance[node]})" for _, f in self.parts if node in f.conductance]
@@ -250,9 +250,9 @@ class System:
         return tuple(f.observe for _, f in self.parts if f.observe is not None)
 
     @cached_property
-    def followers(self) -> tuple[Follower, ...]:
+    def followers(self) -> tuple[FirstOrderLag, ...]:
         return tuple(
-            Follower(f"{name}.{lag.name}", self._name_terms(self.form(lag.of)), lag.constant)
+            FirstOrderLag(f"{name}.{lag.name}", self._name_terms(self.form(lag.of)), lag.constant)
             for name, f in self.parts
             for lag in f.lags
         )
@@ -273,7 +273,7 @@ def _stays(network: Network, name: str, free: tuple[str, ...]) -> bool:
     return network.parameters[name].status == "fixed" and name not in free
 
 
-def streams_of(network: Network) -> Mapping[str, Stream]:
+def feeding_streams(network: Network) -> Mapping[str, Stream]:
     """Node -> the flow that feeds it, the node before it and the pipe between."""
     pipes = {e.to: e.name for e in network.elements if e.kind == "pipe"}  # type: ignore[attr-defined]
     return {
@@ -304,7 +304,7 @@ def python_source(network: Network) -> str:
     return _function("rhs(T, u, p)", [*body, *_locals(system)], f"[{', '.join(_plain_rates(system))}]")
 
 
-def remembering_source(system: System) -> str:
+def stateful_source(system: System) -> str:
     """Plain Python source of what a network with pipes and lags does at one instant, from the elements' formulas alone.
 
     ``now(T, D, u, p)`` with states T and outlets of delays D gives dT/dt, the water that enters each delay and what
@@ -367,4 +367,4 @@ def _in_order(expressions: Mapping[str, str]) -> dict[str, str]:
     return done
 
 
-__all__ = ["DelayLine", "Follower", "System", "python_source", "streams_of"]
+__all__ = ["DelayLine", "FirstOrderLag", "System", "feeding_streams", "python_source"]

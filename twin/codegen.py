@@ -24,7 +24,7 @@ import re
 from collections.abc import Iterator
 from typing import Literal
 
-from twin.affine import names_in, shared_call
+from twin.affine import lane_free_call, names_in
 from twin.assembly import System, python_source
 from twin.delays import NEVER, SLOTS, delay_lines
 from twin.integrators import NAME, PAIRS, Integrator, renamed
@@ -125,7 +125,7 @@ class _Kernel:
         count = 0
         for name, text in self.system.coefficients.items():
             while names_in(text) & self.rows.keys():
-                shared = shared_call(text, self.rows.keys())
+                shared = lane_free_call(text, self.rows.keys())
                 if shared is None:
                     break
                 yield f"shared_{count}", shared

@@ -40,7 +40,7 @@ UNITS_OF_SUFFIX = {
 """Ways to write the unit that a column's last part says: a record's column is the signal's name and its unit."""
 
 
-def contradicts(column: str, unit: str) -> str | None:
+def contradicted_unit(column: str, unit: str) -> str | None:
     """Return the unit that a column has by its name where `unit` is another one, else None."""
     suffix = max((end for end in UNITS_OF_SUFFIX if column.endswith(f"_{end}")), key=len, default=None)
     if suffix is None or unit.strip() in ("", *UNITS_OF_SUFFIX[suffix]):
@@ -48,7 +48,7 @@ def contradicts(column: str, unit: str) -> str | None:
     return UNITS_OF_SUFFIX[suffix][0]
 
 
-def converted(column: str) -> tuple[str, str, str] | None:
+def celsius_conversion(column: str) -> tuple[str, str, str] | None:
     """Unit, remedy and new name of a column that by its name is a temperature in another unit than degC, or None."""
     stem, _, tail = column.rpartition("_")
     if tail.lower() not in _TO_CELSIUS or not re.match(r"(.*_)?(t\d*|temp\w*)(_|$)", stem.lower()):
@@ -57,7 +57,7 @@ def converted(column: str) -> tuple[str, str, str] | None:
     return unit, how, f"{stem}_C"
 
 
-def hint(name: str, columns: Iterable[str]) -> str:
+def column_hint(name: str, columns: Iterable[str]) -> str:
     """How the column `name` may be meant by one that is there, or ""."""
     there = list(columns)
     stem, _, tail = name.rpartition("_")

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.calibrators.base import rmse
-from twin.calibrators.identifiability import CANNOT_TELL, condition
-from twin.gauss_newton import SE90, Data, Fit, Prior, Scaling, descend
-from twin.kernel import Kernel, clean_time, held, masked
+from twin.calibrators.identifiability import UNIDENTIFIABLE_SHARE, condition_number
+from twin.gauss_newton import SE90, FitData, GaussianPrior, GaussNewtonFit, Scaling, fit_parameters
+from twin.kernel import Kernel, clean_time, hold_inputs, mask_measurements
 from twin.network import Array, Network, Revision, TwinFileError
-from twin.stretches import stretches, traced
+from twin.segments import find_segments, simulate_segments
 
 FIRST_SAMPLES = 30
 """Readings whose mean is the first guess of the initial state, unless an input moves before."""
@@ -34,7 +34,7 @@ INITIAL_SD_K = 5.0
 
 
 @dataclass(frozen=True)
-class Commission:
+class CommissionResult:
     """A commissioned twin and how far to believe it. Per-parameter mappings go by parameter id.
 
     Attributes:
@@ -89,7 +89,7 @@ def commission(
     seed: int = 0,
     initial_sd: float = INITIAL_SD_K,
     made_by: str = "commission",
-) -> Commission:
+) -> CommissionResult:
     """Fit the tunables and the initial state to a healthy record.
 
     Args:
@@ -115,8 +115,8 @@ def commission(
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
     if not 0.05 <= held_out <= 0.5:
         raise TwinFileError(f"held_out must be between 0.05 and 0.5, got {held_out:g}")
-    t, u = clean_time(time_s), held(network, inputs)
-    y, weight = masked(measured, network.sigma)
+    t, u = clean_time(time_s), hold_inputs(network, inputs)
+    y, weight = mask_measurements(measured, network.sigma)
     if not len(t) == len(u) == len(y):
         raise TwinFileError(f"time, inputs and measured differ in length: {len(t)}, {len(u)}, {len(y)}")
     if len(t) < 100 or t[-1] - t[0] < network.rules.window_s:
@@ -126,7 +126,7 @@ def commission(
         )
     if not initial_sd > 0.0:
         raise TwinFileError(f"initial_sd must be above 0 K, got {initial_sd:g}")
-    known = stretches(network, t, np.asarray(inputs, dtype=np.float64).reshape(u.shape))
+    known = find_segments(network, t, np.asarray(inputs, dtype=np.float64).reshape(u.shape))
     weight = np.where(known.lost[:, None], 0.0, weight)
     split, end = _held_out(network, t, u, held_out)
     seen = np.ones(len(t), dtype=bool)
@@ -142,13 +142,13 @@ def commission(
     rows = split if end == len(t) else len(t)
     begins = tuple(b for b in known.begins if b < rows)
     state0 = every0[: len(begins) * len(network.nodes)]
-    data = Data(t[:rows], u[:rows], y[:rows], np.where(seen[:, None], weight, 0.0)[:rows], begins)
+    data = FitData(t[:rows], u[:rows], y[:rows], np.where(seen[:, None], weight, 0.0)[:rows], begins)
     prior = weak_prior(scaling, start, state0, initial_sd)
     rng = np.random.default_rng(seed)
-    fits: list[Fit] = []
+    fits: list[GaussNewtonFit] = []
     for k in range(max(starts, 1)):
         z = scaling.to_z(start) + (rng.normal(0.0, scaling.prior_sd()) if k else 0.0)
-        fits.append(descend(kernel, scaling, network.values, data, scaling.to_values(z), state0, prior))
+        fits.append(fit_parameters(kernel, scaling, network.values, data, scaling.to_values(z), state0, prior))
     best = min(fits, key=lambda f: f.cost)
     agree = sum(f.cost < best.cost * 1.001 for f in fits)
 
@@ -156,19 +156,19 @@ def commission(
         full = network.values.copy()
         full[scaling.index] = values
         states = np.concatenate([state, every0[len(state) :]])
-        return traced(kernel, full[None], states[None], t, u, known.begins)[0]
+        return simulate_segments(kernel, full[None], states[None], t, u, known.begins)[0]
 
     stale = np.where(weight > 0.0, free_run(start, state0) - y, np.nan)
     residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
-    widened = inflation(residual[seen], network.sigma)
+    widened = variance_inflation(residual[seen], network.sigma)
     # Residuals that are not white are worth fewer samples than there are. Without this, model error would
     # drive a parameter that the record cannot tell to a bound.
-    tempered = Prior(prior.mean, prior.precision * widened)
-    best = descend(kernel, scaling, network.values, data, best.values, best.state, tempered)
+    tempered = GaussianPrior(prior.mean, prior.precision * widened)
+    best = fit_parameters(kernel, scaling, network.values, data, best.values, best.state, tempered)
     residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
     covariance = np.asarray(np.linalg.inv(best.normal / widened + prior.precision), dtype=np.float64)
     spread = np.sqrt(np.diag(covariance)[: len(ids)])
-    told = spread / scaling.prior_sd() < CANNOT_TELL
+    told = spread / scaling.prior_sd() < UNIDENTIFIABLE_SHARE
     low, high = (scaling.to_values(scaling.to_z(best.values) + s * SE90 * spread) for s in (-1.0, 1.0))
     names = network.sensor_names
     errors = [dict(zip(names, rmse(r), strict=True)) for r in (stale[~seen], residual[~seen], residual[seen])]
@@ -188,7 +188,7 @@ def commission(
         error_fitted_K={k: v for k, v in errors[2].items() if np.isfinite(v)},
         notes=tuple(notes),
     )
-    return Commission(
+    return CommissionResult(
         network=network.with_values(values, revision),
         values=values,
         start=dict(zip(ids, start.tolist(), strict=True)),
@@ -201,17 +201,17 @@ def commission(
         rmse_fitted=errors[2],
         held_out_s=(float(t[split]), float(t[end - 1])),
         covariance=covariance[: len(ids), : len(ids)],
-        condition=condition(best.normal[: len(ids), : len(ids)]),
+        condition=condition_number(best.normal[: len(ids), : len(ids)]),
         state=best.state,
         evaluations=sum(f.evaluations for f in fits) + best.evaluations,
         notes=tuple(notes),
     )
 
 
-def weak_prior(scaling: Scaling, values: Array, state: Array, state_sd: float) -> Prior:
+def weak_prior(scaling: Scaling, values: Array, state: Array, state_sd: float) -> GaussianPrior:
     """Prior centred on `values` (q,) and `state` (k,), as wide as `Scaling.prior_sd` and `state_sd` K."""
     sd = np.concatenate([scaling.prior_sd(), np.full(state.size, state_sd)])
-    return Prior(np.concatenate([scaling.to_z(values), state]), np.diag(sd**-2.0))
+    return GaussianPrior(np.concatenate([scaling.to_z(values), state]), np.diag(sd**-2.0))
 
 
 def _held_out(network: Network, time: Array, inputs: Array, share: float) -> tuple[int, int]:
@@ -240,7 +240,7 @@ def _before_any_input_moves(network: Network, inputs: Array) -> int:
     return int(np.argmax(moved)) if moved.any() else len(first)
 
 
-def inflation(residual: Array, sigma: Array) -> float:
+def variance_inflation(residual: Array, sigma: Array) -> float:
     """How many declared-noise samples one sample of these residuals is worth, at least 1.
 
     The product of reduced chi-square and autocorrelation time (initial positive sequence, Geyer 1992), the
@@ -270,7 +270,7 @@ def _notes(
     network: Network,
     ids: tuple[str, ...],
     agree: tuple[int, int],
-    best: Fit,
+    best: GaussNewtonFit,
     told: np.ndarray,
     inputs: Array,
     widened: float,

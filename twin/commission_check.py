@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.commission import Commission
+from twin.commission import CommissionResult
 
 ABSURD_SIGMA = 10.0
 """Standard deviations of a sensor's noise below which an error is never absurd, however little the sensor moves."""
@@ -13,7 +13,7 @@ CLOCK_FACTOR = 3.0
 """Change of all heat capacities alike from which the record's clock is in question: a datasheet is that good."""
 
 
-def reason_to_refuse(result: Commission, measured: ArrayLike) -> str:
+def refusal_reason(result: CommissionResult, measured: ArrayLike) -> str:
     """Return why the twin must not be used, a sentence, or "" where nothing speaks against it.
 
     It must not where the record identifies none of the tunables, or where most sensors are predicted worse over the
@@ -48,7 +48,7 @@ def reason_to_refuse(result: Commission, measured: ArrayLike) -> str:
     return ""
 
 
-def clock_in_question(result: Commission) -> str:
+def clock_warning(result: CommissionResult) -> str:
     """Return a sentence where the fitted heat capacities say that the record's clock runs at another rate, or "".
 
     A clock that is N times too slow makes every capacity N times too small and leaves the rest of the fit as good. So

@@ -29,7 +29,7 @@ _SOLID = {"heater": 900.0, "modules": 1250.0, "radiator": 350.0, "tank": 0.0}
 
 
 @dataclass(frozen=True)
-class Sheet:
+class DataSheet:
     """The entries of a data sheet that a loop twin uses; the others are ignored."""
 
     flow_L_per_min: float
@@ -58,13 +58,13 @@ def from_datasheet(path: str | Path, template: str | Path | None = None) -> Netw
         raise TwinFileError(f"{path}: is not valid JSON: {error}; give the rig's data sheet") from None
     if not isinstance(data, dict):
         raise TwinFileError(f"{path}: must be a JSON object of the rig's data")
-    sheet = read_sheet(data, str(path))
+    sheet = read_data_sheet(data, str(path))
     base = load(template or Path(__file__).resolve().parent.parent / "profiles" / "twins" / "loop.toml")
     name = f"rig_{data['rig']}" if isinstance(data.get("rig"), str) else path.parent.name or "rig"
-    return fill(base, sheet, name=name, source=path.name)
+    return apply_data_sheet(base, sheet, name=name, source=path.name)
 
 
-def read_sheet(data: Mapping[str, Any], file: str = "data sheet") -> Sheet:
+def read_data_sheet(data: Mapping[str, Any], file: str = "data sheet") -> DataSheet:
     """Check the entries of a data sheet.
 
     Raises:
@@ -85,7 +85,7 @@ def read_sheet(data: Mapping[str, Any], file: str = "data sheet") -> Sheet:
     law = data.get("flow_is", "proportional to pump speed")
     if law != "proportional to pump speed":
         raise TwinFileError(f"{file}: flow_is {law!r} is not a pump law of this twin: 'proportional to pump speed'")
-    return Sheet(
+    return DataSheet(
         flow_L_per_min=number(data, "nominal_flow_L_per_min_at_pump_100pct"),
         tank_L=number(data, "tank_volume_L"),
         heater_L=number(data, "heater_water_volume_L"),
@@ -95,7 +95,7 @@ def read_sheet(data: Mapping[str, Any], file: str = "data sheet") -> Sheet:
     )
 
 
-def fill(base: Network, sheet: Sheet, name: str = "rig", source: str = "data sheet") -> Network:
+def apply_data_sheet(base: Network, sheet: DataSheet, name: str = "rig", source: str = "data sheet") -> Network:
     """The loop `base` with the volumes, flow and noise of a data sheet.
 
     Raises:

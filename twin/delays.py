@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from twin.assembly import System
-from twin.kernel_functions import DELAY_STATE, LINES_ALIKE, LINES_APART
+from twin.kernel_functions import DELAY_STATE, SEPARATE_FLOW, SHARED_FLOW
 
 if TYPE_CHECKING:
     from twin.codegen import _Kernel
@@ -180,7 +180,7 @@ class Delays(ABC):
 class AlikeLines(Delays):
     """All lanes share flow and volumes."""
 
-    functions = DELAY_STATE + LINES_ALIKE
+    functions = DELAY_STATE + SHARED_FLOW
 
     def __init__(self, system: System, kernel: _Kernel) -> None:
         super().__init__(system, kernel)
@@ -216,7 +216,7 @@ class AlikeLines(Delays):
 class LinesApart(Delays):
     """Every lane has a flow and volumes of its own. A slot is closed for all, by the volume of lane 0."""
 
-    functions = DELAY_STATE + LINES_APART
+    functions = DELAY_STATE + SEPARATE_FLOW
 
     def __init__(self, system: System, kernel: _Kernel) -> None:
         super().__init__(system, kernel)

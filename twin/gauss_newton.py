@@ -19,7 +19,7 @@ import numpy as np
 from twin.codegen import LANES
 from twin.kernel import Kernel
 from twin.network import Array, Network, TwinFileError
-from twin.stretches import parts
+from twin.segments import segment_rows
 
 PRIOR_LOG = 0.5
 """Prior standard deviation of a parameter varied in its logarithm: a factor of 1.65 either way."""
@@ -77,10 +77,10 @@ class Scaling:
 
 
 @dataclass(frozen=True)
-class Data:
+class FitData:
     """One record or window, cleaned: time (n,), inputs (n, c), measured and weight (n, m).
 
-    `begins`: rows at which the rig is followed anew (`twin.stretches`); a state is then the node temperatures (s * k,)
+    `begins`: rows at which the rig is followed anew (`twin.segments`); a state is then the node temperatures (s * k,)
     at each of them.
     """
 
@@ -90,18 +90,18 @@ class Data:
     weight: Array
     begins: tuple[int, ...] = (0,)
 
-    def stretches(self) -> tuple[Data, ...]:
+    def stretches(self) -> tuple[FitData, ...]:
         """Each stretch by itself, up to the first row of the next one, which has no weight."""
         found = []
-        for rows in parts(self.begins, len(self.time)):
+        for rows in segment_rows(self.begins, len(self.time)):
             r, weight = slice(rows.start, rows.stop + 1), self.weight[rows.start : rows.stop + 1].copy()
             weight[rows.stop - rows.start :] = 0.0
-            found.append(Data(self.time[r], self.inputs[r], self.measured[r], weight))
+            found.append(FitData(self.time[r], self.inputs[r], self.measured[r], weight))
         return tuple(found)
 
 
 @dataclass(frozen=True)
-class Prior:
+class GaussianPrior:
     """Gaussian prior of [parameters z, state K]: mean (q + k,), precision (q + k, q + k)."""
 
     mean: Array
@@ -125,7 +125,7 @@ class Linearisation:
 
 
 @dataclass(frozen=True)
-class Fit:
+class GaussNewtonFit:
     """Result of one descent.
 
     Attributes:
@@ -154,7 +154,7 @@ class Fit:
         return self.data.jtj
 
 
-def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, data: Data) -> Linearisation:
+def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, data: FitData) -> Linearisation:
     """Normal equations by forward differences across lanes: row 0 is the centre, row a differs by steps[a - 1].
 
     Args:
@@ -183,16 +183,16 @@ def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, dat
     return Linearisation(readings, state[0].copy(), jtj / np.outer(steps, steps), jtr / steps, sse)
 
 
-class Problem:
+class FitProblem:
     """Weighted squares of a record as a function of v = [z (q,), node temperatures at each beginning (s * k,)].
 
     Args:
         base: full parameter vector (p,); entries of `scaling.index` are replaced.
         state: (s * k,) at the beginnings; or, of a record in one stretch, a full state at the first sample, of which
-            what it holds beyond the k temperatures (`twin.memory`) is taken as known.
+            what it holds beyond the k temperatures (`twin.state_layout`) is taken as known.
     """
 
-    def __init__(self, kernel: Kernel, scaling: Scaling, base: Array, data: Data, state: Array) -> None:
+    def __init__(self, kernel: Kernel, scaling: Scaling, base: Array, data: FitData, state: Array) -> None:
         self.q, self.k = len(scaling.ids), len(kernel.network.nodes)
         if self.q + self.k >= LANES:
             raise TwinFileError(
@@ -223,7 +223,7 @@ class Problem:
             own = self._own(i)
             jtj[np.ix_(own, own)] += each.jtj
             jtr[own] += each.jtr
-        rows = parts(self.data.begins, len(self.data.time))
+        rows = segment_rows(self.data.begins, len(self.data.time))
         readings = np.concatenate([e.readings[: r.stop - r.start] for e, r in zip(found, rows, strict=True)])
         return Linearisation(readings, found[-1].end, jtj, jtr, np.sum([each.sse for each in found], axis=0))
 
@@ -257,13 +257,13 @@ class Problem:
     def minimise(
         self,
         v: Array,
-        prior: Prior,
+        prior: GaussianPrior,
         *,
         first: Linearisation | None = None,
         held: np.ndarray | None = None,
         most: int = 40,
         tolerance: float = 1e-6,
-    ) -> Fit:
+    ) -> GaussNewtonFit:
         """Descend from v (q + s * k,) on squares plus prior.
 
         Args:
@@ -311,27 +311,27 @@ class Problem:
                     break
         at_bound = (v[:q] <= low[:q] + 1e-9) | (v[:q] >= high[:q] - 1e-9)
         state = np.concatenate([v[q:], self._rest])
-        return Fit(v, self.scaling.to_values(v[:q]), state, out, cost, at_bound, self.evaluations)
+        return GaussNewtonFit(v, self.scaling.to_values(v[:q]), state, out, cost, at_bound, self.evaluations)
 
 
-def descend(
+def fit_parameters(
     kernel: Kernel,
     scaling: Scaling,
     base: Array,
-    data: Data,
+    data: FitData,
     values: Array,
     state: Array,
-    prior: Prior,
+    prior: GaussianPrior,
     most: int = 40,
     tolerance: float = 1e-6,
-) -> Fit:
+) -> GaussNewtonFit:
     """Minimise weighted squares plus prior over the scaled parameters and the initial state.
 
     Args:
         base: full parameter vector (p,); entries of `scaling.index` are replaced.
         values, state: where to start, (q,) and a state.
     """
-    problem = Problem(kernel, scaling, base, data, state)
+    problem = FitProblem(kernel, scaling, base, data, state)
     temperatures = state[: len(data.begins) * problem.k]
     v = np.clip(np.concatenate([scaling.to_z(values), temperatures]), problem.low, problem.high)
     return problem.minimise(v, prior, most=most, tolerance=tolerance)
@@ -362,7 +362,9 @@ def _bounded_step(hessian: Array, gradient: Array, free: np.ndarray, damping: fl
     return np.clip(step, low, high)
 
 
-def align(kernel: Kernel, base: Array, state: Array, data: Data, sd: Array | float, most: int = 3) -> Array:
+def fit_initial_state(
+    kernel: Kernel, base: Array, state: Array, data: FitData, sd: Array | float, most: int = 3
+) -> Array:
     """Initial state that fits `data` at fixed parameters, with a prior of `sd` K round the temperatures of `state`.
 
     One step is exact for a linear network; the others are for elements that are not.

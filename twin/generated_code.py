@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from types import CodeType
 from typing import Any
 
-from twin.affine import PARSING
+from twin.affine import PARSER_LOCK
 
 MATH: Mapping[str, Callable[..., Any]] = {"exp": math.exp, "log": math.log}
 """Functions of plain numbers that formulas call."""
@@ -35,7 +35,7 @@ class GeneratedCodeError(RuntimeError):
     """Generated source that holds something which no formula needs: a defect of a generator, or an attack."""
 
 
-def checked(source: str, given: Mapping[str, Any]) -> ast.Module:
+def check_source(source: str, given: Mapping[str, Any]) -> ast.Module:
     """Return the syntax tree of generated source that holds nothing but arithmetic on arrays.
 
     Args:
@@ -45,7 +45,7 @@ def checked(source: str, given: Mapping[str, Any]) -> ast.Module:
         GeneratedCodeError: anything else is in it.
     """
     try:
-        with PARSING:
+        with PARSER_LOCK:
             tree = ast.parse(source)
     except (SyntaxError, ValueError, RecursionError) as error:
         raise GeneratedCodeError(f"the generated source is no Python ({error}); please report it") from None
@@ -53,14 +53,14 @@ def checked(source: str, given: Mapping[str, Any]) -> ast.Module:
     return tree
 
 
-def code(tree: ast.Module, file: str) -> CodeType:
+def compile_tree(tree: ast.Module, file: str) -> CodeType:
     """Compile a checked tree; `file` stands in tracebacks."""
-    with PARSING:
+    with PARSER_LOCK:
         compiled: CodeType = compile(tree, file, "exec", dont_inherit=True)
     return compiled
 
 
-def functions(source: str, file: str, given: Mapping[str, Any] = MATH) -> dict[str, Any]:
+def define_functions(source: str, file: str, given: Mapping[str, Any] = MATH) -> dict[str, Any]:
     """Run generated source and return what it defines.
 
     Args:
@@ -70,18 +70,18 @@ def functions(source: str, file: str, given: Mapping[str, Any] = MATH) -> dict[s
         GeneratedCodeError: see `checked`.
     """
     scope: dict[str, Any] = {"__builtins__": dict(BUILTINS), **given}
-    exec(code(checked(source, given), file), scope)
+    exec(compile_tree(check_source(source, given), file), scope)
     return scope
 
 
-def value(formula: str, names: Mapping[str, float]) -> float:
+def evaluate_formula(formula: str, names: Mapping[str, float]) -> float:
     """Evaluate one formula with numbers for its names.
 
     Raises:
         GeneratedCodeError: see `checked`.
     """
     arguments = ", ".join(names)
-    scope = functions(f"def formula({arguments}):\n    return {formula}\n", "<formula>")
+    scope = define_functions(f"def formula({arguments}):\n    return {formula}\n", "<formula>")
     return float(scope["formula"](**names))
 
 
@@ -155,4 +155,12 @@ class _Check:
             self.refuse(node, f"the call of {ast.unparse(target)}")
 
 
-__all__ = ["BUILTINS", "MATH", "GeneratedCodeError", "checked", "code", "functions", "value"]
+__all__ = [
+    "BUILTINS",
+    "MATH",
+    "GeneratedCodeError",
+    "check_source",
+    "compile_tree",
+    "define_functions",
+    "evaluate_formula",
+]

@@ -15,7 +15,7 @@ LONGEST_SHOWN = 40
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-def refusal(name: str) -> str:
+def name_problem(name: str) -> str:
     """Return why a name cannot be used and what to write instead, or "" for one that can."""
     if _IDENTIFIER.fullmatch(name):
         if keyword.iskeyword(name):

@@ -14,8 +14,8 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from twin.affine import ZERO, Form, names_in, plus, times
-from twin.assembly import FEW
+from twin.affine import ZERO, Form, add, multiply, names_in
+from twin.assembly import FEW_STATES
 
 if TYPE_CHECKING:
     from twin.codegen import _Kernel
@@ -37,7 +37,7 @@ class Integrator:
     def __init__(self, kernel: _Kernel) -> None:
         self.kernel, self.system = kernel, kernel.system
         self.count = len(self.system.states)
-        self.paired = self.system.linear and self.count > FEW
+        self.paired = self.system.linear and self.count > FEW_STATES
         self.limit = PAIRS[-1][0] if self.paired else STEP_LIMIT
         self.constants = list(dict.fromkeys(f.constant for f in self.system.followers))
         if self.paired:
@@ -187,7 +187,7 @@ class Integrator:
         for j, (form, rest) in enumerate(system.slopes):
             text = self._text(form, names, offsets)
             if rest != ZERO:
-                text = plus(text, renamed(rest, {**names, **staged}))
+                text = add(text, renamed(rest, {**names, **staged}))
             lines.append(f"k{j}{stage} = {text}")
         return lines
 
@@ -234,7 +234,7 @@ def ordered(form: Form) -> str:
     """Text of a form as a chain of multiply-adds."""
     total = form.offset
     for name, slope in form.slopes.items():
-        total = plus(total, times(slope, name))
+        total = add(total, multiply(slope, name))
     return total
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.codegen import LANES, Mode, kernel_source
-from twin.kernel_cache import compiled
-from twin.memory import Memory
+from twin.kernel_cache import compile_kernel
 from twin.network import Array, Network, TwinFileError
+from twin.state_layout import StateLayout
 
 CHUNK = 4096
 """Particles handed to a cost kernel at once, so that a swarm of any size needs little memory."""
@@ -58,7 +58,7 @@ class Kernel:
         self.network = network
         self.lane_ids = network.ids if lane_ids is None else tuple(dict.fromkeys(lane_ids))
         self.lane = network.index(self.lane_ids)
-        self._memory = Memory(network, self.lane_ids, self.lane_ids if whole_memory else ())
+        self._memory = StateLayout(network, self.lane_ids, self.lane_ids if whole_memory else ())
         self._variants: dict[tuple[Mode, int, bool], Callable[..., None]] = {}
 
     @property
@@ -69,7 +69,9 @@ class Kernel:
     def _variant(self, mode: Mode, call: Call) -> Callable[..., None]:
         key = (mode, call.lanes, call.alike)
         if key not in self._variants:
-            self._variants[key] = compiled(kernel_source(self.network, mode, self.lane_ids, call.lanes, call.alike))
+            self._variants[key] = compile_kernel(
+                kernel_source(self.network, mode, self.lane_ids, call.lanes, call.alike)
+            )
         return self._variants[key]
 
     def cost(
@@ -170,7 +172,7 @@ class Call:
 
     def __init__(
         self,
-        memory: Memory,
+        memory: StateLayout,
         parameters: Array,
         state: Array,
         time: Array,
@@ -231,11 +233,11 @@ def simulate(
         parameters: full vector (p,), the network's own by default.
     """
     values = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
-    t, u = clean_time(time), held(network, inputs)
+    t, u = clean_time(time), hold_inputs(network, inputs)
     return Kernel(network, ()).trace(values, np.asarray(state, dtype=np.float64), t, u)[0][0]
 
 
-def held(network: Network, inputs: ArrayLike, last: Array | None = None) -> Array:
+def hold_inputs(network: Network, inputs: ArrayLike, last: Array | None = None) -> Array:
     """Inputs (n, c) with NaN replaced by the last good value; before the first, by `last` or the nominal."""
     u = np.ascontiguousarray(np.atleast_2d(np.asarray(inputs, dtype=np.float64)))
     if u.shape[1] != len(network.inputs):
@@ -262,7 +264,7 @@ def clean_time(time: ArrayLike) -> Array:
     return t
 
 
-def masked(measured: ArrayLike, sigma: Array | float = 1.0) -> tuple[Array, Array]:
+def mask_measurements(measured: ArrayLike, sigma: Array | float = 1.0) -> tuple[Array, Array]:
     """Measurements with NaN replaced by 0, and weights 1/sigma with 0 where there was NaN; both (n, m)."""
     y = np.atleast_2d(np.asarray(measured, dtype=np.float64))
     good = np.isfinite(y)

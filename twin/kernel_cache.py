@@ -28,7 +28,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from twin.generated_code import BUILTINS, checked, code
+from twin.generated_code import BUILTINS, check_source, compile_tree
 
 FOLDER = "hil-twin"
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
@@ -42,7 +42,7 @@ _log = logging.getLogger(__name__)
 
 
 @functools.lru_cache(maxsize=64)
-def compiled(source: str) -> Callable[..., None]:
+def compile_kernel(source: str) -> Callable[..., None]:
     """Return machine code for a generated source, from the disk cache where possible.
 
     Raises:
@@ -81,7 +81,7 @@ def cache_root() -> Path | None:
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             folder = folder.resolve()
-            reason = not_private(folder)
+            reason = privacy_problem(folder)
             if not reason and stat.S_IMODE(folder.stat().st_mode) != 0o700:
                 folder.chmod(0o700)
         except OSError as error:
@@ -93,7 +93,7 @@ def cache_root() -> Path | None:
     return None
 
 
-def not_private(folder: Path) -> str:
+def privacy_problem(folder: Path) -> str:
     """Return why other users may put files into a folder, or "" for one that only this user can write.
 
     A folder above it counts where everybody may rename what is in it, which the sticky bit of /tmp forbids.
@@ -117,7 +117,7 @@ def numba_may_cache() -> bool:
     """Return whether numba may keep machine code where it is told to: beside the source, or in a private folder."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     try:
-        return not given or not not_private(Path(given))
+        return not given or not privacy_problem(Path(given))
     except OSError:
         return False
 
@@ -199,7 +199,7 @@ def _load(folder: Path, key: str, source: str) -> Callable[..., None]:
     import numpy as np
 
     given = {"nb": numba, "np": np, "log": math.log, "FAST": FAST}
-    tree = checked(source, given)
+    tree = check_source(source, given)
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     (folder / "__pycache__").mkdir(exist_ok=True, mode=0o700)
     path = _source_file(folder)
@@ -211,7 +211,7 @@ def _load(folder: Path, key: str, source: str) -> Callable[..., None]:
     # numba's cached code refers to its module by name while it is being loaded.
     sys.modules[module.__name__] = module
     with _BUILDING, _beside_the_source(numba.config):
-        exec(code(tree, str(path)), module.__dict__)
+        exec(compile_tree(tree, str(path)), module.__dict__)
     kernel: Callable[..., None] = module.__dict__["kernel"]
     return kernel
 

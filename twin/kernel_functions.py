@@ -77,7 +77,7 @@ def hand_water(H, future, b, line, row, tip):
             for l in range(LANES):
                 future[b, row + part * SLOTS + e, l] = H[3 * (line + ((tip + 1 + e) & (SLOTS - 1))) + part, l]
 '''
-LINES_ALIKE = '''
+SHARED_FLOW = '''
 @nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8, f8)', cache=True, fastmath=FAST, error_model='numpy')
 def note(H, R, i, water, steps, share):
     """Fill slot i. R: rows of the water that enters at the start, of its slope there, of the water at the end; the
@@ -143,7 +143,7 @@ def look(V, H, R, flow, line, s, y, span, tip, out):
         low, keep, s = high, 1.0, after
     return cursor
 '''
-LINES_APART = '''
+SEPARATE_FLOW = '''
 @nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy')
 def note(H, R, i, water, steps, share):
     """Fill slot i. R: rows of the water that enters at the start, of its slope there, of the water at the end; the

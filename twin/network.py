@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.column_names import hint
+from twin.column_names import column_hint
 from twin.elements import Element, Parameter
 from twin.elements.node import Node
 from twin.elements.sensor import Sensor
@@ -236,7 +236,7 @@ class Network:
             missing += unread
             wanted = {*self.input_columns, *(c for s in self.sensors for c in s.measured)}
             others = [c for c in columns if c not in wanted]
-            hints = [f"for {c}, {said}" for c in missing if (said := hint(c, others))]
+            hints = [f"for {c}, {said}" for c in missing if (said := column_hint(c, others))]
             raise TwinFileError(
                 f"the record lacks {', '.join(missing)}, which twin {self.name!r} needs; "
                 + ("; ".join(hints) or "rename the columns of the record or the keys of the twin file")
@@ -251,7 +251,7 @@ class Network:
         measured = np.full((len(inputs), len(self.sensors)), np.nan)
         for j, sensor in enumerate(self.sensors):
             if read := [taken[c] for c in sensor.measured if c in taken]:
-                measured[:, j] = mean_of_several(_finite(np.column_stack(read)))
+                measured[:, j] = mean_of_sensors(_finite(np.column_stack(read)))
         return inputs, measured
 
     def unread(self, columns: Iterable[str]) -> tuple[str, ...]:
@@ -312,7 +312,7 @@ def _mean_of_finite(a: Array) -> Array:
     return mean
 
 
-def mean_of_several(each: Array) -> Array:
+def mean_of_sensors(each: Array) -> Array:
     """Means (N,) of thermometers (N, c) in one place, NaN where none is finite.
 
     A mean of fewer does not jump where one drops out: each counts as less what it differs from the mean of all by, the

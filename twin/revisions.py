@@ -16,16 +16,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from twin.differences import Change, Diff, Moved, Piece, diff
+from twin.differences import ElementDiff, KeyDiff, ParameterDiff, TwinDiff, diff
 from twin.network import Network, Revision, TwinFileError, did_you_mean, digest
-from twin.twinfile import as_tables, build, edited, load, save, text_of
+from twin.twinfile import from_tables, is_edited, load, read_text, save, to_tables
 
 __all__ = [
-    "Change",
-    "Diff",
-    "Entry",
-    "Moved",
-    "Piece",
+    "ChainEntry",
+    "ElementDiff",
+    "KeyDiff",
+    "ParameterDiff",
+    "TwinDiff",
     "chain",
     "diff",
     "next_path",
@@ -63,7 +63,7 @@ def with_elements(
     """
     what = f"twin {network.name!r}"
     network.index(values)
-    data = as_tables(dataclasses.replace(network, revision=revision or network.revision))
+    data = to_tables(dataclasses.replace(network, revision=revision or network.revision))
     elements = data["elements"]
     for column, table in inputs.items():
         plain = _plain(table)
@@ -84,7 +84,7 @@ def with_elements(
         if name in elements:
             raise TwinFileError(f"{what} has an element {name!r} already; name the new one otherwise")
         elements[name] = _plain(table)
-    return build(data, what)
+    return from_tables(data, what)
 
 
 def _set(element: dict[str, Any], key: str, entry: Any, what: str) -> None:
@@ -109,7 +109,7 @@ def _plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Entry:
+class ChainEntry:
     """One file of a chain.
 
     Attributes:
@@ -133,7 +133,7 @@ class _Beside:
     parent: str
 
 
-def chain(path: str | Path) -> tuple[Entry, ...]:
+def chain(path: str | Path) -> tuple[ChainEntry, ...]:
     """A twin file and what it was made of, newest first, as far as the files are in its folder.
 
     A parent that is missing, edited or unreadable ends the chain and is told in the last entry.
@@ -143,7 +143,7 @@ def chain(path: str | Path) -> tuple[Entry, ...]:
     """
     path = Path(path)
     beside = _folder(path)
-    entries: list[Entry] = []
+    entries: list[ChainEntry] = []
     network = load(path)
     while True:
         parent, end, faulty = _parent(path, network.revision, beside)
@@ -152,7 +152,7 @@ def chain(path: str | Path) -> tuple[Entry, ...]:
             twins = (o for o in beside if o.parent == network.revision.parent and o.digest != network.digest)
             remarks += [f"{other.path.name} was made of the same parent" for other in twins]
         faults = [end] if faulty else []
-        if edited(text_of(path), network.revision.checksum):
+        if is_edited(read_text(path), network.revision.checksum):
             faults.append(
                 f"{path.name} was edited after it was saved (its checksum no longer matches); its errors and "
                 "evidence belong to what it was then"
@@ -165,7 +165,7 @@ def chain(path: str | Path) -> tuple[Entry, ...]:
                 end = f"its parent cannot be used: {error}"
         if end and not faulty:
             remarks.append(end)
-        entries.append(Entry(path, network, tuple(remarks), tuple(faults)))
+        entries.append(ChainEntry(path, network, tuple(remarks), tuple(faults)))
         if parent is None or below is None:
             return tuple(entries)
         path, network = parent, below
@@ -198,7 +198,7 @@ def save_revision(network: Network, parent_path: str | Path) -> Path:
         path = _numbered(parent_path, number)
         stamped = dataclasses.replace(revision, number=number, parent=parent.digest, parent_file=parent_path.name)
         new = dataclasses.replace(network, revision=stamped)
-        build(as_tables(new), f"twin {network.name!r}")
+        from_tables(to_tables(new), f"twin {network.name!r}")
         try:
             return save(new, path)
         except TwinFileError:
@@ -270,7 +270,7 @@ def _folder(path: Path) -> tuple[_Beside, ...]:
     def found() -> Iterator[_Beside]:
         for file in sorted(path.parent.glob("*.toml")):
             try:
-                text = text_of(file)
+                text = read_text(file)
                 data = tomllib.loads(text)
             except (TwinFileError, tomllib.TOMLDecodeError):
                 continue

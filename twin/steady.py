@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.exact import right_side
-from twin.kernel import Kernel, held
+from twin.kernel import Kernel, hold_inputs
 from twin.network import Array, Network, TwinFileError
+from twin.reference_simulation import right_hand_side
 
 _MOST_STATES = 1024
 _PROBE_K = 1.0e-3
@@ -40,9 +40,9 @@ def steady_state(
     Raises:
         TwinFileError: a row has no steady state, because heat has no way out or too much comes in.
     """
-    u = held(network, inputs)
+    u = hold_inputs(network, inputs)
     values = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
-    rhs = right_side(network)
+    rhs = right_hand_side(network)
     # The right side also takes what elements remember, after the nodes; its answer tells how much that is.
     size, nodes = len(rhs(np.full(_MOST_STATES, 25.0), u[0], values)), len(network.nodes)
     guess = np.full(size, 25.0)
@@ -73,7 +73,7 @@ def steady_state(
 
 def steady_readings(network: Network, inputs: ArrayLike, parameters: ArrayLike | None = None) -> Array:
     """What the sensors show at rest, (n, m) degC in the order of ``network.sensor_names``, for inputs (n, c)."""
-    u = held(network, inputs)
+    u = hold_inputs(network, inputs)
     values = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
     states = steady_state(network, u, values)
     kernel = Kernel(network, ())

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.calibrators import Calibration, Calibrator, make
-from twin.calibrators.base import Follower, Proposer, Restarter, Window, from_plain, misfit, plain
-from twin.calibrators.locate import Localiser
-from twin.calibrators.outcome import skip
-from twin.calibrators.windows import assemble, last_of_window, window_index
-from twin.kernel import Kernel, held
+from twin.calibrators import Calibration, Calibrator, make_calibrator
+from twin.calibrators.base import Proposer, Restartable, SampleFilter, Window, from_json, normalised_misfit, to_json
+from twin.calibrators.disturbance import DisturbanceLocaliser
+from twin.calibrators.results import skipped_calibration
+from twin.calibrators.windows import last_row_of_window, make_window, window_index
+from twin.kernel import Kernel, hold_inputs
 from twin.network import Array, Network, TwinFileError
 
 SETTLE_S = 30.0
@@ -34,7 +34,7 @@ USUALLY = 0.5
 
 
 @dataclass(frozen=True)
-class Update:
+class TrackerUpdate:
     """What one push yielded.
 
     Attributes:
@@ -91,9 +91,11 @@ class TwinTracker:
         tunables: str | None = None,
     ) -> None:
         self.network = network
-        self.calibrator = make(calibrator, network, tunables, seed) if isinstance(calibrator, str) else calibrator
+        self.calibrator = (
+            make_calibrator(calibrator, network, tunables, seed) if isinstance(calibrator, str) else calibrator
+        )
         self._kernel = Kernel(network, self.calibrator.ids)
-        self._localiser = Localiser(network)
+        self._localiser = DisturbanceLocaliser(network)
         k, m, c = len(network.nodes), len(network.sensors), len(network.inputs)
         self._parameters = network.values.copy()
         self._last_good = network.nominal_inputs.copy()
@@ -120,7 +122,7 @@ class TwinTracker:
         index = self.network.index(self.calibrator.ids)
         return dict(zip(self.calibrator.ids, self._parameters[index].tolist(), strict=True))
 
-    def push(self, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike) -> Update:
+    def push(self, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike) -> TrackerUpdate:
         """Predict a block of samples, in order, and calibrate every window that it completes.
 
         Args:
@@ -132,7 +134,7 @@ class TwinTracker:
         """
         t = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
         y = np.atleast_2d(np.asarray(measured, dtype=np.float64))
-        u = held(self.network, inputs, self._last_good)
+        u = hold_inputs(self.network, inputs, self._last_good)
         n, m = len(t), len(self.network.sensors)
         if n == 0 or t.ndim != 1 or u.shape[0] != n or y.shape != (n, m):
             raise TwinFileError(
@@ -142,7 +144,7 @@ class TwinTracker:
         y, read = np.where(np.isfinite(y), y, np.nan), np.isfinite(np.atleast_2d(np.asarray(inputs, dtype=np.float64)))
         self._last_good = u[-1].copy()
         rows = self._advancing(t)
-        follows = isinstance(self.calibrator, Follower)
+        follows = isinstance(self.calibrator, SampleFilter)
         out = np.full((4 if follows else 2, rows.size, m), np.nan)
         calibrations: list[Calibration] = []
         self._misses.clear()
@@ -161,7 +163,7 @@ class TwinTracker:
         proposals = self.calibrator.take() if isinstance(self.calibrator, Proposer) else ()
         filtered, spread = (out[2], out[3]) if follows else (None, None)
         misses = tuple(self._misses)
-        return Update(out[0], out[1], tuple(calibrations), n - rows.size, filtered, spread, proposals, misses)
+        return TrackerUpdate(out[0], out[1], tuple(calibrations), n - rows.size, filtered, spread, proposals, misses)
 
     def table(self) -> dict[str, dict[str, float]]:
         """Sensor -> K: ``static`` and ``tracked`` RMSE (both predictions), ``fitted`` (same window), ``noise``.
@@ -186,7 +188,7 @@ class TwinTracker:
         self._origin, self._pace, self._window, self._cycles = None, 0.0, 0, 0
         self._seen[:] = 0.0
         self._buffer = _Buffer()
-        if isinstance(self.calibrator, Restarter):
+        if isinstance(self.calibrator, Restartable):
             self.calibrator.begin_again()
 
     def _advancing(self, t: Array) -> np.ndarray:
@@ -219,7 +221,7 @@ class TwinTracker:
         t = t[: int(np.searchsorted(t, end)) + 1 if due >= end else int(np.searchsorted(t, due))]
         intervals = np.diff(t, prepend=self._time)
         earlier = np.concatenate([[self._pace or intervals[0]], intervals[:-1]])
-        last = last_of_window(t, np.minimum(intervals, earlier), end)
+        last = last_row_of_window(t, np.minimum(intervals, earlier), end)
         take = int(np.searchsorted(t, end)) if last is None else last + 1
         if self._buffer.state is None:
             take, last = 1, None if last != 0 else 0
@@ -233,7 +235,7 @@ class TwinTracker:
         buffer.read.append(read[:take].copy())
         buffer.live.append(out[1, :take].copy())
         buffer.static.append(out[0, :take].copy())
-        if isinstance(self.calibrator, Follower):
+        if isinstance(self.calibrator, SampleFilter):
             seen = self.calibrator.follow(t[:take], u[:take], y[:take], read[:take], buffer.state)
             out[2, :take], out[3, :take] = seen.filtered, seen.spread
         if last is not None:
@@ -294,10 +296,10 @@ class TwinTracker:
         self._number += 1
         if window.kind == "skipped":
             self._misses.append((np.nan, np.nan))
-            done = skip(self.network, window, self.calibrator.ids, self._tracked.copy())
+            done = skipped_calibration(self.network, window, self.calibrator.ids, self._tracked.copy())
         else:
             sigma = self.network.sigma
-            self._misses.append((misfit(unmoved, sigma), misfit(window, sigma)))
+            self._misses.append((normalised_misfit(unmoved, sigma), normalised_misfit(window, sigma)))
             done = self._placed(window, self.calibrator.calibrate(window))
             self._count(2, done.fitted - window.measured)
         self._parameters[self.network.index(self.calibrator.ids)] = list(done.values.values())
@@ -317,7 +319,7 @@ class TwinTracker:
         """The buffered part of the window under way."""
         buffer = self._buffer
         assert buffer.state is not None
-        return assemble(
+        return make_window(
             self._number,
             np.concatenate(buffer.time),
             np.concatenate(buffer.inputs),
@@ -354,12 +356,12 @@ class TwinTracker:
             "network": self.network.name,
             "calibrator": {"name": self.calibrator.name, "state": self.calibrator.state()},
             "scalars": [self._origin, self._time, self._pace, self._window, self._number, self._cycles],
-            "arrays": {key: plain(getattr(self, f"_{key}")) for key in _ARRAYS},
+            "arrays": {key: to_json(getattr(self, f"_{key}")) for key in _ARRAYS},
             "buffer": None
             if buffer.state is None
             else {
-                "state": plain(buffer.state),
-                **{key: plain(np.concatenate(getattr(buffer, key))) for key in (*_BUFFERED, "read")},
+                "state": to_json(buffer.state),
+                **{key: to_json(np.concatenate(getattr(buffer, key))) for key in (*_BUFFERED, "read")},
             },
         }
 
@@ -379,14 +381,14 @@ class TwinTracker:
         scalars = state["scalars"]
         self._origin, self._time, self._pace, self._window, self._number, self._cycles = scalars
         for key in _ARRAYS:
-            setattr(self, f"_{key}", from_plain(state["arrays"].get(key, plain(getattr(self, f"_{key}")))))
+            setattr(self, f"_{key}", from_json(state["arrays"].get(key, to_json(getattr(self, f"_{key}")))))
         self._buffer = _Buffer()
         if state["buffer"] is not None:
-            self._buffer.state = from_plain(state["buffer"]["state"])
+            self._buffer.state = from_json(state["buffer"]["state"])
             for key in _BUFFERED:
-                getattr(self._buffer, key).append(from_plain(state["buffer"][key]))
+                getattr(self._buffer, key).append(from_json(state["buffer"][key]))
             inputs = self._buffer.inputs[0]
-            self._buffer.read.append(from_plain(state["buffer"].get("read", np.isfinite(inputs))).astype(bool))
+            self._buffer.read.append(from_json(state["buffer"].get("read", np.isfinite(inputs))).astype(bool))
 
 
 _ARRAYS = ("parameters", "last_good", "inputs", "static", "tracked", "seen", "usual", "sums")

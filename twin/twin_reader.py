@@ -10,10 +10,10 @@ from dataclasses import MISSING, dataclass, replace
 from typing import Any, NoReturn
 
 from twin.assembly import System
-from twin.column_names import contradicts
+from twin.column_names import contradicted_unit
 from twin.elements import KINDS, Element, Parameter, ParameterSpec
 from twin.elements.base import STATUSES
-from twin.identifiers import LONGEST_SHOWN, refusal
+from twin.identifiers import LONGEST_SHOWN, name_problem
 from twin.network import (
     InputSpec,
     Network,
@@ -33,7 +33,7 @@ MOST_NODES = 32
 
 
 @dataclass(frozen=True)
-class Reader:
+class TwinReader:
     """Reads the parsed tables of a twin file, `file`; its `text` tells the line of a mistake."""
 
     text: str
@@ -42,7 +42,7 @@ class Reader:
     def fail(self, keys: tuple[str, ...], sentence: str) -> NoReturn:
         line = _line_of(self.text, keys)
         where = f"{self.file}, line {line}" if line else self.file
-        path = ".".join(key if not refusal(key) else repr(key[:LONGEST_SHOWN]) for key in keys)
+        path = ".".join(key if not name_problem(key) else repr(key[:LONGEST_SHOWN]) for key in keys)
         raise TwinFileError(f"{where}: {path}: {sentence}" if keys else f"{where}: {sentence}")
 
     def known(self, table: Mapping[str, Any], allowed: Iterable[str], keys: tuple[str, ...]) -> None:
@@ -54,7 +54,7 @@ class Reader:
 
     def name(self, name: str, keys: tuple[str, ...]) -> str:
         """The name, which must be a plain identifier."""
-        reason = refusal(name)
+        reason = name_problem(name)
         if reason:
             self.fail(keys, reason)
         return name
@@ -143,7 +143,7 @@ class Reader:
         if not values["lower"] <= values["nominal"] <= values["upper"]:
             self.fail(keys, f"nominal {values['nominal']:g} is outside [{values['lower']:g}, {values['upper']:g}]")
         unit = self.string(table.get("unit", ""), (*keys, "unit"))
-        named = contradicts(column, unit)
+        named = contradicted_unit(column, unit)
         if named is not None:
             self.fail(
                 keys,

@@ -15,7 +15,7 @@ from twin.network import (
     TwinFileError,
     digest,
 )
-from twin.twin_reader import FORMAT, Reader
+from twin.twin_reader import FORMAT, TwinReader
 
 
 def load(path: str | Path) -> Network:
@@ -24,10 +24,10 @@ def load(path: str | Path) -> Network:
     Raises:
         TwinFileError: the file is absent, is not TOML, or describes a network that cannot be.
     """
-    return parse(text_of(path), str(path))
+    return parse(read_text(path), str(path))
 
 
-def text_of(path: str | Path) -> str:
+def read_text(path: str | Path) -> str:
     """Text of a twin file, of which `Network.digest` is the SHA-256.
 
     Raises:
@@ -55,21 +55,21 @@ def parse(text: str, file: str = "twin file") -> Network:
         raise TwinFileError(
             f"{file}: is not valid TOML: it holds a number that is too long or lists that are too deep; correct it"
         ) from None
-    return Reader(text, file).network(data)
+    return TwinReader(text, file).network(data)
 
 
-def as_tables(network: Network) -> dict[str, Any]:
+def to_tables(network: Network) -> dict[str, Any]:
     """A network as the tables of its twin file; the caller may change them and `build` the result."""
     return tomllib.loads(dump(network))
 
 
-def build(data: dict[str, Any], what: str) -> Network:
+def from_tables(data: dict[str, Any], what: str) -> Network:
     """A network out of tables as `as_tables` gives them; `what` names it in messages. Its digest is "".
 
     Raises:
         TwinFileError: as `parse`: every check of a file that is read holds here too.
     """
-    return replace(Reader("", what).network(data), digest="")
+    return replace(TwinReader("", what).network(data), digest="")
 
 
 def save(network: Network, path: str | Path) -> Path:
@@ -91,7 +91,7 @@ def save(network: Network, path: str | Path) -> Path:
     return path
 
 
-def edited(text: str, checksum: str) -> bool:
+def is_edited(text: str, checksum: str) -> bool:
     """Whether a file's text is no longer the one that `save` gave this `Revision.checksum`; False without one."""
     return bool(checksum) and digest(re.sub(r"(?m)^checksum = .*\n?", "", text)) != checksum
 

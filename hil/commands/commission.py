@@ -15,7 +15,7 @@ from hil.commands.reading_options import reading
 
 if TYPE_CHECKING:
     from hil.record import Reading
-    from twin.commission import Commission
+    from twin.commission import CommissionResult
 
 
 @click.command()
@@ -61,7 +61,7 @@ def command(
     from hil.subject import record_of
     from hil.terminal import console
     from twin.commission import commission
-    from twin.commission_check import clock_in_question, reason_to_refuse
+    from twin.commission_check import clock_warning, refusal_reason
     from twin.datasheet import from_datasheet
     from twin.network import TwinFileError
     from twin.twinfile import load
@@ -84,11 +84,11 @@ def command(
         seed=seed, initial_sd=initial_sd, made_by=f"hil commission {printable(record.name)}",
     )  # fmt: skip
     messages = (*data.messages, *beyond_declared(network, data.columns))
-    if why := reason_to_refuse(result, measured):
+    if why := refusal_reason(result, measured):
         for message in messages:
             console(quiet=as_json).print(message, markup=False, soft_wrap=True)
         raise TwinFileError(f"{record}: no twin is written: {why}")
-    if said := clock_in_question(result):
+    if said := clock_warning(result):
         result = dataclasses.replace(result, notes=(*result.notes, said))
     kept = save_with_record(result.network, data, out)
     if as_json:
@@ -97,7 +97,7 @@ def command(
     _show(result, messages, out, kept)
 
 
-def _document(result: Commission, out: Path, kept: Path) -> dict[str, object]:
+def _document(result: CommissionResult, out: Path, kept: Path) -> dict[str, object]:
     return {
         "twin": str(out),
         "healthy": str(kept),
@@ -116,7 +116,7 @@ def _known(error: float) -> float | None:
     return error if isfinite(error) else None
 
 
-def _show(result: Commission, messages: tuple[str, ...], out: Path, kept: Path) -> None:
+def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, kept: Path) -> None:
     from rich.table import Table
 
     from hil.record_time import span

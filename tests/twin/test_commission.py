@@ -6,8 +6,8 @@ from scipy.optimize import least_squares
 
 from tests.twin.conftest import START, drive
 from twin.commission import commission
-from twin.gauss_newton import Data, Prior, Scaling, align, descend
-from twin.kernel import Kernel, masked, simulate
+from twin.gauss_newton import FitData, GaussianPrior, Scaling, fit_initial_state, fit_parameters
+from twin.kernel import Kernel, mask_measurements, simulate
 from twin.network import Network, TwinFileError
 from twin.twinfile import dump, parse
 
@@ -78,7 +78,7 @@ def test_is_deterministic_and_fast_code_agrees_with_scipy(loop: Network) -> None
     b = commission(loop, t, u, y, tunables=ids)
     assert a.values == b.values
     kernel, scaling = Kernel(loop, ids), Scaling.of(loop, ids)
-    fill, weight = masked(y, loop.sigma)
+    fill, weight = mask_measurements(y, loop.sigma)
     low, high = scaling.to_z(scaling.lower), scaling.to_z(scaling.upper)
 
     def residual(v: np.ndarray) -> np.ndarray:
@@ -89,8 +89,10 @@ def test_is_deterministic_and_fast_code_agrees_with_scipy(loop: Network) -> None
     z0 = np.concatenate([scaling.to_z(loop.values[scaling.index]), START])
     box = (np.concatenate([low, np.full(4, -100.0)]), np.concatenate([high, np.full(4, 200.0)]))
     oracle = least_squares(residual, z0, bounds=box, x_scale="jac", xtol=1e-12, ftol=1e-12)
-    flat = Prior(z0, 1e-9 * np.eye(8))
-    ours = descend(kernel, scaling, loop.values, Data(t, u, fill, weight), loop.values[scaling.index], START, flat)
+    flat = GaussianPrior(z0, 1e-9 * np.eye(8))
+    ours = fit_parameters(
+        kernel, scaling, loop.values, FitData(t, u, fill, weight), loop.values[scaling.index], START, flat
+    )
     assert ours.cost <= 2.0 * oracle.cost * (1.0 + 1e-6)
     assert ours.values == pytest.approx(scaling.to_values(oracle.x[:4]), rel=1e-3)
 
@@ -99,10 +101,16 @@ def test_a_truth_on_the_bound_ends_there(loop: Network) -> None:
     low, _ = loop.bounds(("tank_loss.hA",))
     t, u, y = record(loop.with_values({"tank_loss.hA": float(low[0])}), n=2400)
     kernel, scaling = Kernel(loop, ("tank_loss.hA",)), Scaling.of(loop, ("tank_loss.hA",))
-    fill, weight = masked(y - 0.05, loop.sigma)
-    flat = Prior(np.concatenate([[0.0], START]), 1e-9 * np.eye(5))
-    fit = descend(
-        kernel, scaling, loop.values, Data(t, u, fill + 0.2 * (t[:, None] < 60), weight), np.array([2.5]), START, flat
+    fill, weight = mask_measurements(y - 0.05, loop.sigma)
+    flat = GaussianPrior(np.concatenate([[0.0], START]), 1e-9 * np.eye(5))
+    fit = fit_parameters(
+        kernel,
+        scaling,
+        loop.values,
+        FitData(t, u, fill + 0.2 * (t[:, None] < 60), weight),
+        np.array([2.5]),
+        START,
+        flat,
     )
     assert np.isfinite(fit.cost)
     assert scaling.lower[0] <= fit.values[0] <= scaling.upper[0]
@@ -110,8 +118,8 @@ def test_a_truth_on_the_bound_ends_there(loop: Network) -> None:
 
 def test_align_finds_the_initial_state(loop: Network) -> None:
     t, u, y = record(loop, n=60)
-    fill, weight = masked(y, loop.sigma)
-    found = align(Kernel(loop, ()), loop.values, START + 3.0, Data(t, u, fill, weight), 5.0)
+    fill, weight = mask_measurements(y, loop.sigma)
+    found = fit_initial_state(Kernel(loop, ()), loop.values, START + 3.0, FitData(t, u, fill, weight), 5.0)
     assert np.abs(found - START).max() < 0.05
 
 

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.twin.conftest import ROOT
-from twin.kernel import Kernel, masked
+from twin.kernel import Kernel, mask_measurements
 from twin.network import Network
 from twin.twinfile import load
 
@@ -101,7 +101,7 @@ def test_the_number_of_particles_changes_nothing(pipe: Kernel, seed: int, count:
     together, ends = pipe.trace(np.tile(net.values, (count, 1)), start, time, inputs)
     assert np.abs(together - alone).max() < 1e-9
     assert np.nanmax(np.abs(ends - end)) < 1e-9
-    y, weight = masked(alone[0] + 0.1, 1.0)
+    y, weight = mask_measurements(alone[0] + 0.1, 1.0)
     sse, _ = pipe.cost(np.tile(net.values, (count, 1)), start, time, inputs, y, weight)
     assert sse == pytest.approx(np.tile(sse[:1], (count, 1)), rel=1e-12)
     assert sse[0, 0] == pytest.approx(0.01 * len(time), rel=1e-6)

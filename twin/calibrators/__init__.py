@@ -4,19 +4,28 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from twin.calibrators.base import Calibration, Calibrator, Kind, Window
+from twin.calibrators.base import Calibration, Calibrator, Window, WindowKind
 from twin.network import Network, TwinFileError
 
-__all__ = ["ANY_TWIN", "FITTING", "NAMES", "Calibration", "Calibrator", "Kind", "Window", "make"]
+__all__ = [
+    "ANY_TWIN_CALIBRATORS",
+    "CALIBRATOR_NAMES",
+    "UNTRAINED_CALIBRATORS",
+    "Calibration",
+    "Calibrator",
+    "Window",
+    "WindowKind",
+    "make_calibrator",
+]
 
-FITTING = ("pso", "pso_paper", "least_squares", "kalman")
+UNTRAINED_CALIBRATORS = ("pso", "pso_paper", "least_squares", "kalman")
 """Those that need nothing but a window; the others need what training made."""
-NAMES = (*FITTING, "hiera_unet", "hiera_ls")
-ANY_TWIN = ("pso", "least_squares", "kalman")
+CALIBRATOR_NAMES = (*UNTRAINED_CALIBRATORS, "hiera_unet", "hiera_ls")
+ANY_TWIN_CALIBRATORS = ("pso", "least_squares", "kalman")
 """Those that are not of the coolant loop only."""
 
 
-def make(
+def make_calibrator(
     name: str, network: Network, tunables: str | None = None, seed: int = 0, card: Path | None = None
 ) -> Calibrator:
     """Calibrator by name: ``pso`` (tuned swarm), ``pso_paper`` (Table 2 to the letter), ``least_squares``,
@@ -34,16 +43,16 @@ def make(
     if name == "pso":
         from twin.calibrators.pso import Swarm
 
-        return Swarm(network, tunables or usual(network), "tuned", seed)
+        return Swarm(network, tunables or default_tunables(network), "tuned", seed)
     if name == "least_squares":
         from twin.calibrators.least_squares import LeastSquares
 
-        return LeastSquares(network, tunables or usual(network))
+        return LeastSquares(network, tunables or default_tunables(network))
     if name == "kalman":
         from twin.calibrators.kalman import KalmanFilter
 
-        return KalmanFilter(network, tunables or usual(network))
-    if name in NAMES:
+        return KalmanFilter(network, tunables or default_tunables(network))
+    if name in CALIBRATOR_NAMES:
         _require_loop(name, network, tunables)
     if name == "pso_paper":
         from twin.calibrators.pso import Swarm
@@ -59,10 +68,10 @@ def make(
 
         asked = HieraUNetCalibrator.shipped(network, tunables or "nine", card)
         return RefinedCalibrator(network, asked, tunables or "nine")
-    raise TwinFileError(f"no calibrator {name!r}; there are: {', '.join(NAMES)}")
+    raise TwinFileError(f"no calibrator {name!r}; there are: {', '.join(CALIBRATOR_NAMES)}")
 
 
-def usual(network: Network) -> str | tuple[str, ...]:
+def default_tunables(network: Network) -> str | tuple[str, ...]:
     """What is calibrated where nothing is named: the set ``nine``, else ``commission``, else the twin's only set,
     else every tunable.
 
@@ -87,5 +96,5 @@ def _require_loop(name: str, network: Network, tunables: str | None) -> None:
     if tunables is None and wanted not in network.sets:
         raise TwinFileError(
             f"{name} is of the coolant loop only, and twin {network.name!r} has no set {wanted!r} as the "
-            f"loop has; {', '.join(ANY_TWIN[:-1])} and {ANY_TWIN[-1]} take any twin"
+            f"loop has; {', '.join(ANY_TWIN_CALIBRATORS[:-1])} and {ANY_TWIN_CALIBRATORS[-1]} take any twin"
         )

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.network import Array
 
-Kind = Literal["calibrated", "recovery", "stall", "skipped"]
+WindowKind = Literal["calibrated", "recovery", "stall", "skipped"]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Window:
     first: int
     initial_mismatch_K: float
     error_K: float
-    kind: Kind
+    kind: WindowKind
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Calibration:
     window: int
     start_s: float
     end_s: float
-    kind: Kind
+    kind: WindowKind
     values: Mapping[str, float]
     covariance: Array | None
     cost: float
@@ -116,7 +116,7 @@ class Calibrator(Protocol):
 
 
 @dataclass(frozen=True)
-class Estimate:
+class FilteredReadings:
     """Readings that have seen the samples they describe: filtered (n, m) degC, spread (n, m) K, one sigma."""
 
     filtered: Array
@@ -124,17 +124,17 @@ class Estimate:
 
 
 @runtime_checkable
-class Follower(Protocol):
+class SampleFilter(Protocol):
     """A calibrator that works sample by sample as well."""
 
-    def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> Estimate:
+    def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> FilteredReadings:
         """Take in samples, in order; arrays as in `Window`. `state`, that of the live twin at the first of them, is for
         a start from nothing."""
         ...
 
 
 @runtime_checkable
-class Restarter(Protocol):
+class Restartable(Protocol):
     """A calibrator that holds a state of the rig of its own from sample to sample."""
 
     def begin_again(self) -> None:
@@ -161,19 +161,19 @@ class Proposer(Protocol):
         ...
 
 
-def plain(a: Array) -> Any:
+def to_json(a: Array) -> Any:
     """Nested lists with None for what is not finite: strict JSON."""
     out = a.astype(object)
     out[~np.isfinite(a)] = None
     return out.tolist()
 
 
-def from_plain(data: Any) -> Array:
+def from_json(data: Any) -> Array:
     """The array that `plain` took apart, with NaN for None."""
     return np.array(data, dtype=np.float64)
 
 
-def misfit(window: Window, sigma: Array) -> float:
+def normalised_misfit(window: Window, sigma: Array) -> float:
     """Root mean square of the live twin's mismatch in units of the noise (m,) K; 1 without a measurement."""
     r = (window.live - window.measured) / sigma
     good = np.isfinite(r)

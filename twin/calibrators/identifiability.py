@@ -13,18 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.calibrators.outcome import Report
+from twin.calibrators.results import CalibrationReport
 from twin.gauss_newton import Scaling
 from twin.network import Array
 
-CANNOT_TELL = 0.5
+UNIDENTIFIABLE_SHARE = 0.5
 """Standard error, as a share of the plausible width, above which a number says nothing."""
 STATE_SD = 5.0
 """K, how little is taken for granted about the initial state."""
 
 
 @dataclass(frozen=True)
-class Told:
+class WindowInformation:
     """What one window says about q parameters, in the optimiser's variables z.
 
     Attributes:
@@ -37,10 +37,10 @@ class Told:
     condition: float
     untold: np.ndarray
 
-    def warning(self, scaling: Scaling, values: Array) -> Report:
+    def warning(self, scaling: Scaling, values: Array) -> CalibrationReport:
         """For a method that moves all parameters all the same: which of its numbers say nothing."""
         names = [i for i, hit in zip(scaling.ids, self.untold, strict=True) if hit]
-        return Report(
+        return CalibrationReport(
             flags=tuple(f"cannot tell {i}: its number says nothing" for i in names),
             alone=self.alone(scaling, values),
             condition=self.condition,
@@ -51,7 +51,7 @@ class Told:
         return dict(zip(scaling.ids, (self.spread * scaling.slope(values)).tolist(), strict=True))
 
 
-def told_by(normal: Array, plausible: Array, chi: float = 1.0) -> Told:
+def window_information(normal: Array, plausible: Array, chi: float = 1.0) -> WindowInformation:
     """Judge a window.
 
     Args:
@@ -66,15 +66,15 @@ def told_by(normal: Array, plausible: Array, chi: float = 1.0) -> Told:
     kept = list(range(q))
     share = _spread(information)
     spread = share * plausible
-    while kept and share.max() > CANNOT_TELL:
+    while kept and share.max() > UNIDENTIFIABLE_SHARE:
         del kept[int(np.argmax(share))]
         share = _spread(information[np.ix_(kept, kept)])
     untold = np.ones(q, dtype=bool)
     untold[kept] = False
-    return Told(spread, condition(information), untold)
+    return WindowInformation(spread, condition_number(information), untold)
 
 
-def condition(information: Array) -> float:
+def condition_number(information: Array) -> float:
     """Condition number of an information matrix scaled to unit diagonal; at most 1e16."""
     if not information.size:
         return 1.0

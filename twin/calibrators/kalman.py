@@ -27,12 +27,12 @@ from typing import Any
 import numpy as np
 
 from twin.calibrators.assimilate import assimilate
-from twin.calibrators.base import Calibration, Estimate, Window, from_plain, misfit, plain
-from twin.calibrators.identifiability import told_by
-from twin.calibrators.outcome import Report, conclude
-from twin.calibrators.posterior import Posterior, fit_window, no_wider, weighted
-from twin.calibrators.structure_error import lasting
-from twin.gauss_newton import Linearisation, Problem, Scaling
+from twin.calibrators.base import Calibration, FilteredReadings, Window, from_json, normalised_misfit, to_json
+from twin.calibrators.identifiability import window_information
+from twin.calibrators.posterior import WindowPosterior, fit_window, limit_covariance, window_data
+from twin.calibrators.results import CalibrationReport, fitted_calibration
+from twin.calibrators.structural_error import structural_covariance
+from twin.gauss_newton import FitProblem, Linearisation, Scaling
 from twin.kernel import Kernel
 from twin.network import Array, Network
 
@@ -58,7 +58,7 @@ _STEP = 1e-4
 _STATE_STEP = 1e-2
 
 
-class Bounded:
+class BoundedTransform:
     """Between z inside its bounds and w without any: z = mid + half tanh((w - mid) / half), slope 1 in the middle."""
 
     def __init__(self, scaling: Scaling) -> None:
@@ -115,7 +115,7 @@ class KalmanFilter:
         self.ids = network.tunables(tunables)
         self.kernel = Kernel(network, self.ids)
         self._scaling = Scaling.of(network, self.ids)
-        self._bounded = Bounded(self._scaling)
+        self._bounded = BoundedTransform(self._scaling)
         self._wide = self._scaling.prior_sd()
         q, k = len(self.ids), len(network.nodes)
         self._steps = np.concatenate([np.full(q, _STEP), np.full(k, _STATE_STEP)])
@@ -125,7 +125,7 @@ class KalmanFilter:
         self._capacitance = np.maximum(network.values[capacitance], 1.0)
         self._piece: _Piece | None = None
 
-    def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> Estimate:
+    def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> FilteredReadings:
         """Filter samples, in order; `state` counts at the very first one only, and inputs as if all had been read."""
         filtered, spread = np.empty_like(measured), np.empty_like(measured)
         at = 0
@@ -143,7 +143,7 @@ class KalmanFilter:
             rows = slice(at, min(max(until, at + 1), time.size))
             self._filter(piece, time[rows], inputs[rows], measured[rows], filtered[rows], spread[rows])
             at = rows.stop
-        return Estimate(filtered, spread)
+        return FilteredReadings(filtered, spread)
 
     def begin_again(self) -> None:
         """Let go of the temperatures; parameters go on from the end of the last window."""
@@ -212,14 +212,14 @@ class KalmanFilter:
                 window.time[rows], window.inputs[rows], window.measured[rows], window.read[rows], window.state
             )  # fmt: skip
         cost, v, fitted = self._fitted(window)
-        missed = misfit(window, self.network.sigma)
+        missed = normalised_misfit(window, self.network.sigma)
         again = self._again(window, missed) if cost > SURPRISE and missed > SURPRISE else None
         if again is not None and np.sqrt(again.fit.sse.sum()) < np.sqrt(fitted.sse.sum()):
             self._restart(window, again)
-            lasts = lasting(
+            lasts = structural_covariance(
                 self._problem(window), again.fit.v, again.fit.normal, again.held, window, self._wide, again.chi
             )
-            again = replace(again, covariance=no_wider(again.covariance + lasts, self._wide))
+            again = replace(again, covariance=limit_covariance(again.covariance + lasts, self._wide))
             report = again.report(self._scaling)
             report = replace(report, flags=("filter started again from a fit of the window", *report.flags))
             cost, v, fitted = float(np.sqrt(again.chi)), again.fit.v, again.fit.data
@@ -230,12 +230,12 @@ class KalmanFilter:
         w, end, _ = self._now(self._piece)
         start = window.state.copy()
         start[: v.size - len(self.ids)] = v[len(self.ids) :]
-        return conclude(
+        return fitted_calibration(
             self.network, window, self.ids, self._values(w), start, fitted.readings, end,
             cost=cost, evaluations=2 * (1 + v.size), report=report,
         )  # fmt: skip
 
-    def _again(self, window: Window, missed: float) -> Posterior | None:
+    def _again(self, window: Window, missed: float) -> WindowPosterior | None:
         """What least squares makes of a window that the filter could not follow, from what was known before it."""
         opened = min(OPENING * (missed - 1.0), 1.0)
         covariance = self._covariance + np.diag((opened * self._wide) ** 2)
@@ -244,12 +244,12 @@ class KalmanFilter:
         )  # fmt: skip
         return done if np.isfinite(done.fit.cost) and np.isfinite(done.covariance).all() else None
 
-    def _restart(self, window: Window, done: Posterior) -> None:
+    def _restart(self, window: Window, done: WindowPosterior) -> None:
         q, k = len(self.ids), len(self.network.nodes)
         w = np.clip(self._bounded.to_w(done.fit.v[:q]), *self._bounded.limits)
         slope = self._bounded.slope(w)
         covariance = np.diag(np.full(q + k, FIRST_STATE_K**2))
-        covariance[:q, :q] = no_wider(done.covariance / np.outer(slope, slope), self._wide)
+        covariance[:q, :q] = limit_covariance(done.covariance / np.outer(slope, slope), self._wide)
         end = float(window.time[-1])
         self._piece = self._new_piece(w, done.fit.data.end, end, window.inputs[-1], covariance)
 
@@ -262,28 +262,30 @@ class KalmanFilter:
         self._mean = self._bounded.to_z(w)
         self._covariance = self._piece.covariance[:q, :q] * np.outer(slope, slope)
 
-    def _report(self, window: Window, cost: float, v: Array, fitted: Linearisation) -> Report:
+    def _report(self, window: Window, cost: float, v: Array, fitted: Linearisation) -> CalibrationReport:
         """What goes with the values: their covariance has the twin's structure in it; the filter's own has not."""
         assert self._piece is not None
         q, scaling = len(self.ids), self._scaling
         w = self._now(self._piece)[0]
         values = self._values(w)
-        told = told_by(fitted.jtj, self._wide)
+        told = window_information(fitted.jtj, self._wide)
         names = [i for i, hit in zip(self.ids, told.untold, strict=True) if hit]
         moved = np.zeros(q, dtype=bool)
-        lasts = lasting(self._problem(window), v, fitted.jtj, moved, window, self._wide, max(cost**2, 1.0))
+        lasts = structural_covariance(
+            self._problem(window), v, fitted.jtj, moved, window, self._wide, max(cost**2, 1.0)
+        )
         bounded, slope = self._bounded.slope(w), scaling.slope(values)
         known = self._piece.covariance[:q, :q] * np.outer(bounded, bounded)
-        return Report(
-            covariance=no_wider(known + lasts, self._wide) * np.outer(slope, slope),
+        return CalibrationReport(
+            covariance=limit_covariance(known + lasts, self._wide) * np.outer(slope, slope),
             flags=tuple(f"cannot tell {i} apart: its number leans on earlier windows" for i in names),
             alone=told.alone(scaling, values),
             condition=told.condition,
         )
 
-    def _problem(self, window: Window) -> Problem:
-        data = weighted(window, self.network.sigma)
-        return Problem(self.kernel, self._scaling, window.parameters, data, window.state)
+    def _problem(self, window: Window) -> FitProblem:
+        data = window_data(window, self.network.sigma)
+        return FitProblem(self.kernel, self._scaling, window.parameters, data, window.state)
 
     def _fitted(self, window: Window) -> tuple[float, Array, Linearisation]:
         """The window with the parameters as they are now: misfit in noises, start v, and simulation.
@@ -308,12 +310,12 @@ class KalmanFilter:
             "covariance": self._covariance.tolist(),
             "piece": None
             if piece is None
-            else {k: plain(getattr(piece, k)) for k in _ARRAYS} | {k: getattr(piece, k) for k in _NUMBERS},
+            else {k: to_json(getattr(piece, k)) for k in _ARRAYS} | {k: getattr(piece, k) for k in _NUMBERS},
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        self._mean, self._covariance = from_plain(state["mean"]), from_plain(state["covariance"])
+        self._mean, self._covariance = from_json(state["mean"]), from_json(state["covariance"])
         self._piece, piece = None, state["piece"]
         if piece is not None:
-            entries: dict[str, Any] = {k: from_plain(piece[k]) for k in _ARRAYS}
+            entries: dict[str, Any] = {k: from_json(piece[k]) for k in _ARRAYS}
             self._piece = _Piece(**entries, **{k: piece[k] for k in _NUMBERS})

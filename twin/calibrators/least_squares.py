@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from twin.calibrators.base import Calibration, Window, misfit
-from twin.calibrators.outcome import Report, conclude
-from twin.calibrators.posterior import Posterior, fit_window, no_wider, weighted
-from twin.calibrators.structure_error import MODEL_K, lasting, weighing
-from twin.gauss_newton import Problem, Scaling
+from twin.calibrators.base import Calibration, Window, normalised_misfit
+from twin.calibrators.posterior import WindowPosterior, fit_window, limit_covariance, window_data
+from twin.calibrators.results import CalibrationReport, fitted_calibration
+from twin.calibrators.structural_error import MODEL_K, sample_sd, structural_covariance
+from twin.gauss_newton import FitProblem, Scaling
 from twin.kernel import Kernel
 from twin.network import Array, Network
 
@@ -45,29 +45,29 @@ class LeastSquares:
     def calibrate(self, window: Window) -> Calibration:
         sigma, scaling = self.network.sigma, self._scaling
         wide = scaling.prior_sd()
-        opened = np.clip(0.3 * (misfit(window, np.hypot(sigma, MODEL_K)) - 1.0), QUIET_SHARE, 1.0)
+        opened = np.clip(0.3 * (normalised_misfit(window, np.hypot(sigma, MODEL_K)) - 1.0), QUIET_SHARE, 1.0)
         prior = self._covariance + np.diag((opened * wide) ** 2)
-        weight = weighing(sigma, window.time)
+        weight = sample_sd(sigma, window.time)
         noise = float(np.mean((sigma / weight) ** 2))
         done = fit_window(self.kernel, scaling, weight, window, self._mean, prior, window.state, noise=noise)
         if np.isfinite(done.fit.cost) and np.isfinite(done.covariance).all():
             self._mean = done.fit.v[: len(self.ids)].copy()
-            self._covariance = no_wider(done.covariance, wide)
-        return conclude(
+            self._covariance = limit_covariance(done.covariance, wide)
+        return fitted_calibration(
             self.network, window, self.ids, done.fit.values, done.fit.state, done.fit.data.readings, done.fit.data.end,
             cost=float(np.sqrt(done.chi)), evaluations=(done.fit.evaluations + 1) * (1 + done.fit.v.size),
             report=self._report(window, done, weight),
         )  # fmt: skip
 
-    def _report(self, window: Window, done: Posterior, weight: Array) -> Report:
+    def _report(self, window: Window, done: WindowPosterior, weight: Array) -> CalibrationReport:
         """What goes with the values: their covariance has the twin's structure in it, the next window's prior has not.
 
         Were it in the prior too, every window would begin with parameters that are as good as unknown.
         """
         scaling, wide = self._scaling, self._scaling.prior_sd()
-        problem = Problem(self.kernel, scaling, window.parameters, weighted(window, weight), window.state)
-        lasts = lasting(problem, done.fit.v, done.fit.normal, done.held, window, wide, done.chi)
-        return replace(done, covariance=no_wider(done.covariance + lasts, wide)).report(scaling)
+        problem = FitProblem(self.kernel, scaling, window.parameters, window_data(window, weight), window.state)
+        lasts = structural_covariance(problem, done.fit.v, done.fit.normal, done.held, window, wide, done.chi)
+        return replace(done, covariance=limit_covariance(done.covariance + lasts, wide)).report(scaling)
 
     def state(self) -> dict[str, Any]:
         return {"mean": self._mean.tolist(), "covariance": self._covariance.tolist()}

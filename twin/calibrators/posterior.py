@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.calibrators.base import Window
-from twin.calibrators.identifiability import Told, told_by
-from twin.calibrators.outcome import Report
-from twin.gauss_newton import Data, Fit, Prior, Problem, Scaling
-from twin.kernel import Kernel, masked
+from twin.calibrators.identifiability import WindowInformation, window_information
+from twin.calibrators.results import CalibrationReport
+from twin.gauss_newton import FitData, FitProblem, GaussianPrior, GaussNewtonFit, Scaling
+from twin.kernel import Kernel, mask_measurements
 from twin.network import Array
 
 CONTRADICTED = 9.0
@@ -28,7 +28,7 @@ STATE_SD = 0.02
 
 
 @dataclass(frozen=True)
-class Posterior:
+class WindowPosterior:
     """What is known after a window, for q parameters.
 
     Attributes:
@@ -37,14 +37,14 @@ class Posterior:
         told: information of the window alone. chi: reduced chi-square of the data, at least 1.
     """
 
-    fit: Fit
+    fit: GaussNewtonFit
     covariance: Array
     held: np.ndarray
     loose: np.ndarray
-    told: Told
+    told: WindowInformation
     chi: float
 
-    def report(self, scaling: Scaling) -> Report:
+    def report(self, scaling: Scaling) -> CalibrationReport:
         """Covariance in physical units, and the warnings that go with the numbers."""
         slope = scaling.slope(self.fit.values)
         frozen = tuple(i for i, hit in zip(scaling.ids, self.held, strict=True) if hit)
@@ -56,7 +56,7 @@ class Posterior:
         ]
         bound = self.fit.at_bound & ~self.held
         flags += [f"{i} at its bound" for i, hit in zip(scaling.ids, bound, strict=True) if hit]
-        return Report(
+        return CalibrationReport(
             covariance=self.covariance * np.outer(slope, slope),
             flags=tuple(flags),
             frozen=frozen,
@@ -74,10 +74,10 @@ def fit_window(
     covariance: Array,
     state: Array,
     *,
-    told: Told | None = None,
+    told: WindowInformation | None = None,
     noise: float = 1.0,
     most: int = 25,
-) -> Posterior:
+) -> WindowPosterior:
     """Fit tunables and initial state to a window.
 
     Args:
@@ -87,18 +87,18 @@ def fit_window(
             that alone: a change that hides behind the twin's own error would never be followed.
     """
     q, k = mean.size, len(kernel.network.nodes)
-    data = weighted(window, sigma)
+    data = window_data(window, sigma)
     count = max(int((data.weight > 0.0).sum()), 1)
     state_precision = np.eye(k) * max(window.error_K, STATE_SD) ** -2
     centre = np.concatenate([mean, state[:k]])
     of_state = np.zeros(k, dtype=bool)
-    problem = Problem(kernel, scaling, window.parameters, data, state)
+    problem = FitProblem(kernel, scaling, window.parameters, data, state)
     v, at = centre, problem.linearise(centre)
-    told = told or told_by(at.jtj, scaling.prior_sd(), noise)
+    told = told or window_information(at.jtj, scaling.prior_sd(), noise)
     held = told.untold
     for _ in range(ROUNDS):
         inverse = np.asarray(np.linalg.inv(_independent(covariance, held)))
-        prior = Prior(centre, _blocks(inverse, state_precision))
+        prior = GaussianPrior(centre, _blocks(inverse, state_precision))
         of_all = np.concatenate([held, of_state])
         fit = problem.minimise(v, prior, first=at, held=of_all, most=most, tolerance=TOLERANCE)
         square = float(fit.sse.sum()) / count
@@ -111,15 +111,15 @@ def fit_window(
     information[:q][held] = 0.0
     information[:, :q][:, held] = 0.0
     posterior = np.asarray(np.linalg.inv(information + prior.precision))[:q, :q]
-    return Posterior(fit, 0.5 * (posterior + posterior.T), held, told.untold & ~held, told, chi)
+    return WindowPosterior(fit, 0.5 * (posterior + posterior.T), held, told.untold & ~held, told, chi)
 
 
-def weighted(window: Window, sigma: Array) -> Data:
+def window_data(window: Window, sigma: Array) -> FitData:
     """The window's samples with their weights."""
-    return Data(window.time, window.inputs, *masked(window.measured, sigma))
+    return FitData(window.time, window.inputs, *mask_measurements(window.measured, sigma))
 
 
-def _contradicted(fit: Fit, held: np.ndarray, prior: Prior, chi: float) -> np.ndarray:
+def _contradicted(fit: GaussNewtonFit, held: np.ndarray, prior: GaussianPrior, chi: float) -> np.ndarray:
     """Held parameters (q,) that would lower the cost significantly if they alone were released."""
     q = held.size
     out = np.zeros(q, dtype=bool)
@@ -149,7 +149,7 @@ def _independent(covariance: Array, held: np.ndarray) -> Array:
     return independent
 
 
-def no_wider(covariance: Array, wide: Array) -> Array:
+def limit_covariance(covariance: Array, wide: Array) -> Array:
     """Shrink a covariance whose standard deviations exceed `wide`, keeping its correlations."""
     factor = np.minimum(wide / np.sqrt(np.diag(covariance)), 1.0)
     shrunk: Array = covariance * np.outer(factor, factor)

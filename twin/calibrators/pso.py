@@ -14,18 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from twin.calibrators.base import Calibration, Window, from_plain, plain
-from twin.calibrators.identifiability import Told, told_by
-from twin.calibrators.outcome import conclude
-from twin.calibrators.posterior import fit_window, no_wider, weighted
-from twin.calibrators.structure_error import lasting
-from twin.gauss_newton import Data, Problem, Scaling, align
-from twin.kernel import Kernel, masked
+from twin.calibrators.base import Calibration, Window, from_json, to_json
+from twin.calibrators.identifiability import WindowInformation, window_information
+from twin.calibrators.posterior import fit_window, limit_covariance, window_data
+from twin.calibrators.results import fitted_calibration
+from twin.calibrators.structural_error import structural_covariance
+from twin.gauss_newton import FitData, FitProblem, Scaling, fit_initial_state
+from twin.kernel import Kernel, mask_measurements
 from twin.network import Array, Network, TunableSet, TwinFileError
 
 
 @dataclass(frozen=True)
-class Settings:
+class SwarmSettings:
     """Hyper-parameters of a swarm. Lengths are in normalised units, or shares of a range where `own_range`.
 
     Attributes:
@@ -59,8 +59,8 @@ class Settings:
     polish: bool = False
 
 
-PAPER = Settings()
-TUNED = Settings(
+PAPER = SwarmSettings()
+TUNED = SwarmSettings(
     particles=32,
     iterations=20,
     inertia=0.73,
@@ -75,7 +75,7 @@ TUNED = Settings(
     per_component=True,
     polish=True,
 )
-PRESETS: Mapping[str, Settings] = {"paper": PAPER, "tuned": TUNED}
+PRESETS: Mapping[str, SwarmSettings] = {"paper": PAPER, "tuned": TUNED}
 POLISH = 15
 """Linearisations in the polish, at most."""
 LEAST_PERTURBATION = 0.02
@@ -99,7 +99,7 @@ class Swarm:
         self,
         network: Network,
         tunables: str | tuple[str, ...] = "paper4",
-        settings: str | Settings = "tuned",
+        settings: str | SwarmSettings = "tuned",
         seed: int = 0,
     ) -> None:
         if isinstance(settings, str):
@@ -163,7 +163,9 @@ class Swarm:
         self._best, self._positions, self._velocities = best, positions, velocities
         return self._conclude(window, cost, best, best_cost, told)
 
-    def _conclude(self, window: Window, cost: _Cost, best: Array, best_cost: float, told: Told) -> Calibration:
+    def _conclude(
+        self, window: Window, cost: _Cost, best: Array, best_cost: float, told: WindowInformation
+    ) -> Calibration:
         """The window at the swarm's best position; a polished swarm descends from there first."""
         values, start = self._space.values(best), cost.start(best)
         if self.settings.polish:
@@ -172,28 +174,32 @@ class Swarm:
             sigma = self.network.sigma
             done = fit_window(self.kernel, scaling, sigma, window, mean, prior, start, told=told, most=POLISH)
             if np.isfinite(done.fit.cost):
-                problem = Problem(self.kernel, scaling, window.parameters, weighted(window, sigma), start)
-                lasts = lasting(problem, done.fit.v, done.fit.normal, done.held, window, scaling.prior_sd(), done.chi)
-                report = replace(done, covariance=no_wider(done.covariance + lasts, scaling.prior_sd())).report(scaling)
+                problem = FitProblem(self.kernel, scaling, window.parameters, window_data(window, sigma), start)
+                lasts = structural_covariance(
+                    problem, done.fit.v, done.fit.normal, done.held, window, scaling.prior_sd(), done.chi
+                )
+                report = replace(done, covariance=limit_covariance(done.covariance + lasts, scaling.prior_sd())).report(
+                    scaling
+                )
                 self._best = self._space.positions(done.fit.values)
                 self.last = (window.time, window.inputs, done.fit.state)
-                return conclude(
+                return fitted_calibration(
                     self.network, window, self.ids, done.fit.values, done.fit.state, done.fit.data.readings,
                     done.fit.data.end, cost=float(np.sqrt(done.chi)), report=report,
                     evaluations=cost.evaluations + done.fit.evaluations * (1 + done.fit.v.size),
                 )  # fmt: skip
         readings, end = self.kernel.trace(cost.full(best[None]), start, window.time, window.inputs)
-        return conclude(
+        return fitted_calibration(
             self.network, window, self.ids, values, start, readings[0], end[0],
             cost=best_cost, evaluations=cost.evaluations + 1, report=told.warning(self._scaling, values),
         )  # fmt: skip
 
-    def _told(self, window: Window) -> Told:
+    def _told(self, window: Window) -> WindowInformation:
         """What the window can tell, judged where the live twin is."""
-        scaling, data = self._scaling, weighted(window, self.network.sigma)
-        problem = Problem(self.kernel, scaling, window.parameters, data, window.state)
+        scaling, data = self._scaling, window_data(window, self.network.sigma)
+        problem = FitProblem(self.kernel, scaling, window.parameters, data, window.state)
         here = np.concatenate([scaling.to_z(window.parameters[scaling.index]), window.state[: len(self.network.nodes)]])
-        return told_by(problem.linearise(here).jtj, scaling.prior_sd())
+        return window_information(problem.linearise(here).jtj, scaling.prior_sd())
 
     def _gather(self, window: Window) -> None:
         """Positions and velocities at the start of a window."""
@@ -221,7 +227,7 @@ class Swarm:
             "best": self._best.tolist(),
             "positions": None if self._positions is None else self._positions.tolist(),
             "velocities": self._velocities.tolist(),
-            "last": [self._last_number, *(plain(a) for a in self.last)],
+            "last": [self._last_number, *(to_json(a) for a in self.last)],
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -231,7 +237,7 @@ class Swarm:
         self._positions = None if positions is None else np.array(positions, dtype=np.float64)
         self._velocities = np.array(state["velocities"], dtype=np.float64)
         self._last_number, *last = state["last"]
-        time, inputs, start = (from_plain(a) for a in last)
+        time, inputs, start = (from_json(a) for a in last)
         self.last = (time, inputs, start)
 
 
@@ -249,7 +255,7 @@ class _Cost:
         self.evaluations = 0
         self.state = window.state
         self.time, self.inputs = window.time, window.inputs
-        self.y, self.weight = masked(window.measured)
+        self.y, self.weight = mask_measurements(window.measured)
         self.before = 0
         mismatched = window.kind in ("recovery", "stall")
         self.realigned = swarm.settings.realign and mismatched
@@ -278,10 +284,10 @@ class _Cost:
     def realign(self, parameters: Array) -> None:
         """Estimate the state at the first sample from the beginning of the window, at `parameters` (p,)."""
         n = self.window.first
-        y, weight = masked(self.window.measured[:n], self.swarm.network.sigma)
-        data = Data(self.window.time[:n], self.window.inputs[:n], y, weight)
+        y, weight = mask_measurements(self.window.measured[:n], self.swarm.network.sigma)
+        data = FitData(self.window.time[:n], self.window.inputs[:n], y, weight)
         sd = max(self.window.initial_mismatch_K, self.threshold)
-        self.state = align(self.swarm.kernel, parameters, self.window.state, data, sd)
+        self.state = fit_initial_state(self.swarm.kernel, parameters, self.window.state, data, sd)
 
     def full(self, positions: Array) -> Array:
         """Full parameter vectors (P, p) of positions (P, q)."""

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from twin.calibrators.base import Kind, Window, total_rmse
+from twin.calibrators.base import Window, WindowKind, total_rmse
 from twin.network import Array, WindowRules
 
 LEAST_ROWS = 8
@@ -21,7 +21,7 @@ LEAST_SPAN = 0.5
 """Share of the window's length that those rows must span."""
 
 
-def last_of_window(times: Array, pace: Array, end: float) -> int | None:
+def last_row_of_window(times: Array, pace: Array, end: float) -> int | None:
     """Position in `times` (n,) of the sample that completes a window ending at `end` s, or None.
 
     Args:
@@ -38,7 +38,7 @@ def window_index(time: float, origin: float, rules: WindowRules) -> int:
     return max(math.floor((time - origin) / rules.window_s + 1e-9), 0)
 
 
-def assemble(
+def make_window(
     number: int,
     time: Array,
     inputs: Array,
@@ -57,7 +57,7 @@ def assemble(
     error = total_rmse(residual)
     rows = np.flatnonzero(np.isfinite(measured).any(axis=1))
     enough = rows.size >= LEAST_ROWS and time[rows[-1]] - time[rows[0]] >= LEAST_SPAN * rules.window_s
-    kind = decide(mismatch, error, rules) if enough else "skipped"
+    kind = classify_window(mismatch, error, rules) if enough else "skipped"
     return Window(number, time, inputs, measured, read, state, parameters, live, first, mismatch, error, kind)
 
 
@@ -74,7 +74,7 @@ def initial_mismatch(residual: Array) -> float:
     return float(np.sqrt(np.mean(seen**2))) if seen.size else 0.0
 
 
-def decide(initial_mismatch_K: float, error_K: float, rules: WindowRules) -> Kind:
+def classify_window(initial_mismatch_K: float, error_K: float, rules: WindowRules) -> WindowKind:
     """Which cost a window calls for: section 2.4 of Energies 2026, 19, 2452, with numbers.
 
     A large mismatch at the start makes a recovery window. A start and a full window that are both above the

@@ -12,7 +12,7 @@ from twin.network import Array, Network
 
 
 @dataclass(frozen=True)
-class Report:
+class CalibrationReport:
     """What a calibrator says beside its values; the names are those of `Calibration`."""
 
     covariance: Array | None = None
@@ -22,7 +22,7 @@ class Report:
     condition: float | None = None
 
 
-def conclude(
+def fitted_calibration(
     network: Network,
     window: Window,
     ids: tuple[str, ...],
@@ -33,7 +33,7 @@ def conclude(
     *,
     cost: float,
     evaluations: int,
-    report: Report,
+    report: CalibrationReport,
 ) -> Calibration:
     """Calibration of `window`.
 
@@ -66,7 +66,7 @@ def conclude(
     )
 
 
-def skip(network: Network, window: Window, ids: tuple[str, ...], end: Array) -> Calibration:
+def skipped_calibration(network: Network, window: Window, ids: tuple[str, ...], end: Array) -> Calibration:
     """A window with too little data: nothing moves."""
     residual = window.live - window.measured
     values = window.parameters[network.index(ids)]

@@ -12,25 +12,25 @@ import numpy as np
 
 from twin.calibrators.base import Window
 from twin.calibrators.posterior import STATE_SD
-from twin.gauss_newton import Problem
+from twin.gauss_newton import FitProblem
 from twin.network import Array
 
 MODEL_K = 0.02
 """What a healthy twin errs by, which no number of samples averages away."""
-ALIKE_S = 60.0
+CORRELATED_S = 60.0
 """A healthy twin's error stays alike for so long: the samples in between count as one."""
-LASTS_S = 300.0
+PERSISTENCE_S = 300.0
 """How long an error is taken to last where its effect on parameters is worked out."""
 
 
-def weighing(sigma: Array, time: Array) -> Array:
+def sample_sd(sigma: Array, time: Array) -> Array:
     """Standard deviation (m,), K, that one of the samples at `time` (n,) s counts with, noise `sigma` (m,) included."""
-    alike = max(ALIKE_S / _pace(time), 1.0)
+    alike = max(CORRELATED_S / _pace(time), 1.0)
     weighed: Array = np.sqrt(sigma**2 + MODEL_K**2 * alike)
     return weighed
 
 
-def size(window: Window, sigma: Array) -> Array:
+def error_size(window: Window, sigma: Array) -> Array:
     """The twin's error (m,), K: what the live twin missed the window by beyond noise, `MODEL_K` at least."""
     squares = (window.live - window.measured) ** 2
     good = np.isfinite(squares)
@@ -40,7 +40,9 @@ def size(window: Window, sigma: Array) -> Array:
     return found
 
 
-def spread(problem: Problem, v: Array, precision: Array, error: Array, chi: float = 1.0) -> Array:
+def persistent_error_covariance(
+    problem: FitProblem, v: Array, precision: Array, error: Array, chi: float = 1.0
+) -> Array:
     """Covariance (q + k, q + k) that errors which last give a fit at v.
 
     Args:
@@ -49,7 +51,7 @@ def spread(problem: Problem, v: Array, precision: Array, error: Array, chi: floa
     """
     data = problem.data
     pull = problem.jacobian(v) * (data.weight**2 / chi)[:, :, None]
-    each = max(round(LASTS_S / _pace(data.time)), 1)
+    each = max(round(PERSISTENCE_S / _pace(data.time)), 1)
     sums = np.add.reduceat(pull, np.arange(0, len(pull), each), axis=0) * error[:, None]
     meat = np.einsum("bja,bjc->ac", sums, sums)
     covariance = np.linalg.pinv(precision, hermitian=True)
@@ -57,8 +59,8 @@ def spread(problem: Problem, v: Array, precision: Array, error: Array, chi: floa
     return found
 
 
-def lasting(
-    problem: Problem, v: Array, normal: Array, held: np.ndarray, window: Window, wide: Array, chi: float = 1.0
+def structural_covariance(
+    problem: FitProblem, v: Array, normal: Array, held: np.ndarray, window: Window, wide: Array, chi: float = 1.0
 ) -> Array:
     """Covariance (q, q) in z that the twin's structure gives what a window was fitted by.
 
@@ -75,7 +77,9 @@ def lasting(
     precision[off] = 0.0
     precision[:, off] = 0.0
     precision += np.diag(np.where(off, 0.0, apart**-2.0))
-    found: Array = spread(problem, v, precision, size(window, problem.kernel.network.sigma), chi)[:q, :q]
+    found: Array = persistent_error_covariance(
+        problem, v, precision, error_size(window, problem.kernel.network.sigma), chi
+    )[:q, :q]
     return found
 
 

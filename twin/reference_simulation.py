@@ -12,17 +12,17 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.assembly import System, python_source, remembering_source
-from twin.generated_code import functions, value
-from twin.kernel import clean_time, held
+from twin.assembly import System, python_source, stateful_source
+from twin.generated_code import define_functions, evaluate_formula
+from twin.kernel import clean_time, hold_inputs
 from twin.network import Array, Network, TwinFileError
 
 Rhs = Callable[[Array, Array, Array], list[float]]
 
 
-def right_side(network: Network) -> Rhs:
+def right_hand_side(network: Network) -> Rhs:
     """``rhs(T (k,), u (c,), p (full vector)) -> dT/dt`` in K/s, as plain Python."""
-    rhs: Rhs = functions(python_source(network), f"<right side of {network.name}>")["rhs"]
+    rhs: Rhs = define_functions(python_source(network), f"<right side of {network.name}>")["rhs"]
     return rhs
 
 
@@ -36,9 +36,9 @@ def simulate_exact(
     """
     from scipy.linalg import expm
 
-    t, u = clean_time(time), held(network, inputs)
+    t, u = clean_time(time), hold_inputs(network, inputs)
     p = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
-    rhs, k = right_side(network), len(network.nodes)
+    rhs, k = right_hand_side(network), len(network.nodes)
     known: dict[tuple[float, bytes], tuple[Array, Array]] = {}
     out = np.empty((t.size, k))
     out[0] = np.asarray(state, dtype=np.float64)
@@ -66,7 +66,9 @@ def _affine(rhs: Rhs, u: Array, p: Array, k: int, name: str) -> tuple[Array, Arr
     return a, b
 
 
-def simulate_finely(network: Network, time: ArrayLike, inputs: ArrayLike, state: ArrayLike, pieces: int = 100) -> Array:
+def simulate_fine_steps(
+    network: Network, time: ArrayLike, inputs: ArrayLike, state: ArrayLike, pieces: int = 100
+) -> Array:
     """Readings (n, m) of a network with pipes and lags, from node temperatures (k,) and everything else at rest.
 
     Heun's method in `pieces` equal steps per sample interval. Water is followed by the volume that has been pushed
@@ -79,14 +81,14 @@ def simulate_finely(network: Network, time: ArrayLike, inputs: ArrayLike, state:
     system = System(network, ())
     if system.drives:
         raise TwinFileError(f"twin {network.name!r} has actuators, which the slow simulation does not know")
-    scope = functions(remembering_source(system), f"<{network.name}, remembering>")
-    t, u, p = clean_time(time), held(network, inputs), network.values.tolist()
+    scope = define_functions(stateful_source(system), f"<{network.name}, remembering>")
+    t, u, p = clean_time(time), hold_inputs(network, inputs), network.values.tolist()
     x = np.concatenate([np.asarray(state, dtype=np.float64), np.empty(len(system.states) - len(network.nodes))])
     at_rest = {f"x{j}": float(v) for j, v in enumerate(x)}
-    rest = [value(text, at_rest) for text in system.starts]
+    rest = [evaluate_formula(text, at_rest) for text in system.starts]
     x[len(network.nodes) :] = rest[: len(x) - len(network.nodes)]
     lagged = np.array(rest[len(x) - len(network.nodes) :])
-    pipes = [_Pipe(value(d.start, at_rest)) for d in system.delays]
+    pipes = [_Pipe(evaluate_formula(d.start, at_rest)) for d in system.delays]
     out = [scope["read"](x.tolist(), lagged.tolist(), p, float(t[0]))]
     for i in range(t.size - 1):
         now, h = u[i].tolist(), float(t[i + 1] - t[i]) / pieces

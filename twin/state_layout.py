@@ -19,7 +19,7 @@ COMMANDS = 64
 """Changes of a command that are remembered for its dead time."""
 
 
-class Memory:
+class StateLayout:
     """Full states of a network, (P, size), for a kernel with `free` parameters.
 
     Args:

@@ -19,7 +19,7 @@ from twin.calibrators.base import Calibration, Window
 from twin.elements import Parameter
 from twin.elements.heat_source import HeatSource
 from twin.gauss_newton import SE90
-from twin.kernel import Kernel, masked
+from twin.kernel import Kernel, mask_measurements
 from twin.network import Array, Network, TwinFileError
 
 LEAST_MISFIT = 4.0
@@ -41,7 +41,7 @@ _STATE_STEP = 1e-2
 
 
 @dataclass(frozen=True)
-class Location:
+class DisturbanceLocation:
     """What the powers explain of one window.
 
     Attributes:
@@ -73,25 +73,25 @@ class Location:
         )
 
 
-class Localiser:
+class DisturbanceLocaliser:
     """Asks a mismatched window for the place of an unknown power."""
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self._probed, self._powers = with_probes(network)
+        self._probed, self._powers = with_power_probes(network)
         self._kernel = Kernel(self._probed, self._powers)
         # Compiled now: a live twin that has just been surprised should not wait for a compiler.
         here = np.zeros(1), network.nominal_inputs[None, :].copy()
         self._kernel.trace(self._probed.values, network.initial_state(np.full(len(network.sensors), np.nan)), *here)
 
-    def locate(self, window: Window) -> Location:
+    def locate(self, window: Window) -> DisturbanceLocation:
         """The place, where the live twin's mismatch over the window is significant."""
-        y, weight = masked(window.measured, self.network.sigma)
+        y, weight = mask_measurements(window.measured, self.network.sigma)
         count = float((weight > 0.0).sum())
         residual = (y - window.live) * weight
         total = float((residual**2).sum())
         if count == 0.0 or total < LEAST_MISFIT * count or not np.isfinite(total):
-            return Location()
+            return DisturbanceLocation()
         response, edges = self._responses(window)
         columns = (response * weight).reshape(response.shape[0], -1)
         free = columns.shape[0] - len(self._powers) * len(edges)
@@ -114,7 +114,7 @@ class Localiser:
         misfit: tuple[float, float],
         count: float,
         edges: list[float],
-    ) -> Location:
+    ) -> DisturbanceLocation:
         """Location from the gains (onsets, nodes) and, flattened alike, the powers (W) and their information (1/W^2).
 
         Args:
@@ -129,13 +129,13 @@ class Localiser:
         floor = 0.5 * LEAST_GAIN * count
         clear = not others.size or others.min() > MARGIN * max(left[node], floor)
         if gain.flat[best] < LEAST_GAIN * count or left[node] > (1.0 - LEAST_SHARE) * (total - count) or not clear:
-            return Location(explains=explains)
+            return DisturbanceLocation(explains=explains)
         # What is left unexplained has a pattern, and may have biased the power as much as it resembles it.
         share = left[node] / gain.flat[best] + RESPONSE_ERROR**2
         watts = float(power[best])
         reach = float(SE90 * np.sqrt(1.0 / information[best] + share * watts**2))
         name = self.network.nodes[int(node)]
-        return Location(name, watts, (watts - reach, watts + reach), edges[int(onset)], explains)
+        return DisturbanceLocation(name, watts, (watts - reach, watts + reach), edges[int(onset)], explains)
 
     def _responses(self, window: Window) -> tuple[Array, list[float]]:
         """Responses (states + onsets x nodes, n, m) to 1 K and 1 W, and the onsets in s."""
@@ -156,7 +156,7 @@ class Localiser:
         return (traced[1:] - traced[0]) / scale[:, None, None], window.time[edges].tolist()
 
 
-def with_probes(network: Network) -> tuple[Network, tuple[str, ...]]:
+def with_power_probes(network: Network) -> tuple[Network, tuple[str, ...]]:
     """The network with a constant heat source of 0 W in every node, and the ids of their powers, node by node."""
     elements, parameters, ids = list(network.elements), dict(network.parameters), []
     taken = {e.name for e in elements}
