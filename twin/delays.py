@@ -20,13 +20,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from twin.assembly import System
 from twin.kernel_functions import DELAY_STATE, SEPARATE_FLOW, SHARED_FLOW
-
-if TYPE_CHECKING:
-    from twin.codegen import _Kernel
+from twin.kernel_text import KernelText, indent
 
 SLOTS = 64
 """Slots of a delay line, a power of two; the longest pipe of a flow never needs more than SLOTS - 4."""
@@ -37,7 +35,7 @@ PARTS = 3
 
 
 @dataclass(frozen=True)
-class Layout:
+class DelayLayout:
     """Rows of what delay lines hand on: of each flow's volumes, followed by the steps since a slot was closed; of each
     delay's water, one coefficient after the other."""
 
@@ -51,22 +49,22 @@ class Layout:
         return [row + e for row in self.volumes for e in range(SLOTS + 1)]
 
 
-def layout(system: System) -> Layout:
+def delay_layout(system: System) -> DelayLayout:
     flows, count = len(system.flows), len(system.delays)
     waters = flows * (SLOTS + 1)
-    return Layout(
+    return DelayLayout(
         tuple(g * (SLOTS + 1) for g in range(flows)),
         tuple(waters + p * PARTS * SLOTS for p in range(count)),
         waters + count * PARTS * SLOTS,
     )
 
 
-def delay_lines(system: System, kernel: _Kernel, alike: bool) -> Delays:
+def delay_lines(system: System, text: KernelText, alike: bool) -> DelayLines:
     """`alike`: whether all lanes share flow and volumes, in the past too."""
-    return AlikeLines(system, kernel) if alike else LinesApart(system, kernel)
+    return SharedDelayLines(system, text) if alike else SeparateDelayLines(system, text)
 
 
-class Delays(ABC):
+class DelayLines(ABC):
     """Source lines of a kernel's delay lines.
 
     V holds the volume at which each slot begins, SLOTS rows for each flow; H the water, 3 SLOTS rows for each delay.
@@ -77,25 +75,25 @@ class Delays(ABC):
     functions: ClassVar[str]
     lanes: int
 
-    def __init__(self, system: System, kernel: _Kernel) -> None:
-        self.system, self.kernel = system, kernel
+    def __init__(self, system: System, text: KernelText) -> None:
+        self.system, self.text = system, text
         self.flows, self.delays = range(len(system.flows)), system.delays
         for p in range(len(self.delays)):
             for name in ("Ds", "Da", "Db", "wb", "ws", "wn"):
-                kernel.row(f"{name}{p}")
-        self._layout = layout(system)
+                text.row(f"{name}{p}")
+        self._layout = delay_layout(system)
 
     def head(self) -> list[str]:
         """Arrays, once a call."""
         return [
-            f"R = W.reshape(-1, {self.kernel.lanes})",
+            f"R = W.reshape(-1, {self.text.lanes})",
             f"V = np.zeros(({SLOTS * len(self.flows)}, {self.lanes}))",
-            f"H = np.zeros(({PARTS * SLOTS * len(self.delays)}, {self.kernel.lanes}))",
+            f"H = np.zeros(({PARTS * SLOTS * len(self.delays)}, {self.text.lanes}))",
         ]
 
     def enter(self) -> list[str]:
         """Fill the lines: with what `past` holds, or with the water at rest."""
-        k, scalars = self.kernel, list[str]()
+        k, scalars = self.text, list[str]()
         for g in self.flows:
             row = self._layout.volumes[g]
             scalars += [
@@ -155,7 +153,7 @@ class Delays(ABC):
             out += self.move(g)
             for p, delay in enumerate(self.delays):
                 if delay.line == g:
-                    rows = f"{self.kernel.row(f'wb{p}')}, since{g}, {self.share(g)}"
+                    rows = f"{self.text.row(f'wb{p}')}, since{g}, {self.share(g)}"
                     out.append(f"note(H, R, {p * SLOTS} + i{g}, {rows})")
             out += [
                 f"since{g} += 1",
@@ -174,16 +172,16 @@ class Delays(ABC):
             lines.append(f"hand_volumes(V, future, b, {g * SLOTS}, {self._layout.volumes[g]}, tip{g}, since{g})")
         for p, delay in enumerate(self.delays):
             lines.append(f"hand_water(H, future, b, {p * SLOTS}, {self._layout.waters[p]}, tip{delay.line})")
-        return ["if future.shape[0] > 0:", *_in(lines)]
+        return ["if future.shape[0] > 0:", *indent(lines)]
 
 
-class AlikeLines(Delays):
+class SharedDelayLines(DelayLines):
     """All lanes share flow and volumes."""
 
     functions = DELAY_STATE + SHARED_FLOW
 
-    def __init__(self, system: System, kernel: _Kernel) -> None:
-        super().__init__(system, kernel)
+    def __init__(self, system: System, text: KernelText) -> None:
+        super().__init__(system, text)
         self.lanes = 1
 
     def begin(self) -> list[str]:
@@ -192,7 +190,7 @@ class AlikeLines(Delays):
     def refresh(self) -> list[str]:
         body = [f"q{g} = {flow}" for g, flow in enumerate(self.system.flows)] + self.reaches(range(len(self.delays)))
         # With one lane, what belongs to it is a row like any other.
-        out = self.kernel.loop(body, own=False) if self.kernel.lanes == 1 else body
+        out = self.text.loop(body, own=False) if self.text.lanes == 1 else body
         for g in self.flows:
             reaches = ", ".join([*(f"far{p}" for p, d in enumerate(self.delays) if d.line == g), "0.0"])
             out = [*out, f"span{g} = max(q{g} * h, 1e-12)", f"closing{g} = max({reaches}) / (SLOTS - 4)"]
@@ -201,7 +199,7 @@ class AlikeLines(Delays):
     def look(self) -> list[str]:
         return [
             f"s{p} = look(V, H, R, {d.line * SLOTS}, {p * SLOTS}, s{p}, v{d.line} - far{p}, span{d.line}, tip{d.line}, "
-            f"{self.kernel.row(f'Ds{p}')})"
+            f"{self.text.row(f'Ds{p}')})"
             for p, d in enumerate(self.delays)
         ]
 
@@ -213,25 +211,25 @@ class AlikeLines(Delays):
         return f"share{g}"
 
 
-class LinesApart(Delays):
+class SeparateDelayLines(DelayLines):
     """Every lane has a flow and volumes of its own. A slot is closed for all, by the volume of lane 0."""
 
     functions = DELAY_STATE + SEPARATE_FLOW
 
-    def __init__(self, system: System, kernel: _Kernel) -> None:
-        super().__init__(system, kernel)
-        self.lanes = kernel.lanes
+    def __init__(self, system: System, text: KernelText) -> None:
+        super().__init__(system, text)
+        self.lanes = text.lanes
         for name in (f"{n}{g}" for n in ("v", "q", "share") for g in self.flows):
-            kernel.row(name)
+            text.row(name)
         for p, delay in enumerate(self.delays):
             for name in (f"far{p}", f"place{p}", f"span{p}", delay.late):
-                kernel.row(name)
+                text.row(name)
 
     def begin(self) -> list[str]:
-        return self.kernel.loop([f"{self.kernel.at(f'v{g}')} = 0.0" for g in self.flows])
+        return self.text.loop([f"{self.text.at(f'v{g}')} = 0.0" for g in self.flows])
 
     def refresh(self) -> list[str]:
-        k, body, out = self.kernel, list[str](), list[str]()
+        k, body, out = self.text, list[str](), list[str]()
         for g in self.flows:
             body += [f"q{g} = {self.system.flows[g]}", f"{k.at(f'q{g}')} = q{g}"]
         for p, delay in enumerate(self.delays):
@@ -244,11 +242,11 @@ class LinesApart(Delays):
             slower = f"max({slower}, 1.0) / (SLOTS - 4)"
             own = [k.at(f"far{p}") for p, d in enumerate(self.delays) if d.line == g]
             widest = [f"closing{g} = max(closing{g}, {far} * {slower})" for far in own]
-            out += [f"closing{g} = 0.0", f"for l in range({k.lanes}):", *_in(widest)]
+            out += [f"closing{g} = 0.0", f"for l in range({k.lanes}):", *indent(widest)]
         return out
 
     def look(self) -> list[str]:
-        k = self.kernel
+        k = self.text
         out = k.loop([f"{k.at(f'place{p}')} = v{d.line} - far{p}" for p, d in enumerate(self.delays)])
         for p, d in enumerate(self.delays):
             rows = f"{k.row(f'place{p}')}, tip{d.line}, {k.row(f'Ds{p}')}"
@@ -256,14 +254,10 @@ class LinesApart(Delays):
         return out
 
     def move(self, g: int) -> list[str]:
-        k = self.kernel
+        k = self.text
         body = [f"v{g} = v{g} + q{g} * h", f"{k.at(f'v{g}')} = v{g}", f"V[{g * SLOTS} + j{g}, l] = v{g}"]
         width = f"max(v{g} - V[{g * SLOTS} + i{g}, l], 1e-12)"
         return k.loop([*body, f"{k.at(f'share{g}')} = q{g} * h / {width}"])
 
     def share(self, g: int) -> str:
-        return str(self.kernel.row(f"share{g}"))
-
-
-def _in(lines: list[str], depth: int = 1) -> list[str]:
-    return ["    " * depth + line for line in lines]
+        return str(self.text.row(f"share{g}"))

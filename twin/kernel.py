@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,23 +15,6 @@ from twin.state_layout import StateLayout
 
 CHUNK = 4096
 """Particles handed to a cost kernel at once, so that a swarm of any size needs little memory."""
-
-
-@dataclass(frozen=True)
-class GaussNewton:
-    """What one linearisation yields, for q varied quantities and m sensors.
-
-    Attributes:
-        jtj: (q, q) of the noise-weighted residuals.
-        jtr: (q,) gradient of half the cost.
-        sse: (m,) weighted squared residuals at the centre, per sensor.
-        end: (k,) state at the last sample, at the centre.
-    """
-
-    jtj: Array
-    jtr: Array
-    sse: Array
-    end: Array
 
 
 class Kernel:
@@ -66,7 +48,7 @@ class Kernel:
         """Length of a full state."""
         return self._memory.size
 
-    def _variant(self, mode: Mode, call: Call) -> Callable[..., None]:
+    def _variant(self, mode: Mode, call: _Call) -> Callable[..., None]:
         key = (mode, call.lanes, call.alike)
         if key not in self._variants:
             self._variants[key] = compile_kernel(
@@ -122,34 +104,6 @@ class Kernel:
         rows = np.moveaxis(readings[:, call.first :], 3, 1).reshape(-1, len(time), m)
         return rows[: call.count], call.ends(time, inputs)
 
-    def linearise(
-        self,
-        parameters: Array,
-        state: Array,
-        steps: Array,
-        time: Array,
-        inputs: Array,
-        measured: Array,
-        weight: Array,
-    ) -> GaussNewton:
-        """Normal equations by forward differences across lanes: row 0 is the centre, row a differs by steps[a - 1].
-
-        Args:
-            parameters: (1 + q, p). state: (1 + q, k). steps: (q,), the size of each row's difference.
-            measured, weight: (n, m) as `cost`. q is at most LANES - 1.
-        """
-        count = max(len(np.atleast_2d(parameters)), len(np.atleast_2d(state)))
-        if count > LANES:
-            raise ValueError(f"at most {LANES - 1} quantities can be varied at once, got {count - 1}")
-        call = self._call(parameters, state, time, inputs, count, LANES)
-        m = len(self.network.sensors)
-        gram, sse = np.empty((1, LANES, LANES)), np.zeros((1, m))
-        call.run(
-            self._variant("gram", call), *call.later(measured, weight), count, gram, sse, call.end, call.future
-        )  # fmt: skip
-        inner = gram[0, 1:count, 1:count] / np.outer(steps, steps)
-        return GaussNewton(inner, gram[0, 0, 1:count] / steps, sse[0], call.ends(time, inputs)[0])
-
     def _call(
         self,
         parameters: Array,
@@ -158,16 +112,16 @@ class Kernel:
         inputs: Array,
         count: int | None = None,
         lanes: int | None = None,
-    ) -> Call:
+    ) -> _Call:
         if not len(time):
             raise ValueError("there is no sample to simulate")
         parameters, state = np.atleast_2d(parameters), np.atleast_2d(state)
         count = count or max(parameters.shape[-2], len(state))
         lanes = lanes or (1 if count == 1 else LANES)
-        return Call(self._memory, parameters, state, time, inputs, count, lanes, self.lane)
+        return _Call(self._memory, parameters, state, time, inputs, count, lanes, self.lane)
 
 
-class Call:
+class _Call:
     """Arguments of one call of a compiled kernel, laid out in blocks of lanes."""
 
     def __init__(

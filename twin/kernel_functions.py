@@ -77,8 +77,8 @@ def hand_water(H, future, b, line, row, tip):
             for l in range(LANES):
                 future[b, row + part * SLOTS + e, l] = H[3 * (line + ((tip + 1 + e) & (SLOTS - 1))) + part, l]
 '''
-SHARED_FLOW = '''
-@nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8, f8)', cache=True, fastmath=FAST, error_model='numpy')
+_NOTE = '''
+@nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8, {type})', cache=True, fastmath=FAST, error_model='numpy')
 def note(H, R, i, water, steps, share):
     """Fill slot i. R: rows of the water that enters at the start, of its slope there, of the water at the end; the
     share of the slot's volume that this step is."""
@@ -94,10 +94,20 @@ def note(H, R, i, water, steps, share):
         for l in range(LANES):
             new = 2.0 / 3.0 * R[water, l] + 1.0 / 6.0 * R[water + 1, l] + 1.0 / 3.0 * R[water + 2, l]
             mean = H[i, l] + 0.5 * H[i + 1, l] + 1.0 / 3.0 * H[i + 2, l]
-            mean += share * (new - mean)
+            mean += {share} * (new - mean)
             H[i + 1, l] = 6.0 * mean - 4.0 * H[i, l] - 2.0 * R[water + 2, l]
             H[i + 2, l] = R[water + 2, l] - H[i, l] - H[i + 1, l]
+'''
 
+
+def _note(kind: str, share: str) -> str:
+    """Return the function that fills a slot, for a share of the slot's volume of a type and an expression."""
+    return _NOTE.replace("{type}", kind).replace("{share}", share)
+
+
+SHARED_FLOW = (
+    _note("f8", "share")
+    + '''
 
 @nb.njit(
     'i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, f8, f8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy'
@@ -143,27 +153,10 @@ def look(V, H, R, flow, line, s, y, span, tip, out):
         low, keep, s = high, 1.0, after
     return cursor
 '''
-SEPARATE_FLOW = '''
-@nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy')
-def note(H, R, i, water, steps, share):
-    """Fill slot i. R: rows of the water that enters at the start, of its slope there, of the water at the end; the
-    share of the slot's volume that this step is."""
-    i = 3 * i
-    if steps == 0:
-        for l in range(LANES):  # one row to a loop: few rows to prove apart, and it stays vectorised
-            H[i, l] = R[water, l]
-        for l in range(LANES):
-            H[i + 1, l] = R[water + 1, l]
-        for l in range(LANES):
-            H[i + 2, l] = R[water + 2, l] - R[water, l] - R[water + 1, l]
-    else:
-        for l in range(LANES):
-            new = 2.0 / 3.0 * R[water, l] + 1.0 / 6.0 * R[water + 1, l] + 1.0 / 3.0 * R[water + 2, l]
-            mean = H[i, l] + 0.5 * H[i + 1, l] + 1.0 / 3.0 * H[i + 2, l]
-            mean += R[share, l] * (new - mean)
-            H[i + 1, l] = 6.0 * mean - 4.0 * H[i, l] - 2.0 * R[water + 2, l]
-            H[i + 2, l] = R[water + 2, l] - H[i, l] - H[i + 1, l]
-
+)
+SEPARATE_FLOW = (
+    _note("i8", "R[share, l]")
+    + '''
 
 @nb.njit('i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, i8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy')
 def look(V, H, R, flow, line, s, place, tip, out):
@@ -212,6 +205,7 @@ def look(V, H, R, flow, line, s, place, tip, out):
         first, s = 1.0, after
     return cursor
 '''
+)
 PIECES = '''
 @nb.njit('void(f8[::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[:,::1], f8[:,:,:,::1], '
          'f8[:,:,::1], f8[:,:,::1])', cache=True, nogil=True)

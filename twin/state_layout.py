@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from twin.assembly import System
-from twin.delays import layout
+from twin.delays import delay_layout
 from twin.network import Array, Network, TwinFileError
 
 COMMANDS = 64
@@ -38,7 +38,7 @@ class StateLayout:
         self._take = np.array([names.index(n) if n in names else -1 for n in wanted])
         self._give = np.array([wanted.index(n) for n in names])
         same = [d.element for d in own.delays] == [d.element for d in inner.delays]
-        lines = layout(own)
+        lines = delay_layout(own)
         self._lines, self._pushed = lines.rows, lines.pushed
         self.rows = self._lines if same else 0
         columns = [network.input_columns.index(d.column) for _, d in own.drives if d.dead_time]

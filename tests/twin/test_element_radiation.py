@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from tests.twin.two_nodes import U, drivers, heat, network, worst_error
+from twin.gauss_newton import FitData, linearise
 from twin.kernel import Kernel, mask_measurements, simulate
 from twin.network import TwinFileError
 from twin.reference_simulation import right_hand_side, simulate_exact
@@ -59,7 +60,7 @@ def test_gradient_at_no_area_is_that_of_a_small_one() -> None:
     steps = np.array([1e-4])
     full = np.tile(net.values, (2, 1))
     full[1, net.index(["x.area"])] += steps
-    linear = kernel.linearise(full, np.tile([70.0, 25.0], (2, 1)), steps, t, u, y, weight)
+    linear = linearise(kernel, full, np.tile([70.0, 25.0], (2, 1)), steps, FitData(t, u, y, weight))
     readings = kernel.trace(np.vstack([net.values, full[1]]), np.array([70.0, 25.0]), t, u)[0]
     slope = (readings[1] - readings[0]) / 1e-4
     assert linear.jtj[0, 0] == pytest.approx(float((slope**2).sum()), rel=1e-6)

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from tests.twin.conftest import LOOP, START, drive
 from twin.codegen import LANES
+from twin.gauss_newton import FitData, linearise
 from twin.kernel import Kernel, clean_time, hold_inputs, mask_measurements, simulate
 from twin.network import Network, TwinFileError
 from twin.reference_simulation import right_hand_side, simulate_exact
@@ -107,7 +108,7 @@ def test_normal_equations_are_those_of_the_jacobian(loop: Network, twelve: Kerne
     measured = simulate(loop, t, u, START) + 0.1
     measured[::7, 2] = np.nan
     y, weight = mask_measurements(measured, loop.sigma)
-    out = twelve.linearise(full, START, steps, t, u, y, weight)
+    out = linearise(twelve, full, np.tile(START, (1 + q, 1)), steps, FitData(t, u, y, weight))
     readings, _ = twelve.trace(full, START, t, u)
     jacobian = ((readings[1:] - readings[0]) * weight).reshape(q, -1) / steps[:, None]
     residual = ((readings[0] - y) * weight).ravel()

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.codegen import python_source
+from twin.assembly import python_source
 from twin.generated_code import define_functions
 from twin.network import Array, Network
 
