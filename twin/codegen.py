@@ -1,20 +1,20 @@
-"""Network to source text: one fused kernel over lanes, in three variants.
+"""Generator of kernels: from a network to one fused loop over lanes, as source text, in two variants.
 
 ``cost``   squared, noise-weighted residuals summed per sensor: nothing is stored but the sums
-``trace``  readings of every sensor at every sample, for plots, oracles and the live twin
+``trace``  readings of every sensor at every sample
 
-The right side is A x + b plus whatever is not affine in the temperatures. A and b are computed when an input that
-they use has changed; the innermost loop is left with sums of products. A linear network is integrated by the
+The right-hand side is A x + b plus the part that is not affine in the temperatures. A and b are computed when an input
+that they use has changed; the innermost loop is left with sums of products. A linear network is integrated by the
 Taylor series of its exact solution, any other by classical Runge-Kutta.
 
 Layout: particles come in blocks of `lanes`. A block's state, parameters and coefficients live in one flat work
-array, row r of lane l at ``W[r * LANES + l]``; the only inner loop runs over l and holds all stages, so that the
-compiler turns it into vector instructions. The row offsets are literals, which is what lets it prove that rows do
-not overlap. A coefficient that all lanes share is a plain scalar. A kernel for one particle has one lane.
+array, row r of lane l at ``W[r * LANES + l]``. The only inner loop runs over l and holds all stages, so the compiler
+turns it into vector instructions. The row offsets are literals, from which it proves that rows do not overlap. A
+coefficient that all lanes share is a plain scalar. A kernel for one particle has one lane.
 
-Inputs are held from one sample to the next (zero-order hold). Each interval is cut into as many equal substeps
-as keep  substep * (largest bound on a state's own rate)  below a limit, with the largest taken over the lanes of
-the block: that keeps the error of a cooling loop below 1e-6 K, and every corner of the declared bounds stable.
+Inputs are held from one sample to the next (zero-order hold). Each interval is cut into equal substeps such that
+substep * (largest bound on a state's own rate) stays below a limit; the largest is taken over the lanes of the block.
+This keeps the error of a cooling loop below 1e-6 K, and every corner of the declared bounds stable.
 """
 
 from __future__ import annotations
@@ -32,10 +32,13 @@ from twin.kernel_text import NAME, KernelText, indent
 from twin.network import Network
 
 LANES = 32
+"""Particles in a block of a swarm's kernel."""
 FEW_LANES = 16
-"""Of kernels that try a handful of hypotheses at a time, as a diagnosis does: a block costs as much half empty."""
+"""Particles in a block of kernels that try few hypotheses at a time, as a diagnosis does: a half-empty block costs as
+much as a full one.
+"""
 MOST_STEPS = 1.0e6
-"""Substeps in one sample interval, at most."""
+"""Largest number of substeps in one sample interval."""
 Mode = Literal["cost", "trace"]
 MODES: tuple[Mode, ...] = ("cost", "trace")
 
@@ -43,16 +46,29 @@ MODES: tuple[Mode, ...] = ("cost", "trace")
 def kernel_source(
     network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int = LANES, alike: bool = True
 ) -> str:
-    """Source of one kernel.
+    """Return the source of one kernel.
 
-    Args:
-        lane_ids: the parameters that may differ from particle to particle.
-        alike: whether the water in delay lines has been pushed the same way in all lanes before the first sample.
+    Parameters
+    ----------
+    network
+        The network to simulate.
+    mode
+        ``cost`` or ``trace``.
+    lane_ids
+        Ids of the parameters that may differ from particle to particle.
+    lanes
+        Particles in a block.
+    alike
+        True if the same volume has been pushed through the delay lines of all lanes before the first sample.
     """
     return KernelGenerator(network, mode, lane_ids, lanes, alike).source()
 
 
 class KernelGenerator:
+    """Generator of one kernel: sorts coefficients by what they depend on and writes the loops over samples and
+    substeps.
+    """
+
     def __init__(self, network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int, alike: bool) -> None:
         self.network, self.mode, self.lanes = network, mode, lanes
         self.system = s = System(network, lane_ids)
@@ -72,21 +88,22 @@ class KernelGenerator:
         self._levels()
 
     def _pushed_alike(self) -> bool:
-        """Whether no flow or volume of a delay differs between lanes."""
+        """Return True if no flow or volume of a delay differs between lanes."""
         s = self.system
         texts = [*s.flows, *(d.volume for d in s.delays)]
-        return not any(s.behind(text) & self.text.rows.keys() for text in texts)
+        return not any(s.dependencies(text) & self.text.rows.keys() for text in texts)
 
     def states(self) -> list[str]:
+        """Return the names of the integrated states."""
         return [f"x{j}" for j in range(self.k)]
 
     def memories(self) -> list[str]:
-        """Lagged values, then commands on their way through a lag."""
+        """Return the names of lagged values, then of commands on their way through a lag."""
         lags = [f"f{j}" for j in range(len(self.system.lags))]
         return lags + [f"z{j}" for j, (_, d) in enumerate(self.system.drives) if d.lag]
 
     def _levels(self) -> None:
-        """Sort coefficients by what they depend on: lanes, inputs, the share of a pipe that is late."""
+        """Sort coefficients by their dependencies: lanes, inputs, the delayed share of a pipe."""
         s = self.system
         late = {d.late for d in s.delays}
         self.uses: dict[str, frozenset[int]] = {}
@@ -102,7 +119,7 @@ class KernelGenerator:
             if needed & self.text.rows.keys():
                 self.text.row(name)
         matrix = set(s.rates) | {t for form, _ in s.slopes for t in form.slopes.values()} | set(s.flows)
-        matrix |= {f.constant for f in s.followers} | {d.volume for d in s.delays}
+        matrix |= {f.constant for f in s.lag_terms} | {d.volume for d in s.delays}
         named = set().union(*(names_in(t) for t in matrix))
         self.slow = frozenset().union(*(self.uses.get(n, frozenset()) for n in named))
         inputs = {int(n[1:]) for t in matrix for n in names_in(t) if re.fullmatch(r"u\d+", n)}
@@ -110,7 +127,7 @@ class KernelGenerator:
         self.fast = frozenset().union(*self.uses.values()) - self.slow if self.uses else frozenset()
 
     def _hoisted(self) -> Iterator[tuple[str, str]]:
-        """Coefficients, with the function calls in them that all lanes share as coefficients of their own."""
+        """Yield coefficients; function calls in them that all lanes share become coefficients of their own."""
         count = 0
         for name, text in self.system.coefficients.items():
             while names_in(text) & self.text.rows.keys():
@@ -123,7 +140,7 @@ class KernelGenerator:
             yield name, text
 
     def coefficients(self, pick: str, late: bool, lane: bool) -> list[str]:
-        """Assignments of one level: ``fixed``, ``slow`` or ``fast``; of lanes or of scalars."""
+        """Return the assignments of one level, ``fixed``, ``slow`` or ``fast``, of lanes or of scalars."""
         out = []
         for name, text in self.expressions.items():
             inputs = self.uses[name]
@@ -137,7 +154,7 @@ class KernelGenerator:
         return out
 
     def drive(self) -> list[str]:
-        """What the elements see of the driven columns in this interval."""
+        """Return the lines that turn driven input columns into the values that the elements see in this interval."""
         out: list[str] = []
         for k, (_, d) in enumerate(self.system.drives):
             c = self.network.input_columns.index(d.column)
@@ -158,13 +175,16 @@ class KernelGenerator:
         return out
 
     def changed(self, columns: frozenset[int]) -> str:
+        """Return the condition that one of some input columns has changed since the last sample."""
         s = self.system
         if any(d.dead_time or d.lag for _, d in s.drives if self.network.input_columns.index(d.column) in columns):
             return "True"
         return " or ".join(f"inputs[i, {c}] != inputs[i - 1, {c}]" for c in sorted(columns)) or "False"
 
     def refresh(self) -> list[str]:
-        """Coefficients whose inputs have changed, the step, and what depends on the step."""
+        """Return the lines that renew coefficients whose inputs have changed, the step, and all that depends on the
+        step.
+        """
         s, lanes = self.system, self.lanes
         at = self.text.row("rate") * lanes
         # Most often one substep does for all lanes; counting those for which it does not is a vector operation,
@@ -207,7 +227,9 @@ class KernelGenerator:
         return out
 
     def shared(self, level: str) -> list[str]:
-        """Coefficients that all lanes share: looked up for a swarm, which would compute them in every block."""
+        """Return the coefficients that all lanes share; a swarm looks them up instead of computing them in every
+        block.
+        """
         lines = self.coefficients(level, late=False, lane=False)
         names = [line.partition(" = ")[0] for line in lines]
         if self.lanes == 1:
@@ -233,7 +255,7 @@ class KernelGenerator:
         return [*made, *self.text.called("tabulate", ["inputs", "S"], types, lines)]
 
     def observe(self) -> list[str]:
-        """Lines that compare the state at sample i with the measurement."""
+        """Return the lines that compare the state at sample i with the measurement, or store the readings."""
         readings = self.system.readings
         lines = ["now = time[i]"] if any("now" in names_in(r) for r in readings) else []
         if self.mode == "trace":
@@ -246,20 +268,20 @@ class KernelGenerator:
         return lines + self.text.loop(body)
 
     def copied(self, row: int, count: int, place: str, store: bool) -> list[str]:
-        """Rows of the work array from or to an array, as loops."""
+        """Return loops that copy rows of the work array from or to an array."""
         here = f"W[({row} + r) * {self.lanes} + l]"
         text = f"{place} = {here}" if store else f"{here} = {place}"
         return [f"for r in range({count}):", f"    for l in range({self.lanes}):", f"        {text}"] if count else []
 
     def block(self) -> list[str]:
-        """One block of lanes from the first sample to the last."""
+        """Return the lines of one block of lanes from the first sample to the last."""
         s = self.system
         cost = self.mode == "cost"
         remembered = [*self.states(), *self.memories()]
         lines = self.copied(0, len(remembered), "start[b, r, l]", store=False)
         lines += self.copied(len(remembered), len(self.parameters), "lanes[b, r, l]", store=False)
         lagging = [self.network.input_columns.index(d.column) for _, d in s.drives if d.lag]
-        rest = [*s.starts, *(f"inputs[first, {c}]" for c in lagging)]
+        rest = [*s.rest_values, *(f"inputs[first, {c}]" for c in lagging)]
         # Loops rather than lines, here and at the end: the compiler's time goes with the number of statements.
         body = []
         for name, at_rest in zip(remembered[len(self.network.nodes) :], rest, strict=True):
@@ -291,6 +313,7 @@ class KernelGenerator:
         return lines
 
     def source(self) -> str:
+        """Return the source text of the module."""
         s, n = self.system, self.lanes
         measured = "" if self.mode == "trace" else "y, weight, "
         name, rows = ("piece", "first, n") if self.mode == "trace" else ("kernel", "first")

@@ -1,17 +1,18 @@
-"""Delay lines in the kernel: what the water was when it went in, looked up by the volume that followed it.
+"""Transport delays in the kernel: plug flow, looked up by the volume that has followed the water.
 
-Each flow counts the volume v that it has moved, each delay remembers its water in slots of that volume: a + r (m + r b)
-at the share r of a slot. As long as one step fills a slot, a, m and b are the water at its start, its slope there and
-what is missing to the water at its end, and the error is of third order in the step; where slower flows fill a slot in
-several steps, it has the water at both ends and the mean of what has gone in. Jumps lie between slots, or lose shape.
+Each flow counts the volume v that it has moved. Each delay stores its water in slots of that volume:
+a + r (m + r b) at the share r of a slot. While one step fills a slot, a, m and b are the water at its start, its slope
+there and the difference to the water at its end; the error is of third order in the step. Where slower flows fill a
+slot in several steps, it has the water at both ends and the mean of the water that has gone in. Jumps lie between
+slots, or lose their shape.
 
-The outlet at v is the water at v - volume. Where one step moves more than the volume, it is that at v minus what
-the step moves, and only the share `late` of the water is delayed (see `twin.elements.base.Delay`). So a look-up
-never needs the step under way. The outlet over a step runs through parts of slots; the kernel takes the quadratic in
-time that has the same mean and first two moments, so a jump in the middle of a step does what it should to whatever
-is slow beside the step, and no heat is lost on the way.
+The outlet at v is the water at v - volume. Where one step moves more than the volume, it is that at v minus the volume
+moved in the step, and only the share `late` of the water is delayed (see `twin.elements.base.PlugFlowDelay`). So a
+look-up never needs the step under way. The outlet over a step runs through parts of slots; the kernel takes the
+quadratic in time that has the same mean and first two moments. So a jump in the middle of a step acts correctly on
+everything that is slow against the step, and no heat is lost on the way.
 
-Where all lanes share flow and volumes the volumes are counted once and the weights of a look-up are scalars; where
+Where all lanes share flow and volumes, the volumes are counted once and the weights of a look-up are scalars. Where
 they do not, every lane has its own, and all lanes go through the slots that any of them needs.
 """
 
@@ -27,17 +28,20 @@ from twin.kernel_functions import DELAY_STATE, SEPARATE_FLOW, SHARED_FLOW
 from twin.kernel_text import KernelText, indent
 
 SLOTS = 64
-"""Slots of a delay line, a power of two; the longest pipe of a flow never needs more than SLOTS - 4."""
+"""Number of slots of a delay line, a power of two; the longest pipe of a flow never needs more than SLOTS - 4."""
 NEVER = 1.0e6
 """Volume of a slot of water that was there from the beginning, L."""
 PARTS = 3
-"""Coefficients of a slot's water."""
+"""Number of coefficients of a slot's water."""
 
 
 @dataclass(frozen=True)
 class DelayLayout:
-    """Rows of what delay lines hand on: of each flow's volumes, followed by the steps since a slot was closed; of each
-    delay's water, one coefficient after the other."""
+    """Rows of the delay lines in a full state: volumes of each flow, steps since a slot was closed, then each delay's
+    water.
+
+    The rows of a delay's water hold one coefficient after the other.
+    """
 
     volumes: tuple[int, ...]
     waters: tuple[int, ...]
@@ -45,11 +49,12 @@ class DelayLayout:
 
     @property
     def pushed(self) -> list[int]:
-        """Rows that are the same in all lanes where those share flow and volumes."""
+        """Return the rows that are the same in all lanes where those share flow and volumes."""
         return [row + e for row in self.volumes for e in range(SLOTS + 1)]
 
 
 def delay_layout(system: System) -> DelayLayout:
+    """Return the layout of a system's delay lines."""
     flows, count = len(system.flows), len(system.delays)
     waters = flows * (SLOTS + 1)
     return DelayLayout(
@@ -60,16 +65,16 @@ def delay_layout(system: System) -> DelayLayout:
 
 
 def delay_lines(system: System, text: KernelText, alike: bool) -> DelayLines:
-    """`alike`: whether all lanes share flow and volumes, in the past too."""
+    """Return the delay lines of a kernel; `alike` says that all lanes share flow and volumes, in the past too."""
     return SharedDelayLines(system, text) if alike else SeparateDelayLines(system, text)
 
 
 class DelayLines(ABC):
     """Source lines of a kernel's delay lines.
 
-    V holds the volume at which each slot begins, SLOTS rows for each flow; H the water, 3 SLOTS rows for each delay.
-    Rows of the work array that a substep reads: Ds, Da, Db, the outlet over the step; that it writes: wb, ws, wn, the
-    water that enters at its start, the slope of that over the step, the water at its end.
+    V holds the volume at which each slot begins, SLOTS rows for each flow; H the water, 3 SLOTS rows for each delay. A
+    substep reads the rows Ds, Da, Db of the work array, the outlet over the step. It writes wb, ws, wn: the water that
+    enters at its start, its slope over the step, the water at its end.
     """
 
     functions: ClassVar[str]
@@ -84,7 +89,7 @@ class DelayLines(ABC):
         self._layout = delay_layout(system)
 
     def head(self) -> list[str]:
-        """Arrays, once a call."""
+        """Return the lines that allocate the arrays, once a call."""
         return [
             f"R = W.reshape(-1, {self.text.lanes})",
             f"V = np.zeros(({SLOTS * len(self.flows)}, {self.lanes}))",
@@ -92,7 +97,7 @@ class DelayLines(ABC):
         ]
 
     def enter(self) -> list[str]:
-        """Fill the lines: with what `past` holds, or with the water at rest."""
+        """Fill the lines with the contents of `past`, or with the water at rest."""
         k, scalars = self.text, list[str]()
         for g in self.flows:
             row = self._layout.volumes[g]
@@ -112,26 +117,28 @@ class DelayLines(ABC):
 
     @abstractmethod
     def begin(self) -> list[str]:
-        """No volume has been moved yet."""
+        """Set the volumes moved so far to zero."""
 
     @abstractmethod
     def refresh(self) -> list[str]:
-        """Reach of each delay for the flow and step of this interval, and how much volume closes a slot."""
+        """Return the reach of each delay for this interval's flow and step, and the volume that closes a slot."""
 
     @abstractmethod
     def look(self) -> list[str]:
-        """Outlets over the step."""
+        """Return the lines that look up the outlets over the step."""
 
     @abstractmethod
     def move(self, g: int) -> list[str]:
-        """Volume at the end of the step, and boundary j of flow g."""
+        """Return the lines that advance the volume of flow g over the step and set boundary j."""
 
     @abstractmethod
     def share(self, g: int) -> str:
-        """Share of the slot's volume that the step is: a number, or its row."""
+        """Return the step's share of the slot's volume: a number, or its row."""
 
     def reaches(self, own: Iterable[int]) -> list[str]:
-        """Of delays, what the water in them must still know of, and the share of the water that is delayed."""
+        """Return, per delay, the volume that the look-up must reach back, and the share of the water that is
+        delayed.
+        """
         out = []
         for p in own:
             delay = self.delays[p]
@@ -140,14 +147,16 @@ class DelayLines(ABC):
         return out
 
     def outlets(self) -> list[str]:
-        """Outlets in the middle and at the end of the step, for Runge-Kutta and for what hangs on the end."""
+        """Return the outlets in the middle and at the end of the step, for Runge-Kutta and for what depends on the
+        end.
+        """
         out = []
         for p in range(len(self.delays)):
             out += [f"Dm{p} = Ds{p} + 0.5 * (Da{p} + 0.5 * Db{p})", f"De{p} = Ds{p} + Da{p} + Db{p}"]
         return out
 
     def advance(self) -> list[str]:
-        """Remember what has entered, and close slots that are wide enough."""
+        """Return the lines that store the water that has entered, and close slots that are wide enough."""
         out = list[str]()
         for g in self.flows:
             out += self.move(g)
@@ -176,7 +185,7 @@ class DelayLines(ABC):
 
 
 class SharedDelayLines(DelayLines):
-    """All lanes share flow and volumes."""
+    """Delay lines of lanes that all share flow and volumes."""
 
     functions = DELAY_STATE + SHARED_FLOW
 
@@ -212,7 +221,9 @@ class SharedDelayLines(DelayLines):
 
 
 class SeparateDelayLines(DelayLines):
-    """Every lane has a flow and volumes of its own. A slot is closed for all, by the volume of lane 0."""
+    """Delay lines of lanes that have a flow and volumes of their own; a slot closes for all, by the volume of lane
+    0.
+    """
 
     functions = DELAY_STATE + SEPARATE_FLOW
 

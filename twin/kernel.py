@@ -18,20 +18,27 @@ CHUNK = 4096
 
 
 class Kernel:
-    """The simulation of one network with `lane_ids` free to differ between particles.
+    """The simulation of one network in which the parameters `lane_ids` may differ between particles.
 
-    Parameter vectors are always full ones, (p,) or (P, p) in the order of ``network.ids``; columns outside
+    Parameters
+    ----------
+    network
+        The network to simulate.
+    lane_ids
+        Ids of the parameters that may vary; all by default.
+    whole_memory
+        Include in a full state all memory that the parameters in `lane_ids` may bring along, such as a lag that is 0 in
+        the network. Only this kernel can then take up that state.
+
+    Notes ----- Parameter vectors are always full, (p,) or (P, p) in the order of ``network.ids``; columns outside
     `lane_ids` must be the same for all particles of a call.
 
     Arrays: time (n,) s, not decreasing; inputs (n, c); measured (n, m) degC with NaN where masked. Inputs hold from
     a sample to the next; NaN in an input holds the last good value (the network's nominal before the first).
 
-    A state is (k,) or (P, k), the node temperatures in degC at the first sample, with everything that the elements
-    remember at rest; or (size,) or (P, size), what an earlier call handed out, from which it goes on. Its first k
-    entries are the node temperatures. For a network without memory the two are the same.
-
-    With `whole_memory` a full state holds what parameters in `lane_ids` may bring along, too: a lag that is 0 in the
-    network. Only this kernel can then take it up.
+    A state is (k,) or (P, k), the node temperatures in degC at the first sample with all memory at rest; or (size,) or
+    (P, size), the full state that an earlier call returned. Its first k entries are the node temperatures. For a
+    network without memory the two are the same.
     """
 
     def __init__(
@@ -40,13 +47,13 @@ class Kernel:
         self.network = network
         self.lane_ids = network.ids if lane_ids is None else tuple(dict.fromkeys(lane_ids))
         self.lane = network.index(self.lane_ids)
-        self._memory = StateLayout(network, self.lane_ids, self.lane_ids if whole_memory else ())
+        self._layout = StateLayout(network, self.lane_ids, self.lane_ids if whole_memory else ())
         self._variants: dict[tuple[Mode, int, bool], Callable[..., None]] = {}
 
     @property
     def size(self) -> int:
-        """Length of a full state."""
-        return self._memory.size
+        """Return the length of a full state."""
+        return self._layout.size
 
     def _variant(self, mode: Mode, call: _Call) -> Callable[..., None]:
         key = (mode, call.lanes, call.alike)
@@ -59,10 +66,20 @@ class Kernel:
     def cost(
         self, parameters: Array, state: Array, time: Array, inputs: Array, measured: Array, weight: Array
     ) -> tuple[Array, Array]:
-        """Sum of squared weighted residuals per particle and sensor (P, m), and end temperatures (P, k).
+        """Return the sum of squared weighted residuals per particle and sensor (P, m), and end temperatures (P, k),
+        degC.
 
-        Args:
-            measured, weight: (n, m); entries of weight 0 are ignored (`masked` makes both).
+        Parameters
+        ----------
+        parameters, state, time, inputs
+            Arrays as described for the class.
+        measured, weight
+            (n, m) degC and 1/K; entries of weight 0 are ignored (`mask_measurements` makes both).
+
+        Raises
+        ------
+        ValueError
+            There is no sample, or a parameter or state is not finite.
         """
         parameters, state = np.atleast_2d(parameters), np.atleast_2d(state)
         count, k, m = max(len(parameters), len(state)), len(self.network.nodes), len(self.network.sensors)
@@ -79,23 +96,37 @@ class Kernel:
     def trace(
         self, parameters: Array, state: Array, time: Array, inputs: Array, lanes: int | None = None
     ) -> tuple[Array, Array]:
-        """Readings (P, n, m) at every sample, and full end states (P, size).
+        """Return readings (P, n, m) in degC at every sample, and full end states (P, size).
 
-        Args:
-            lanes: particles that run side by side, 1, FEW_LANES or LANES; by default 1 or LANES, as suits P. Each is
-                compiled by itself.
+        Parameters
+        ----------
+        parameters, state, time, inputs
+            Arrays as described for the class.
+        lanes
+            Number of particles in a block, 1, FEW_LANES or LANES; by default 1 or LANES, as suits P. Each is compiled
+            by itself.
+
+        Raises
+        ------
+        ValueError
+            There is no sample, or a parameter or state is not finite.
         """
         return self.trace_pieces(np.atleast_2d(parameters)[None], state, time, inputs, [0], lanes)
 
     def trace_pieces(
         self, parameters: Array, state: Array, time: Array, inputs: Array, cuts: Sequence[int], lanes: int | None = None
     ) -> tuple[Array, Array]:
-        """The same where parameters change at some samples.
+        """Return readings and end states as `trace` does, where parameters change at some samples.
 
-        Args:
-            parameters: (c, P, p), those of each piece. cuts: (c,) sample at which each piece begins, 0 first. What is
-                read at that sample is read by the piece that begins.
-            lanes: as of `trace`.
+        Parameters
+        ----------
+        parameters
+            (c, P, p), those of each piece.
+        cuts
+            (c,) sample at which each piece begins, 0 first. The reading at that sample is that of the piece that
+            begins.
+        lanes
+            As for `trace`.
         """
         call = self._call(parameters, state, time, inputs, lanes=lanes)
         m = len(self.network.sensors)
@@ -118,7 +149,7 @@ class Kernel:
         parameters, state = np.atleast_2d(parameters), np.atleast_2d(state)
         count = count or max(parameters.shape[-2], len(state))
         lanes = lanes or (1 if count == 1 else LANES)
-        return _Call(self._memory, parameters, state, time, inputs, count, lanes, self.lane)
+        return _Call(self._layout, parameters, state, time, inputs, count, lanes, self.lane)
 
 
 class _Call:
@@ -126,7 +157,7 @@ class _Call:
 
     def __init__(
         self,
-        memory: StateLayout,
+        layout: StateLayout,
         parameters: Array,
         state: Array,
         time: Array,
@@ -135,56 +166,77 @@ class _Call:
         lanes: int,
         lane: np.ndarray,
     ) -> None:
-        self.memory, self.count, self.lanes = memory, count, lanes
+        self.layout, self.count, self.lanes = layout, count, lanes
         self.blocks = -(-count // lanes)
         self._base = np.array(parameters.reshape(-1, parameters.shape[-1])[0])
-        self._lane = _laid_out(parameters[..., lane], count, lanes)
-        temperatures, past, history = memory.taken_apart(state)
-        if not (np.isfinite(self._lane).all() and np.isfinite(state[:, : memory.nodes]).all()):
+        self._lane = _in_blocks(parameters[..., lane], count, lanes)
+        temperatures, past, history = layout.split(state)
+        if not (np.isfinite(self._lane).all() and np.isfinite(state[:, : layout.nodes]).all()):
             raise ValueError("parameters and initial states must be finite")
-        self._start = _laid_out(temperatures, count, lanes)
-        self._past = np.empty((0, 0, 0)) if past is None else _laid_out(past, count, lanes)
-        self.alike = memory.alike(past)
+        self._start = _in_blocks(temperatures, count, lanes)
+        self._past = np.empty((0, 0, 0)) if past is None else _in_blocks(past, count, lanes)
+        self.alike = layout.pushed_alike(past)
         self.history = history
-        self.time, self.inputs = memory.extended(history, time, inputs)
+        self.time, self.inputs = layout.with_history(history, time, inputs)
         self.first = len(self.time) - len(time)
         self.end = np.empty((self.blocks, self._start.shape[1], lanes))
         self.no_future = np.empty((0, 0, 0))
-        self.future = np.empty((self.blocks if memory.rows else 0, memory.rows, lanes))
+        self.future = np.empty((self.blocks if layout.rows else 0, layout.rows, lanes))
 
     def run(self, kernel: Callable[..., None], *rest: Any) -> None:
+        """Run a kernel of mode ``cost``."""
         kernel(self._base, self._lane, self._start, self._past, self.first, self.time, self.inputs, *rest)
 
     def run_pieces(self, kernel: Callable[..., None], cuts: Sequence[int], readings: Array) -> None:
+        """Run a kernel of mode ``trace`` over pieces that begin at `cuts`."""
         rows = self.first + np.append(np.asarray(cuts, dtype=np.int64), len(self.time) - self.first)
         past, now = (self._start, self._past), (self.time, self.inputs)
         kernel(self._base, self._lane, *past, rows, *now, readings, self.end, self.future)
 
     def later(self, *arrays: Array) -> list[Array]:
-        """Arrays over the samples with rows put before them for the samples that are history."""
+        """Return arrays over the samples with zero rows put before them for the samples that are history."""
         if not self.first:
             return list(arrays)
         return [np.vstack([np.zeros((self.first, a.shape[1])), a]) for a in arrays]
 
     def particles(self, lanes: Array) -> Array:
-        """(blocks, q, lanes) -> (P, q)."""
+        """Return an array (blocks, q, lanes) as (P, q)."""
         blocks, q, width = lanes.shape
         return lanes.transpose(0, 2, 1).reshape(blocks * width, q)[: self.count]
 
     def ends(self, time: Array, inputs: Array) -> Array:
-        """Full states (P, size) at the last sample."""
-        history = self.memory.remembered(self.time, self.inputs)
-        return self.memory.put_together(self.particles(self.end), self.particles(self.future), history)
+        """Return the full states (P, size) at the last sample."""
+        history = self.layout.recent_commands(self.time, self.inputs)
+        return self.layout.join(self.particles(self.end), self.particles(self.future), history)
 
 
 def simulate(
     network: Network, time: ArrayLike, inputs: ArrayLike, state: ArrayLike, parameters: ArrayLike | None = None
 ) -> Array:
-    """Free-running readings (n, m) in degC of a network from an initial state.
+    """Simulate a network without measurements (free run) and return the sensors' readings.
 
-    Args:
-        time: (n,) s. inputs: (n, c) in the order of ``network.input_columns``. state: (k,) degC.
-        parameters: full vector (p,), the network's own by default.
+    Parameters
+    ----------
+    network
+        The network.
+    time
+        (n,) s, not decreasing.
+    inputs
+        (n, c) in the order of ``network.input_columns``; NaN holds the last good value.
+    state
+        (k,) node temperatures at the first sample, degC, in the order of ``network.nodes``.
+    parameters
+        Full vector (p,) in the order of ``network.ids``; the network's own by default.
+
+    Returns
+    -------
+    ndarray
+        Readings (n, m) in degC, in the order of ``network.sensor_names``.
+
+    Raises
+    ------
+    TwinFileError
+        Time goes back or is not finite, or the number of input columns is wrong.
     """
     values = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
     t, u = clean_time(time), hold_inputs(network, inputs)
@@ -192,7 +244,13 @@ def simulate(
 
 
 def hold_inputs(network: Network, inputs: ArrayLike, last: Array | None = None) -> Array:
-    """Inputs (n, c) with NaN replaced by the last good value; before the first, by `last` or the nominal."""
+    """Return inputs (n, c) with NaN replaced by the last good value; before the first, by `last` or the nominal.
+
+    Raises
+    ------
+    TwinFileError
+        The number of input columns is wrong.
+    """
     u = np.ascontiguousarray(np.atleast_2d(np.asarray(inputs, dtype=np.float64)))
     if u.shape[1] != len(network.inputs):
         raise TwinFileError(f"expected {len(network.inputs)} input columns, got {u.shape[1]}")
@@ -207,10 +265,12 @@ def hold_inputs(network: Network, inputs: ArrayLike, last: Array | None = None) 
 
 
 def clean_time(time: ArrayLike) -> Array:
-    """Time (n,) as contiguous floats.
+    """Return time (n,) as contiguous floats.
 
-    Raises:
-        TwinFileError: not finite, or going back.
+    Raises
+    ------
+    TwinFileError
+        Time is not finite, or goes back.
     """
     t = np.ascontiguousarray(np.asarray(time, dtype=np.float64).ravel())
     if not np.isfinite(t).all() or (np.diff(t) < 0.0).any():
@@ -219,15 +279,15 @@ def clean_time(time: ArrayLike) -> Array:
 
 
 def mask_measurements(measured: ArrayLike, sigma: Array | float = 1.0) -> tuple[Array, Array]:
-    """Measurements with NaN replaced by 0, and weights 1/sigma with 0 where there was NaN; both (n, m)."""
+    """Return measurements with NaN replaced by 0, and weights 1/sigma with 0 where there was NaN; both (n, m)."""
     y = np.atleast_2d(np.asarray(measured, dtype=np.float64))
     good = np.isfinite(y)
     weight = np.where(good, 1.0 / np.broadcast_to(np.asarray(sigma, dtype=np.float64), y.shape), 0.0)
     return np.ascontiguousarray(np.where(good, y, 0.0)), np.ascontiguousarray(weight)
 
 
-def _laid_out(rows: Array, count: int, lanes: int) -> Array:
-    """(..., P or 1, q) -> (..., blocks, q, lanes); a last partial block repeats its final particle."""
+def _in_blocks(rows: Array, count: int, lanes: int) -> Array:
+    """Return an array (..., P or 1, q) as (..., blocks, q, lanes); a last partial block repeats its final particle."""
     last = min(count, rows.shape[-2]) - 1
     take = np.minimum(np.arange(-(-count // lanes) * lanes), last).reshape(-1, lanes)
     return np.array(np.moveaxis(rows[..., take, :], -1, -2), order="C")

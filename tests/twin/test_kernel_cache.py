@@ -173,9 +173,9 @@ def test_functions_compiled_ahead_are_not_kept_where_others_may_write(
 
 SHARED = """
 import numpy as np
-from twin.kernel_cache import compiled
+from twin.kernel_cache import compile_kernel
 out = np.zeros(1)
-compiled({source!r})(out)
+compile_kernel({source!r})(out)
 print(out[0])
 """
 
