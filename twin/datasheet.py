@@ -1,9 +1,8 @@
-"""A twin file out of what an operator knows of a rig: its data sheet.
+"""Twin file from a rig's data sheet.
 
-Volumes become capacitances, those of pipes go into the template's pipes (`pipe_heater_to_modules` and so on) or, where
-it has none, into the volumes downstream of them; the flow and the thermocouples' noise are
-taken over; everything that a data sheet does not say keeps the value of the shipped loop, for `commission` to
-find.
+Volumes become capacitances. Those of pipes go into the template's pipes (`pipe_heater_to_modules` and so on) or, where
+it has none, into the volumes downstream of them. The flow and the thermocouples' noise are taken over. All other
+parameters keep the value of the shipped loop until `commission` fits them.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ WATER_CP = 4180.0
 """J/(kg K) at 30 degC (IAPWS-95)."""
 _PIPES = ("heater_to_modules", "modules_to_radiator", "radiator_to_tank", "tank_to_heater")
 _SOLID = {"heater": 900.0, "modules": 1250.0, "radiator": 350.0, "tank": 0.0}
-"""J/K of metal in the shipped loop's volumes: what is left of its capacitances without the water."""
+"""J/K of metal in the shipped loop's volumes: its capacitances without the water."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +40,19 @@ class DataSheet:
 
 
 def from_datasheet(path: str | Path, template: str | Path | None = None) -> Network:
-    """Loop twin of the rig whose data sheet (JSON) lies at `path`; save it with `twin.twinfile.save`.
+    """Build the loop twin of the rig whose data sheet (JSON) lies at `path`; save it with `twin.twinfile.save`.
 
-    Args:
-        template: twin file to fill in, the shipped ``profiles/twins/loop.toml`` by default.
+    Parameters
+    ----------
+    path
+        Path of the data sheet.
+    template
+        Twin file to fill in, the shipped ``profiles/twins/loop.toml`` by default.
 
-    Raises:
-        TwinFileError: unreadable sheet, missing or impossible entry, or a template that is not a loop.
+    Raises
+    ------
+    TwinFileError
+        The sheet is unreadable, an entry is missing or impossible, or the template is not a loop.
     """
     path = Path(path)
     try:
@@ -67,8 +72,10 @@ def from_datasheet(path: str | Path, template: str | Path | None = None) -> Netw
 def read_data_sheet(data: Mapping[str, Any], file: str = "data sheet") -> DataSheet:
     """Check the entries of a data sheet.
 
-    Raises:
-        TwinFileError: an entry is missing, not a number, or not positive.
+    Raises
+    ------
+    TwinFileError
+        An entry is missing, not a number, or not positive.
     """
 
     def number(table: Mapping[str, Any], key: str) -> float:
@@ -96,10 +103,12 @@ def read_data_sheet(data: Mapping[str, Any], file: str = "data sheet") -> DataSh
 
 
 def apply_data_sheet(base: Network, sheet: DataSheet, name: str = "rig", source: str = "data sheet") -> Network:
-    """The loop `base` with the volumes, flow and noise of a data sheet.
+    """Return the loop `base` with the volumes, flow and noise of a data sheet.
 
-    Raises:
-        TwinFileError: `base` is not a loop of heater, modules, radiator and tank.
+    Raises
+    ------
+    TwinFileError
+        `base` is not a loop of heater, modules, radiator and tank.
     """
     if all(f"pipe_{p}.volume" in base.parameters for p in _PIPES):
         values = {f"pipe_{p}.volume": sheet.pipes_L.get(p, 0.0) for p in _PIPES}
@@ -145,7 +154,7 @@ def apply_data_sheet(base: Network, sheet: DataSheet, name: str = "rig", source:
 
 
 def _limits(network: Network, key: str) -> tuple[float, float]:
-    """Bounds that the kind of a parameter's element sets."""
+    """Return the bounds that the kind of a parameter's element sets."""
     element, name = key.split(".")
     for e in network.elements:
         if e.name == element:

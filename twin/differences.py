@@ -1,4 +1,4 @@
-"""What differs between two twins: elements that came or went, parameters that moved, and everything else by its key."""
+"""Differences between two twins: elements added or removed, parameter values, and everything else by its key."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ABSENT = "absent"
 
 @dataclass(frozen=True)
 class ElementDiff:
-    """An element that only one of the two has: where it stands (place -> what), and its parameters."""
+    """An element that only one of the two twins has: its places (key -> name), and its parameters."""
 
     name: str
     kind: str
@@ -36,7 +36,7 @@ class ParameterDiff:
 
 @dataclass(frozen=True)
 class KeyDiff:
-    """Anything else: its key in the twin file, and what it says there, "absent" where it does not stand."""
+    """Any other difference: its key in the twin file and the two values, "absent" where there is none."""
 
     key: str
     before: str
@@ -45,9 +45,9 @@ class KeyDiff:
 
 @dataclass(frozen=True)
 class TwinDiff:
-    """What has to happen to the first twin to make the second of it; where they come from is left out.
+    """The changes that turn the first twin into the second; their origin is left out.
 
-    A parameter that shares another's value is not listed when that value moves. An element that changed its kind
+    A parameter that shares another's value is not listed when that value changes. An element that changed its kind
     is removed and added.
     """
 
@@ -58,12 +58,12 @@ class TwinDiff:
 
     @property
     def empty(self) -> bool:
-        """Whether both describe the same twin."""
+        """Return True if both describe the same twin."""
         return not (self.added or self.removed or self.moved or self.changed)
 
 
 def diff(a: Network, b: Network) -> TwinDiff:
-    """Differences from `a` to `b`, in the order of their files."""
+    """Return the differences from `a` to `b`, in the order of their files."""
     before, after = {e.name: e for e in a.elements}, {e.name: e for e in b.elements}
     both = [n for n in before if n in after and before[n].kind == after[n].kind]
     table_a, table_b = _comparable(a), _comparable(b)
@@ -94,7 +94,9 @@ def _piece(network: Network, element: Element) -> ElementDiff:
 
 
 def _comparable(network: Network) -> dict[str, Any]:
-    """Tables of a twin without its revision; the members of a set by parameter, so that one more is one change."""
+    """Return the tables of a twin without its revision; members of a set by parameter, so that one more is one
+    change.
+    """
     table = to_tables(network)
     del table["revision"], table["format"]
     for chosen in table.get("sets", {}).values():

@@ -211,7 +211,7 @@ def test_a_chain_of_three_with_a_revert(first: Path) -> None:
     assert [e.network.revision.number for e in entries] == [3, 2, 1]
     assert not any(e.remarks or e.faults for e in entries)
     assert entries[0].network.revision.notes == (
-        "undoes my_twin.r2.toml (revision 2): says what my_twin.toml (revision 1) says",
+        "undoes my_twin.r2.toml (revision 2): restores my_twin.toml (revision 1)",
     )
     assert entries[0].network.revision.made_by == "me"
     assert entries[0].network.revision.evidence == ""
