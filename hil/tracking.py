@@ -194,7 +194,7 @@ class Twins:
                 outputs.setdefault(STATIC, update.static)
             outputs[name] = update.tracked
             proposals += [Proposed(name, p["time_s"], p) for p in update.proposals]
-            for c, missed in zip(update.calibrations, update.misses, strict=True):
+            for c, missed in zip(update.calibrations, update.window_errors, strict=True):
                 outdone = c.kind != "skipped" and self._misses[name].add(*missed)
                 document = calibration_document(c) | {"outdone": outdone}
                 calibrations.append(Finished(name, c.start_s, c.end_s, document))
@@ -214,9 +214,9 @@ class Twins:
         return found
 
     def begin_again(self) -> None:
-        """After a time in which nobody saw the rig; see `TwinTracker.begin_again`."""
+        """After a time in which nobody saw the rig; see `TwinTracker.restart`."""
         for tracker in self._trackers.values():
-            tracker.begin_again()
+            tracker.restart()
 
     def over(
         self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]], rows: int

@@ -1,8 +1,8 @@
-"""Where a record has to be followed anew: after a time in which nobody knows what drove the rig.
+"""Segments of a record, separated by gaps in which the inputs are unknown.
 
-A twin can be run across missing readings, but not across missing inputs: what a heater of 1 kW did in a quarter of an
-hour without a sample is a degree in a tank. So after such a gap the twin begins again, at temperatures that the
-readings tell, and what was read in the gap itself is left aside.
+A twin can be run across missing readings, but not across missing inputs: a heater of 1 kW warms a tank by a degree in a
+quarter of an hour. So after such a gap the twin restarts, at temperatures from the readings, and readings inside the
+gap are ignored.
 """
 
 from __future__ import annotations
@@ -15,25 +15,34 @@ from twin.kernel import Kernel
 from twin.network import Array, Network
 
 LONG_GAP_S = 300.0
-"""A gap that is lost even where all inputs are afterwards what they were before."""
+"""Length from which a gap separates segments even where all inputs are afterwards as before, s."""
 SHORT_GAP_S = 20.0
-"""The shortest gap that is lost where an input has changed meanwhile."""
+"""Length from which a gap separates segments where an input has changed meanwhile, s."""
 GAP_PERIODS = 3.0
-"""Typical steps of a record that are no gap, however long they are."""
+"""Number of typical steps of a record that are never a gap, however long they are."""
 CHANGED_SHARE = 0.02
-"""An input has changed by more than this share of its declared range."""
+"""Share of its declared range by which an input must differ to count as changed."""
 LOGGED_SHARE = 0.5
-"""Share of the samples in which an input has to have a value; one with fewer is written down when it changes."""
+"""Share of the samples in which an input must have a value; an input with fewer is recorded only when it changes."""
 CLOCK_PREFIX = "time_of_day"
-"""Beginning of the name of an input that goes on by itself."""
+"""Beginning of the name of an input that advances by itself, a clock."""
 MOST_GAPS = 24
-"""Beginnings that are told from the readings, those after the longest gaps."""
+"""Largest number of restarts from the readings; the longest gaps come first."""
 
 
 @dataclass(frozen=True)
 class Segments:
-    """`begins`: rows at which the rig is followed anew, the first one and those after gaps; `lost`: (N,) bool, rows
-    inside gaps; `gaps`: (first, last) time, s, of each gap."""
+    """The segments of a record.
+
+    Attributes
+    ----------
+    begins
+        Rows at which the twin restarts: the first one and those after gaps.
+    lost
+        (N,) bool, rows inside gaps.
+    gaps
+        First and last time of each gap, s.
+    """
 
     begins: tuple[int, ...]
     lost: np.ndarray
@@ -41,7 +50,7 @@ class Segments:
 
     @property
     def sentence(self) -> str:
-        """What becomes of the gaps, for an operator; "" where there is none."""
+        """Return a sentence for the operator about the gaps; "" where there is none."""
         if not self.gaps:
             return ""
         total = sum(b - a for a, b in self.gaps) / 60.0
@@ -49,19 +58,28 @@ class Segments:
         where = f"{longest[0] / 3600.0:.1f} h"
         if len(self.gaps) == 1:
             return (
-                f"nothing tells what drove the rig for {total:.3g} min at {where}: the twin begins anew after that, at "
-                "temperatures that the readings tell"
+                f"the inputs are unknown for {total:.3g} min at {where}: the twin restarts after that, at temperatures "
+                "from the readings"
             )
         return (
-            f"nothing tells what drove the rig in {len(self.gaps)} gaps of {total:.3g} min together (the longest at "
-            f"{where}): the twin begins anew after each, at temperatures that the readings tell"
+            f"the inputs are unknown in {len(self.gaps)} gaps of {total:.3g} min together (the longest at {where}): "
+            "the twin restarts after each, at temperatures from the readings"
         )
 
 
 def find_segments(network: Network, time: Array, inputs: Array) -> Segments:
-    """Stretches of a record with time (N,) s, not decreasing, and inputs (N, c) with NaN where there was no value.
+    """Find the segments of a record.
 
-    Temperatures of the surroundings are slow: in a gap they lie on a straight line, and lose nothing.
+    Temperatures of the surroundings are slow: in a gap they lie on a straight line and separate nothing.
+
+    Parameters
+    ----------
+    network
+        The network whose inputs count.
+    time
+        (N,) s, not decreasing.
+    inputs
+        (N, c) with NaN where there was no value.
     """
     driven = [j for j, c in enumerate(network.input_columns) if not c.endswith("_C") and not c.startswith(CLOCK_PREFIX)]
     good = np.isfinite(inputs[:, driven])
@@ -72,7 +90,7 @@ def find_segments(network: Network, time: Array, inputs: Array) -> Segments:
         return Segments((0,), lost, ())
     length = np.diff(time[rows])
     span = np.array([spec.upper - spec.lower for spec in network.inputs.values()])[driven]
-    # What is no value here is one that is written down when it changes.
+    # A missing value here is that of an input which is recorded only when it changes.
     values = np.nan_to_num(inputs[:, driven])
     away = np.abs(np.diff(values[rows], axis=0)) * np.isfinite(inputs[rows[1:]][:, driven])
     moved = (away > CHANGED_SHARE * np.where(np.isfinite(span), span, np.ptp(values[rows], axis=0))).any(axis=1)
@@ -88,17 +106,25 @@ def find_segments(network: Network, time: Array, inputs: Array) -> Segments:
 
 
 def segment_rows(begins: tuple[int, ...], rows: int) -> tuple[slice, ...]:
-    """Rows of each stretch of a record of `rows`."""
+    """Return the rows of each segment of a record of `rows`."""
     return tuple(slice(a, b) for a, b in zip(begins, (*begins[1:], rows), strict=True))
 
 
 def simulate_segments(
     kernel: Kernel, parameters: Array, states: Array, time: Array, inputs: Array, begins: tuple[int, ...]
 ) -> Array:
-    """Readings (P, n, m) of runs that begin anew in each stretch, at its own temperatures.
+    """Simulate runs that restart in each segment, at its own temperatures; return readings (P, n, m) in degC.
 
-    Args:
-        parameters: (P, p). states: (P, s * k). time: (n,) s. inputs: (n, c).
+    Parameters
+    ----------
+    kernel
+        The compiled network.
+    parameters
+        (P, p).
+    states
+        (P, s * k) node temperatures in degC, segment by segment.
+    time, inputs, begins
+        (n,) s, (n, c), and the first rows of the segments.
     """
     begun = states.reshape(len(states), len(begins), -1)
     found, state = [], np.ascontiguousarray(begun[:, 0])
@@ -111,15 +137,16 @@ def simulate_segments(
 
 
 def restarted_states(state: Array, temperatures: Array) -> Array:
-    """Full states (P, size) with other node temperatures (P, k): masses and water that nobody reads stay as they were
-    thought to be."""
+    """Return full states (P, size) with other node temperatures (P, k); all other memory stays."""
     out = np.tile(state, (len(temperatures) // len(state), 1))
     out[:, : temperatures.shape[1]] = temperatures
     return out
 
 
 def separate_columns(slopes: Array, begins: tuple[int, ...]) -> Array:
-    """Slopes (n, ..., k) of the temperatures at all beginnings at once as those (n, ..., s * k) of each by itself."""
+    """Return slopes (n, ..., k) of the temperatures at all restarts together as (n, ..., s * k), one block per
+    segment.
+    """
     k = slopes.shape[-1]
     out = np.zeros((*slopes.shape[:-1], len(begins) * k))
     for i, rows in enumerate(segment_rows(begins, len(slopes))):

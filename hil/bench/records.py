@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.public_records import PIPE_TESTS, WATER_DENSITY, Columns, dry_cooler, heated_pipe, held_steady, tclab
-from twin.commission import INITIAL_SD_K, CommissionResult, commission
+from twin.commission import INITIAL_SD_K, CommissionOptions, CommissionResult, commission
 from twin.kernel import Kernel, simulate
 from twin.network import Network
 from twin.reference_simulation import right_hand_side
@@ -117,7 +117,7 @@ def run(
             fit.values[name],
             *fit.interval90[name],
             network.parameters[name].unit,
-            "no" if name in fit.cannot_tell else "at its bound" if name in fit.at_bound else "yes",
+            "no" if name in fit.unidentifiable else "at its bound" if name in fit.at_bound else "yes",
         )
         for network, fit in fits
         for name in fit.values
@@ -191,7 +191,7 @@ def _fitted(network: Network, record: Columns, seed: int, initial_sd: float = IN
     inputs, measured = network.select(record.columns)
     return commission(
         network, record.time_s, inputs, measured,
-        held_out=HELD_OUT, seed=seed, initial_sd=initial_sd, made_by=record.name,
+        CommissionOptions(held_out=HELD_OUT, seed=seed, initial_sd=initial_sd, made_by=record.name),
     )  # fmt: skip
 
 
@@ -200,7 +200,7 @@ def band(fit: CommissionResult, record: Columns) -> tuple[float, float]:
     inputs, measured = fit.network.select(record.columns)
     state = fit.network.initial_state(measured[:1])
     kernel = Kernel(fit.network, tuple(fit.values))
-    readings, _ = kernel.trace(fit.drawn(DRAWS), state, record.time_s, inputs)
+    readings, _ = kernel.trace(fit.sample(DRAWS), state, record.time_s, inputs)
     low, high = np.quantile(np.nansum(np.abs(readings - measured), axis=(1, 2)), [0.05, 0.95])
     return float(low), float(high)
 

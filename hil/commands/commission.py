@@ -15,7 +15,7 @@ from hil.commands.reading_options import reading
 
 if TYPE_CHECKING:
     from hil.record import Reading
-    from twin.commission import CommissionResult
+    from twin.commission import CommissionOptions, CommissionResult
 
 
 @click.command()
@@ -81,7 +81,7 @@ def command(
         raise TwinFileError(f"{record}: {error}") from None
     result = commission(
         network, data.time_s, inputs, measured,
-        seed=seed, initial_sd=initial_sd, made_by=f"hil commission {printable(record.name)}",
+        CommissionOptions(seed=seed, initial_sd=initial_sd, made_by=f"hil commission {printable(record.name)}"),
     )  # fmt: skip
     messages = (*data.messages, *beyond_declared(network, data.columns))
     if why := refusal_reason(result, measured):
@@ -103,7 +103,7 @@ def _document(result: CommissionResult, out: Path, kept: Path) -> dict[str, obje
         "healthy": str(kept),
         "values": dict(result.values),
         "interval90": {name: list(interval) for name, interval in result.interval90.items()},
-        "cannot_tell": list(result.cannot_tell),
+        "cannot_tell": list(result.unidentifiable),
         "at_bound": list(result.at_bound),
         "held_out_s": list(result.held_out_s),
         "rmse_before_K": {name: _known(error) for name, error in result.rmse_before.items()},
@@ -130,7 +130,7 @@ def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, kept: 
         parameters.add_column(heading, justify="left" if heading in ("parameter", "unit", "") else "right")
     for name, value in result.values.items():
         low, high = result.interval90[name]
-        told = "the record cannot tell" if name in result.cannot_tell else ""
+        told = "the record cannot tell" if name in result.unidentifiable else ""
         if name in result.at_bound:
             told = "at its bound"
         unit = result.network.parameters[name].unit

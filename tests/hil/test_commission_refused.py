@@ -13,7 +13,7 @@ from tests.discovery.conftest import Bench
 from tests.hil.made_record import written
 from tests.hil.test_bad_input import hil
 from tests.twin.conftest import LOOP
-from twin.commission import CommissionResult, commission
+from twin.commission import CommissionOptions, CommissionResult, commission
 from twin.commission_check import clock_warning, refusal_reason
 from twin.discovery.healthy.basis import Columns
 from twin.twinfile import load
@@ -28,7 +28,7 @@ def made() -> tuple[Bench, Columns]:
 @pytest.fixture(scope="module")
 def fitted(made: tuple[Bench, Columns]) -> CommissionResult:
     bench, record = made
-    return commission(bench.network, record.time_s, record.inputs, record.measured, starts=1)
+    return commission(bench.network, record.time_s, record.inputs, record.measured, CommissionOptions(starts=1))
 
 
 def test_a_healthy_record_has_nothing_against_it(made: tuple[Bench, Columns], fitted: CommissionResult) -> None:
@@ -39,9 +39,9 @@ def test_a_healthy_record_has_nothing_against_it(made: tuple[Bench, Columns], fi
 def test_a_twin_of_whose_tunables_none_is_identified_is_refused(
     made: tuple[Bench, Columns], fitted: CommissionResult
 ) -> None:
-    untold = dataclasses.replace(fitted, cannot_tell=tuple(fitted.values))
+    untold = dataclasses.replace(fitted, unidentifiable=tuple(fitted.values))
     assert refusal_reason(untold, made[1].measured).startswith("the record identifies none of the")
-    nearly = dataclasses.replace(fitted, cannot_tell=tuple(fitted.values)[1:])
+    nearly = dataclasses.replace(fitted, unidentifiable=tuple(fitted.values)[1:])
     assert refusal_reason(nearly, made[1].measured) == ""
 
 
@@ -54,7 +54,7 @@ def test_a_twin_that_errs_by_more_than_its_sensors_move_is_refused(
     errors = [3.0 * s if j < wrong else 0.1 for j, s in enumerate(spans)]
     absurd = dataclasses.replace(fitted, rmse_after=dict(zip(fitted.rmse_after, errors, strict=True)))
     said = refusal_reason(absurd, measured)
-    assert ("errs over the part that no fit saw by more than its sensors move at all" in said) == refused
+    assert ("the error over the held-out segment is larger than the range of the readings" in said) == refused
     endless = dataclasses.replace(fitted, rmse_after=dict.fromkeys(fitted.rmse_after, float("inf")))
     assert refusal_reason(endless, measured)
 
@@ -65,7 +65,7 @@ def test_heat_capacities_that_all_change_alike_put_the_clock_in_question(
 ) -> None:
     units = {name: fitted.network.parameters[name].unit for name in fitted.values}
     values = {name: fitted.start[name] * (factor if units[name] == "J/K" else 1.0) for name in fitted.values}
-    said = clock_warning(dataclasses.replace(fitted, values=values, cannot_tell=()))
+    said = clock_warning(dataclasses.replace(fitted, values=values, unidentifiable=()))
     assert ("give --time-scale" in said) == asked
     assert not asked or f"about {factor:.2g} times" in said
 

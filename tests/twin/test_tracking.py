@@ -244,7 +244,7 @@ def test_beginning_again_keeps_what_was_learned_and_finds_the_state_anew(loop: N
     tracker = TwinTracker(loop, name, seed=2)
     run(tracker, (t[:1300], u[:1300], y[:1300]))
     learned = tracker.values
-    tracker.begin_again()
+    tracker.restart()
     assert tracker.values == learned
     # An hour that nobody saw, in which the rig has cooled: the twin is at once where the readings are.
     later, drive_ = t[1300:] + 3600.0, u[1300:]

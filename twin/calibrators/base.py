@@ -137,7 +137,7 @@ class SampleFilter(Protocol):
 class Restartable(Protocol):
     """A calibrator that holds a state of the rig of its own from sample to sample."""
 
-    def begin_again(self) -> None:
+    def restart(self) -> None:
         """Nobody knows what the rig did since the last sample: the next one says anew where it stands."""
         ...
 

@@ -145,7 +145,7 @@ class KalmanFilter:
             at = rows.stop
         return FilteredReadings(filtered, spread)
 
-    def begin_again(self) -> None:
+    def restart(self) -> None:
         """Let go of the temperatures; parameters go on from the end of the last window."""
         self._piece = None
 
