@@ -141,7 +141,7 @@ class Integrator:
         return lines
 
     def _waters(self) -> list[str]:
-        """Water that enters delays: at the start, slope over the step, at the end."""
+        """Return the lines of the water that enters delays: at the start, slope over the step, at the end."""
         k = self.text
         lines, values = self._three(list(self.system.inlet_forms), "w")
         for p, (start, end, mean) in enumerate(values):

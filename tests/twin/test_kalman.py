@@ -118,4 +118,4 @@ def test_covariance_comes_with_the_numbers(loop: Network) -> None:
     done = TwinTracker(loop, KalmanFilter(loop, "nine")).push(t, u, y).calibrations[-1]
     assert done.covariance is not None
     assert np.linalg.eigvalsh(done.covariance / np.outer(*[np.sqrt(np.diag(done.covariance))] * 2)).min() > -1e-9
-    assert any("leans on earlier windows" in flag for flag in done.flags)
+    assert any("comes from earlier windows" in flag for flag in done.flags)

@@ -19,26 +19,38 @@ __all__ = [
 ]
 
 UNTRAINED_CALIBRATORS = ("pso", "pso_paper", "least_squares", "kalman")
-"""Those that need nothing but a window; the others need what training made."""
+"""Calibrators that need nothing but a window; the others need a trained network."""
 CALIBRATOR_NAMES = (*UNTRAINED_CALIBRATORS, "hiera_unet", "hiera_ls")
+"""Names of all calibrators."""
 ANY_TWIN_CALIBRATORS = ("pso", "least_squares", "kalman")
-"""Those that are not of the coolant loop only."""
+"""Calibrators for any twin; the others are for the coolant loop."""
 
 
 def make_calibrator(
     name: str, network: Network, tunables: str | None = None, seed: int = 0, card: Path | None = None
 ) -> Calibrator:
-    """Calibrator by name: ``pso`` (tuned swarm), ``pso_paper`` (Table 2 to the letter), ``least_squares``,
-    ``kalman`` (filter), ``hiera_unet`` (trained network; needs the extra ``ml``), ``hiera_ls`` (that, then least
-    squares).
+    """Make a calibrator by its name.
 
-    Args:
-        tunables: a set of the twin; without one `usual` says which, for ``pso_paper`` it is ``paper4``.
-        card: of the ensemble that ``hiera_unet`` and ``hiera_ls`` ask; without one it is the shipped one.
+    Parameters
+    ----------
+    name
+        ``pso`` (tuned swarm), ``pso_paper`` (Table 2 to the letter), ``least_squares``, ``kalman`` (filter),
+        ``hiera_unet`` (trained network; needs the extra ``ml``), ``hiera_ls`` (network, then least squares).
+    network
+        The commissioned twin.
+    tunables
+        A set of the twin; without one that of `default_tunables`, for ``pso_paper`` it is ``paper4``.
+    seed
+        Seed of the random generator.
+    card
+        Card of the ensemble for ``hiera_unet`` and ``hiera_ls``; the shipped one by default.
 
-    Raises:
-        TwinFileError: no such calibrator or set, or the calibrator is of the coolant loop only and the twin is none.
-        HieraError: there is no trained network for this twin, or the one of `card` does not fit it.
+    Raises
+    ------
+    TwinFileError
+        There is no such calibrator or set, or the calibrator is for the coolant loop and the twin is another plant.
+    HieraError
+        There is no trained network for this twin, or that of `card` does not fit it.
     """
     if name == "pso":
         from twin.calibrators.pso import Swarm
@@ -72,11 +84,12 @@ def make_calibrator(
 
 
 def default_tunables(network: Network) -> str | tuple[str, ...]:
-    """What is calibrated where nothing is named: the set ``nine``, else ``commission``, else the twin's only set,
-    else every tunable.
+    """Return the tunables where none are named: the set ``nine``, ``commission``, the twin's only set, or all tunables.
 
-    Raises:
-        TwinFileError: there is nothing to calibrate.
+    Raises
+    ------
+    TwinFileError
+        There is nothing to calibrate.
     """
     for name in ("nine", "commission", *(network.sets if len(network.sets) == 1 else ())):
         if name in network.sets:
@@ -91,7 +104,7 @@ def default_tunables(network: Network) -> str | tuple[str, ...]:
 
 
 def _require_loop(name: str, network: Network, tunables: str | None) -> None:
-    """Raise TwinFileError where a calibrator that is of the coolant loop only meets another twin."""
+    """Raise TwinFileError for a twin without the sets of the coolant loop."""
     wanted = "paper4" if name == "pso_paper" else "nine"
     if tunables is None and wanted not in network.sets:
         raise TwinFileError(

@@ -1,9 +1,10 @@
-"""What a twin errs by that is no noise: its structure, which no number of samples averages away.
+"""Structural error of a twin: the part of its error that no number of samples averages away.
 
-A healthy twin is off by some hundredths of a kelvin, and stays so for minutes. Samples are weighed accordingly: what is
-alike for a minute counts once, whatever the sampling rate. What lasts longer moves parameters without showing in the
-residuals, so the spread that it gives them is worked out apart, from how far the twin was off before it saw the window
-(the sandwich of White, Econometrica 50 (1982) 1, with an error of given size and duration in place of the residuals).
+A healthy twin is off by some hundredths of a kelvin, and stays so for minutes. Samples are weighed accordingly: an
+error that is correlated over a minute counts once, whatever the sampling rate. Errors that last longer move parameters
+without showing in the residuals. So the spread that they cause is computed apart, from the twin's error before it saw
+the window (the sandwich of White, Econometrica 50 (1982) 1, with an error of given size and duration in place of the
+residuals).
 """
 
 from __future__ import annotations
@@ -16,22 +17,22 @@ from twin.gauss_newton import FitProblem
 from twin.network import Array
 
 MODEL_K = 0.02
-"""What a healthy twin errs by, which no number of samples averages away."""
+"""Structural error of a healthy twin, K."""
 CORRELATED_S = 60.0
-"""A healthy twin's error stays alike for so long: the samples in between count as one."""
+"""Time over which a healthy twin's error is correlated, s: the samples in between count as one."""
 PERSISTENCE_S = 300.0
-"""How long an error is taken to last where its effect on parameters is worked out."""
+"""Assumed duration of an error for its effect on parameters, s."""
 
 
 def sample_sd(sigma: Array, time: Array) -> Array:
-    """Standard deviation (m,), K, that one of the samples at `time` (n,) s counts with, noise `sigma` (m,) included."""
+    """Return the standard deviation (m,), K, of one of the samples at `time` (n,) s, noise `sigma` (m,) included."""
     alike = max(CORRELATED_S / _pace(time), 1.0)
     weighed: Array = np.sqrt(sigma**2 + MODEL_K**2 * alike)
     return weighed
 
 
 def error_size(window: Window, sigma: Array) -> Array:
-    """The twin's error (m,), K: what the live twin missed the window by beyond noise, `MODEL_K` at least."""
+    """Return the twin's error (m,), K: that of the live twin in the window beyond noise, `MODEL_K` at least."""
     squares = (window.live - window.measured) ** 2
     good = np.isfinite(squares)
     count = good.sum(axis=0)
@@ -43,11 +44,18 @@ def error_size(window: Window, sigma: Array) -> Array:
 def persistent_error_covariance(
     problem: FitProblem, v: Array, precision: Array, error: Array, chi: float = 1.0
 ) -> Array:
-    """Covariance (q + k, q + k) that errors which last give a fit at v.
+    """Return the covariance (q + k, q + k) that persistent errors cause in a fit at v.
 
-    Args:
-        precision: (q + k, q + k) of the fit; zero rows for what was held. error: (m,) K, constant over `LASTS_S` and
-            independent from one such stretch, and from one sensor, to the next. chi: what the squares are divided by.
+    Parameters
+    ----------
+    problem, v
+        The fitted window, and the fit.
+    precision
+        (q + k, q + k) of the fit; zero rows for held variables.
+    error
+        (m,) K, constant over `PERSISTENCE_S` and independent from one such segment, and from one sensor, to the next.
+    chi
+        Divisor of the squares.
     """
     data = problem.data
     pull = problem.jacobian(v) * (data.weight**2 / chi)[:, :, None]
@@ -62,13 +70,24 @@ def persistent_error_covariance(
 def structural_covariance(
     problem: FitProblem, v: Array, normal: Array, held: np.ndarray, window: Window, wide: Array, chi: float = 1.0
 ) -> Array:
-    """Covariance (q, q) in z that the twin's structure gives what a window was fitted by.
+    """Return the covariance (q, q) in z that the twin's structural error causes in a window's fit.
 
-    An error that lasts is not averaged over windows, so no more than the widest prior holds against it.
+    A persistent error is not averaged over windows, so no more than the widest prior counts against it.
 
-    Args:
-        problem, v: the window, with the weights that it was fitted with, and the fit. normal: (q + k, q + k) J'J there.
-        held: (q,) bool, what the fit did not move. wide: (q,) widest prior standard deviations. chi: as for `spread`.
+    Parameters
+    ----------
+    problem, v
+        The window, with the weights of its fit, and the fit.
+    normal
+        (q + k, q + k) J'J at v.
+    held
+        (q,) bool, parameters that the fit did not move.
+    window
+        The window.
+    wide
+        (q,) widest prior standard deviations.
+    chi
+        As for `persistent_error_covariance`.
     """
     q, k = held.size, v.size - held.size
     apart = np.concatenate([wide, np.full(k, max(window.error_K, STATE_SD))])
@@ -84,5 +103,5 @@ def structural_covariance(
 
 
 def _pace(time: Array) -> float:
-    """Sampling interval, s."""
+    """Return the sampling interval, s."""
     return float(np.median(np.diff(time))) if len(time) > 1 else 1.0

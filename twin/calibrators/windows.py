@@ -1,4 +1,4 @@
-"""Ten-minute windows out of a stream of samples, and which cost a window calls for.
+"""Ten-minute windows from a stream of samples, and the kind of each window.
 
 Windows lie on a grid from the first sample on. A window is complete with the sample after which the next one,
 at the same pace, would belong to the following window; or, after a gap, with the first sample beyond its end.
@@ -22,10 +22,9 @@ LEAST_SPAN = 0.5
 
 
 def last_row_of_window(times: Array, pace: Array, end: float) -> int | None:
-    """Position in `times` (n,) of the sample that completes a window ending at `end` s, or None.
+    """Return the position in `times` (n,) of the sample that completes a window ending at `end` s, or None.
 
-    Args:
-        pace: (n,) s, the sampling interval expected after each sample.
+    `pace` (n,) s is the sampling interval expected after each sample.
     """
     tolerance = 1e-3 * pace
     beyond = int(np.searchsorted(times, end))
@@ -34,7 +33,7 @@ def last_row_of_window(times: Array, pace: Array, end: float) -> int | None:
 
 
 def window_index(time: float, origin: float, rules: WindowRules) -> int:
-    """Number of the grid cell that a stamp lies in."""
+    """Return the number of the grid cell that contains a stamp."""
     return max(math.floor((time - origin) / rules.window_s + 1e-9), 0)
 
 
@@ -49,7 +48,9 @@ def make_window(
     rules: WindowRules,
     read: np.ndarray | None = None,
 ) -> Window:
-    """Judge a completed window (see `Window` for the shapes); without `read` all inputs were read."""
+    """Return a completed window with its errors and kind (see `Window` for the shapes); without `read` all inputs
+    were read.
+    """
     read = np.ones(inputs.shape, dtype=bool) if read is None else read
     residual = live - measured
     first = max(int(np.searchsorted(time, time[0] + rules.first_s)), 1)
@@ -62,10 +63,10 @@ def make_window(
 
 
 def initial_mismatch(residual: Array) -> float:
-    """Root mean square over sensors of their mean mismatch at the beginning of a window, K.
+    """Return the root mean square over sensors of their mean mismatch at the beginning of a window, K.
 
-    The mean over the beginning rather than its first sample: a single reading of 0.05 K noise would call half
-    of all healthy windows mismatched.
+    The mean over the beginning is used, not its first sample: with a single reading of 0.05 K noise, half of all
+    healthy windows would count as mismatched.
     """
     good = np.isfinite(residual)
     count = good.sum(axis=0)
@@ -75,7 +76,7 @@ def initial_mismatch(residual: Array) -> float:
 
 
 def classify_window(initial_mismatch_K: float, error_K: float, rules: WindowRules) -> WindowKind:
-    """Which cost a window calls for: section 2.4 of Energies 2026, 19, 2452, with numbers.
+    """Return the kind of a window: section 2.4 of Energies 2026, 19, 2452, with numbers.
 
     A large mismatch at the start makes a recovery window. A start and a full window that are both above the
     calibrated threshold make a stall window. Everything else is a calibrated window.

@@ -271,7 +271,7 @@ def tell(normal: Array, plausible: Array, widened: float = 1.0) -> tuple[np.ndar
     """
     told = window_information(normal, plausible, widened)
     q = plausible.size
-    kept = [k for k in range(q) if not told.untold[k]]
+    kept = [k for k in range(q) if not told.unidentifiable[k]]
     state = normal[q:, q:] / widened + np.eye(len(normal) - q) * STATE_SD**-2
     cross = normal[:q, q:] / widened
     information = (normal[:q, :q] / widened - cross @ np.linalg.solve(state, cross.T)) * np.outer(plausible, plausible)

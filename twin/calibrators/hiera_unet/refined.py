@@ -26,7 +26,7 @@ from twin.calibrators.hiera_unet.series import STEP_S, binned
 from twin.calibrators.hiera_unet.service import CYCLE_S, HieraUNetCalibrator
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.calibrators.least_squares import LeastSquares
-from twin.calibrators.results import CalibrationReport, fitted_calibration
+from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
 from twin.calibrators.windows import make_window
 from twin.network import Array, Network
 
@@ -116,11 +116,10 @@ class RefinedCalibrator(LeastSquares):
             for i, t in zip(self.ids, found.told, strict=True)
             if not t
         ]
-        return fitted_calibration(
-            self.network, window, self.ids, values, alone.state, fitted, end,
-            cost=float(np.sqrt(found.chi)), evaluations=found.evaluations * (1 + len(self.ids) + len(alone.state)),
-            report=CalibrationReport(np.diag((found.sd * slope) ** 2), tuple(flags), condition=found.condition),
-        )  # fmt: skip
+        evaluations = found.evaluations * (1 + len(self.ids) + len(alone.state))
+        fit = WindowFit(values, alone.state, fitted, end, float(np.sqrt(found.chi)), evaluations)
+        report = CalibrationReport(np.diag((found.sd * slope) ** 2), tuple(flags), condition=found.condition)
+        return fitted_calibration(self.network, window, self.ids, fit, report)
 
     def _fit(self, window: Window, belief: Belief) -> tuple[Array, Array, Array, Evidence]:
         """Values (q,), readings (n', m) at the last samples of the window, state at the last, and the fit itself."""

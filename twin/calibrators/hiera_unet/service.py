@@ -31,7 +31,7 @@ from twin.calibrators.hiera_unet.proposal import Proposal
 from twin.calibrators.hiera_unet.series import STEP_S, Series
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows
 from twin.calibrators.posterior import STATE_SD, window_data
-from twin.calibrators.results import CalibrationReport, fitted_calibration
+from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
 from twin.calibrators.windows import make_window
 from twin.gauss_newton import fit_initial_state
 from twin.network import Array, Network
@@ -292,11 +292,9 @@ class HieraUNetCalibrator:
             frozen=tuple(i for i, h in zip(self.ids, proposal.held, strict=True) if h),
             condition=proposal.condition,
         )
-        return fitted_calibration(
-            self.network, window, self.ids, values, start, readings, end,
-            cost=float(np.sqrt(np.mean(misses[good] ** 2))) if good.any() else 0.0,
-            evaluations=proposal.evaluations, report=report,
-        )  # fmt: skip
+        cost = float(np.sqrt(np.mean(misses[good] ** 2))) if good.any() else 0.0
+        fit = WindowFit(values, start, readings, end, cost, proposal.evaluations)
+        return fitted_calibration(self.network, window, self.ids, fit, report)
 
     def state(self) -> dict[str, Any]:
         return {
