@@ -34,7 +34,7 @@ from hil.record.times.time_axis import numbered, read_time, span
 from hil.record.values.cell_units import without_cell_units
 from hil.record.values.numbers import LOST, DecimalSignError, Numbers, Sign, decimal_signs, may_be_lost, parse
 from hil.record.values.units import of_a_room, remarks
-from twin.column_names import hint
+from twin.column_names import column_hint
 
 __all__ = ["SENTINELS", "Exported", "Reading", "Record", "RecordError", "export_record", "read_record", "write_record"]
 
@@ -79,7 +79,7 @@ class Record:
             if f"column '{name}' holds text: dropped" in self.messages:
                 problems.append(f"{name} (there, but as text)")
             elif name not in self.columns:
-                said = hint(name, [c for c in self.columns if c not in names])
+                said = column_hint(name, [c for c in self.columns if c not in names])
                 problems.append(f"{name} ({said})" if said else name)
             elif np.isnan(self.columns[name]).all():
                 problems.append(f"{name} (there, but without a value)")

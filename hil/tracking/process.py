@@ -277,10 +277,10 @@ class Tracking:
         in_step: bool = False,
         advise: Callable[[Proposed], str | None] | None = None,
     ) -> None:
-        from twin.calibrators import FITTING
+        from twin.calibrators import UNTRAINED_CALIBRATORS
 
-        fits = tuple(name for name in config.calibrators if name in FITTING)
-        asks = tuple(name for name in config.calibrators if name not in FITTING)
+        fits = tuple(name for name in config.calibrators if name in UNTRAINED_CALIBRATORS)
+        asks = tuple(name for name in config.calibrators if name not in UNTRAINED_CALIBRATORS)
         self._order = config.calibrators
         self._all = [
             TrackingProcess(

@@ -26,7 +26,7 @@ from hil.run.restore.thermal_restore import has_memory
 from hil.run.session.interrupted_run import standing
 from hil.run.session.terminal import cut_time
 from hil.run_folder.folder import RunFolder, RunFolderError
-from twin.stretches import LONG_S, stretches
+from twin.segments import LONG_GAP_S, find_segments
 from twin.twinfile import load
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -339,10 +339,10 @@ def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_co
     record = read_record(story.folder.record)
     first = record.columns["segment"] == 1
     assert np.array_equal(columns.time_s, record.time_s)
-    found = stretches(network, columns.time_s, columns.inputs)
+    found = find_segments(network, columns.time_s, columns.inputs)
     ((left, anew),) = found.gaps
     assert left == record.time_s[first][-1]
-    assert anew > left + LONG_S
+    assert anew > left + LONG_GAP_S
     assert not np.isfinite(columns.measured[~first & (record.time_s < anew)]).any()
     assert not any("longest part" in message for message in messages)
     whole, messages = read_columns(network, story.whole.record, None)

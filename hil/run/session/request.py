@@ -149,11 +149,11 @@ def _check_residuals(request: RunRequest, rig: Rig, network: Network | None) -> 
 
 def check_calibrators(names: tuple[str, ...] | None) -> None:
     """Raise ConfigurationError where one of the names is no calibrator, or stands twice."""
-    from twin.calibrators import NAMES
+    from twin.calibrators import CALIBRATOR_NAMES
 
-    unknown = [name for name in names or () if name not in NAMES]
+    unknown = [name for name in names or () if name not in CALIBRATOR_NAMES]
     if unknown:
-        raise ConfigurationError(f"no calibrator {', '.join(unknown)}; there are {', '.join(NAMES)}")
+        raise ConfigurationError(f"no calibrator {', '.join(unknown)}; there are {', '.join(CALIBRATOR_NAMES)}")
     twice = [name for name in dict.fromkeys(names or ()) if names is not None and names.count(name) > 1]
     if twice:
         raise ConfigurationError(f"--calibrator {twice[0]} is given twice; give each once")
@@ -165,15 +165,15 @@ def chosen(calibrators: tuple[str, ...] | None, card: Path | None) -> tuple[tupl
     Raises:
         ConfigurationError: a card is given, and none of them asks a network.
     """
-    from twin.calibrators import FITTING, NAMES
+    from twin.calibrators import CALIBRATOR_NAMES, UNTRAINED_CALIBRATORS
 
     names = DEFAULT if calibrators is None else calibrators
-    if card is not None and set(names) <= set(FITTING):
-        asking = " or ".join(name for name in NAMES if name not in FITTING)
+    if card is not None and set(names) <= set(UNTRAINED_CALIBRATORS):
+        asking = " or ".join(name for name in CALIBRATOR_NAMES if name not in UNTRAINED_CALIBRATORS)
         raise ConfigurationError(f"--network is given, and no calibrator asks it; add --calibrator {asking}")
     if calibrators is not None:
         return names, ()
-    return names, tuple(name for name in DEFAULT[1:] if card is None or name in FITTING)
+    return names, tuple(name for name in DEFAULT[1:] if card is None or name in UNTRAINED_CALIBRATORS)
 
 
 def _check_diagnosis(request: RunRequest, twin: Path | None, network: Network | None) -> list[str]:

@@ -2,7 +2,7 @@
 
 Irregular sampling, gaps and repeated stamps end here. A bin without a reading stays NaN; `filled` closes such gaps by
 straight lines, and does the same to every signature that is compared with the residual, so that both went through the
-same linear operation. Where the inputs are missing, too, the rig is followed anew after the gap (`twin.stretches`).
+same linear operation. Where the inputs are missing, too, the rig is followed anew after the gap (`twin.segments`).
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.kernel import clean_time, held
+from twin.kernel import clean_time, hold_inputs
 from twin.network import Array, Network, TwinFileError
-from twin.stretches import parts, stretches
+from twin.segments import find_segments, segment_rows
 
 BIN_S = 10.0
 MOST_BINS = 10_800
@@ -43,7 +43,7 @@ class Grid:
     @property
     def stretches(self) -> tuple[slice, ...]:
         """Bins of each stretch that is followed in one go."""
-        return parts(self.begins, len(self.time))
+        return segment_rows(self.begins, len(self.time))
 
     @property
     def span_s(self) -> float:
@@ -69,7 +69,7 @@ def on_grid(
         TooShortError: it is too short. TwinFileError: not a single reading.
     """
     t, u = clean_time(time_s), bridged(network, time_s, inputs)
-    known = stretches(network, t, np.asarray(inputs, dtype=np.float64))
+    known = find_segments(network, t, np.asarray(inputs, dtype=np.float64))
     y = np.where(known.lost[:, None], np.nan, np.asarray(measured, dtype=np.float64))
     if len(t) < 2:
         raise TooShortError("the record has fewer than two samples; diagnosis needs at least two windows of data")
@@ -112,7 +112,7 @@ def centred(readings: Array) -> Array:
 def bridged(network: Network, time_s: ArrayLike, inputs: ArrayLike) -> Array:
     """Inputs (N, c) without NaN: temperatures on straight lines over gaps, everything else held."""
     t, given = np.asarray(time_s, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
-    u = held(network, given)
+    u = hold_inputs(network, given)
     for j, column in enumerate(network.input_columns):
         good = np.isfinite(given[:, j])
         if column.endswith("_C") and good.any() and not good.all():

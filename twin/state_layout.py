@@ -1,10 +1,10 @@
-"""What a network remembers from one call of its kernel to the next, as one flat vector.
+"""Layout of a full state: all that a network remembers from one kernel call to the next, as one flat vector.
 
     node temperatures | states and lags of elements | contents of delay lines | recent commands
 
-Its shape depends on the network alone, not on which parameters a kernel varies, so that a state handed out by one
-kernel can be taken up by another. Memory that a kernel has beyond that (a lag that is varied round 0, say) starts at
-rest in every call, unless the kernel was asked to remember it: its states are then its own.
+Its shape depends on the network alone, not on the parameters that a kernel varies, so one kernel can take up a state
+that another has returned. Memory that a kernel has beyond that (for example a lag varied around 0) starts at rest in
+every call, unless the kernel was asked to remember it; its states are then its own.
 """
 
 from __future__ import annotations
@@ -12,21 +12,33 @@ from __future__ import annotations
 import numpy as np
 
 from twin.assembly import System
-from twin.delays import layout
+from twin.delays import delay_layout
 from twin.network import Array, Network, TwinFileError
 
 COMMANDS = 64
-"""Changes of a command that are remembered for its dead time."""
+"""Number of changes of a command that are remembered for its dead time."""
 
 
-class Memory:
+class StateLayout:
     """Full states of a network, (P, size), for a kernel with `free` parameters.
 
-    Args:
-        held: parameters that may have any value in what a state holds.
+    Parameters
+    ----------
+    network
+        The network.
+    free
+        Ids of the parameters that the kernel varies.
+    held
+        Ids of the parameters that may have any value in the state's memory.
 
-    Attributes:
-        nodes: number of node temperatures. size: length of a full state. rows: rows of delay lines.
+    Attributes
+    ----------
+    nodes
+        Number of node temperatures.
+    size
+        Length of a full state.
+    rows
+        Rows of delay lines.
     """
 
     def __init__(self, network: Network, free: tuple[str, ...], held: tuple[str, ...] = ()) -> None:
@@ -38,7 +50,7 @@ class Memory:
         self._take = np.array([names.index(n) if n in names else -1 for n in wanted])
         self._give = np.array([wanted.index(n) for n in names])
         same = [d.element for d in own.delays] == [d.element for d in inner.delays]
-        lines = layout(own)
+        lines = delay_layout(own)
         self._lines, self._pushed = lines.rows, lines.pushed
         self.rows = self._lines if same else 0
         columns = [network.input_columns.index(d.column) for _, d in own.drives if d.dead_time]
@@ -46,8 +58,14 @@ class Memory:
         self._commands = COMMANDS * (1 + len(columns)) if columns else 0
         self.size = self._width + self._lines + self._commands
 
-    def taken_apart(self, state: Array) -> tuple[Array, Array | None, Array | None]:
-        """Start values (P, inner width) with NaN for what is at rest; delay lines and commands, or None."""
+    def split(self, state: Array) -> tuple[Array, Array | None, Array | None]:
+        """Return start values (P, inner width), NaN for what is at rest, then delay lines and commands, or None each.
+
+        Raises
+        ------
+        TwinFileError
+            The states have another length.
+        """
         if state.shape[1] not in (self.nodes, self.size):
             raise TwinFileError(
                 f"a state of twin {self._name!r} has {self.nodes} temperatures, or {self.size} entries with what it "
@@ -62,12 +80,12 @@ class Memory:
         commands = state[0, at:] if full and self._commands else None
         return start, past, commands
 
-    def alike(self, past: Array | None) -> bool:
-        """Whether delay lines (P, rows) have all been pushed the same way."""
+    def pushed_alike(self, past: Array | None) -> bool:
+        """Return True if the same volumes have been pushed through all delay lines (P, rows)."""
         return past is None or len(past) == 1 or not np.ptp(past[:, self._pushed], axis=0).any()
 
-    def put_together(self, end: Array, lines: Array, commands: Array) -> Array:
-        """Full states (P, size) from a kernel's end values, its delay lines and the recent commands."""
+    def join(self, end: Array, lines: Array, commands: Array) -> Array:
+        """Return full states (P, size) from a kernel's end values, its delay lines and the recent commands."""
         full = np.zeros((len(end), self.size))
         full[:, : self._width] = end[:, self._give]
         if self.rows:
@@ -75,8 +93,8 @@ class Memory:
         full[:, self._width + self._lines :] = commands
         return full
 
-    def extended(self, commands: Array | None, time: Array, inputs: Array) -> tuple[Array, Array]:
-        """Time and inputs with the remembered commands put before them."""
+    def with_history(self, commands: Array | None, time: Array, inputs: Array) -> tuple[Array, Array]:
+        """Return time and inputs with the remembered commands put before them."""
         if commands is None:
             return time, inputs
         rows = commands.reshape(COMMANDS, -1)
@@ -87,8 +105,8 @@ class Memory:
         before[:, self._columns] = rows[:, 1:]
         return np.concatenate([time[0] + rows[:, 0], time]), np.vstack([before, inputs])
 
-    def remembered(self, time: Array, inputs: Array) -> Array:
-        """The latest changes of the commands with a dead time: their age (<= 0, s) and values, flat."""
+    def recent_commands(self, time: Array, inputs: Array) -> Array:
+        """Return the latest changes of the commands with a dead time, flat: their age (<= 0, s) and values."""
         if not self._commands:
             return np.empty(0)
         values = inputs[:, self._columns]

@@ -5,7 +5,7 @@ import pytest
 
 from tests.twin.conftest import START, drive
 from twin.calibrators.base import Calibration
-from twin.calibrators.locate import with_probes
+from twin.calibrators.disturbance import with_power_probes
 from twin.kernel import simulate
 from twin.network import Network, TwinFileError
 from twin.tracking import TwinTracker
@@ -69,9 +69,9 @@ def test_nothing_measured(loop: Network) -> None:
 
 
 def test_probes_change_nothing(loop: Network) -> None:
-    probed, ids = with_probes(loop)
+    probed, ids = with_power_probes(loop)
     t, u = drive(300)
     assert ids == tuple(f"unknown_power_in_{node}.power" for node in loop.nodes)
     assert np.allclose(simulate(probed, t, u, START), simulate(loop, t, u, START), atol=1e-9)
     with pytest.raises(TwinFileError, match="is a name that localisation needs"):
-        with_probes(probed)
+        with_power_probes(probed)

@@ -1,8 +1,8 @@
-"""The oracles, slow and independent of the generated kernels but for the elements' formulas; tests compare the two.
+"""Reference simulations: slow, and independent of the generated kernels except for the elements' formulas.
 
-`simulate_exact` is the exact zero-order-hold simulation of a linear network by matrix exponentials; a network whose
-right side is not affine in the temperatures is refused. `simulate_finely` takes small steps, for networks that
-remember: it keeps every piece of water that ever went into a pipe.
+`simulate_exact` is the exact zero-order-hold simulation of a linear network by matrix exponentials; it refuses a
+network whose right-hand side is not affine in the temperatures. `simulate_fine_steps` takes small steps, for networks
+with pipes and lags: it stores every piece of water that ever entered a pipe. Tests compare both with the kernels.
 """
 
 from __future__ import annotations
@@ -12,33 +12,45 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.assembly import System, python_source, remembering_source
-from twin.generated_code import functions, value
-from twin.kernel import clean_time, held
+from twin.assembly import System, python_source, stateful_source
+from twin.generated_code import define_functions, evaluate_formula
+from twin.kernel import clean_time, hold_inputs
 from twin.network import Array, Network, TwinFileError
 
 Rhs = Callable[[Array, Array, Array], list[float]]
 
 
-def right_side(network: Network) -> Rhs:
-    """``rhs(T (k,), u (c,), p (full vector)) -> dT/dt`` in K/s, as plain Python."""
-    rhs: Rhs = functions(python_source(network), f"<right side of {network.name}>")["rhs"]
+def right_hand_side(network: Network) -> Rhs:
+    """Return ``rhs(T (k,), u (c,), p (full vector)) -> dT/dt`` in K/s, as plain Python."""
+    rhs: Rhs = define_functions(python_source(network), f"<right side of {network.name}>")["rhs"]
     return rhs
 
 
 def simulate_exact(
     network: Network, time: ArrayLike, inputs: ArrayLike, state: ArrayLike, parameters: ArrayLike | None = None
 ) -> Array:
-    """Node temperatures (n, k) in degC of a linear network, exact to rounding.
+    """Simulate a linear network exactly, to rounding, by matrix exponentials.
 
-    Raises:
-        TwinFileError: the network is not linear in its temperatures.
+    Parameters
+    ----------
+    network, time, inputs, state, parameters
+        As for `twin.kernel.simulate`.
+
+    Returns
+    -------
+    ndarray
+        Node temperatures (n, k) in degC.
+
+    Raises
+    ------
+    TwinFileError
+        The network is not linear in its temperatures.
     """
     from scipy.linalg import expm
 
-    t, u = clean_time(time), held(network, inputs)
+    t, u = clean_time(time), hold_inputs(network, inputs)
     p = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
-    rhs, k = right_side(network), len(network.nodes)
+    rhs, k = right_hand_side(network), len(network.nodes)
     known: dict[tuple[float, bytes], tuple[Array, Array]] = {}
     out = np.empty((t.size, k))
     out[0] = np.asarray(state, dtype=np.float64)
@@ -57,7 +69,7 @@ def simulate_exact(
 
 
 def _affine(rhs: Rhs, u: Array, p: Array, k: int, name: str) -> tuple[Array, Array]:
-    """A and b of dT/dt = A T + b at inputs `u`."""
+    """Return A and b of dT/dt = A T + b at inputs `u`."""
     b = np.array(rhs(np.zeros(k), u, p))
     a = np.column_stack([np.array(rhs(np.eye(k)[j], u, p)) - b for j in range(k)])
     probe = np.linspace(-40.0, 90.0, k)
@@ -66,27 +78,42 @@ def _affine(rhs: Rhs, u: Array, p: Array, k: int, name: str) -> tuple[Array, Arr
     return a, b
 
 
-def simulate_finely(network: Network, time: ArrayLike, inputs: ArrayLike, state: ArrayLike, pieces: int = 100) -> Array:
-    """Readings (n, m) of a network with pipes and lags, from node temperatures (k,) and everything else at rest.
+def simulate_fine_steps(
+    network: Network, time: ArrayLike, inputs: ArrayLike, state: ArrayLike, pieces: int = 100
+) -> Array:
+    """Simulate a network with pipes and lags, from node temperatures (k,) and all memory at rest.
 
-    Heun's method in `pieces` equal steps per sample interval. Water is followed by the volume that has been pushed
-    in behind it, between its values at the ends of steps along a straight line: the error is of second order in the
-    step.
+    Parameters
+    ----------
+    network, time, inputs, state
+        As for `twin.kernel.simulate`.
+    pieces
+        Equal steps per sample interval.
 
-    Raises:
-        TwinFileError: the network has actuators.
+    Returns
+    -------
+    ndarray
+        Readings (n, m) in degC.
+
+    Raises
+    ------
+    TwinFileError
+        The network has actuators.
+
+    Notes ----- Heun's method. Water is followed by the volume that has been pushed in behind it, on a straight line
+    between its values at the ends of steps: the error is of second order in the step.
     """
     system = System(network, ())
     if system.drives:
         raise TwinFileError(f"twin {network.name!r} has actuators, which the slow simulation does not know")
-    scope = functions(remembering_source(system), f"<{network.name}, remembering>")
-    t, u, p = clean_time(time), held(network, inputs), network.values.tolist()
+    scope = define_functions(stateful_source(system), f"<{network.name}, remembering>")
+    t, u, p = clean_time(time), hold_inputs(network, inputs), network.values.tolist()
     x = np.concatenate([np.asarray(state, dtype=np.float64), np.empty(len(system.states) - len(network.nodes))])
     at_rest = {f"x{j}": float(v) for j, v in enumerate(x)}
-    rest = [value(text, at_rest) for text in system.starts]
+    rest = [evaluate_formula(text, at_rest) for text in system.rest_values]
     x[len(network.nodes) :] = rest[: len(x) - len(network.nodes)]
     lagged = np.array(rest[len(x) - len(network.nodes) :])
-    pipes = [_Pipe(value(d.start, at_rest)) for d in system.delays]
+    pipes = [_Pipe(evaluate_formula(d.start, at_rest)) for d in system.delays]
     out = [scope["read"](x.tolist(), lagged.tolist(), p, float(t[0]))]
     for i in range(t.size - 1):
         now, h = u[i].tolist(), float(t[i + 1] - t[i]) / pieces
@@ -112,13 +139,13 @@ def simulate_finely(network: Network, time: ArrayLike, inputs: ArrayLike, state:
 
 
 class _Pipe:
-    """Everything that ever went into a pipe: water at volumes counted from the beginning."""
+    """All water that ever entered a pipe, at volumes counted from the beginning."""
 
     def __init__(self, water: float) -> None:
         self.volumes, self.waters, self.found = [-1.0e9, 0.0], [water, water], 0
 
     def outlet(self, volume: float) -> float:
-        """Water that went in `volume` litres ago."""
+        """Return the water that went in `volume` litres ago."""
         at, v = self.volumes[-1] - volume, self.volumes
         while self.found + 2 < len(v) and v[self.found + 1] <= at:
             self.found += 1
@@ -129,16 +156,17 @@ class _Pipe:
         return self.waters[k] + share * (self.waters[k + 1] - self.waters[k])
 
     def push(self, water: float, litres: float) -> None:
+        """Append water after `litres` more."""
         self.volumes.append(self.volumes[-1] + litres)
         self.waters.append(water)
 
     def correct(self, water: float) -> None:
-        """The water at the end of the latest step, once it is known."""
+        """Set the water at the end of the latest step, once it is known."""
         self.waters[-1] = water
 
 
 def _followed(value: Array, before: Array, after: Array, constant: Array, h: float) -> Array:
-    """A first-order lag over a step in which what it follows is a straight line; exact for that."""
+    """Return a first-order lag after a step in which its input is a straight line; exact for that."""
     ratio = constant / max(h, 1e-300)
     decay = np.exp(-1.0 / np.maximum(ratio, 1e-12))
     rise = after - before

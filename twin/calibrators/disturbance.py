@@ -1,10 +1,10 @@
-"""Where a disturbance sits: the constant unknown power, in one volume, that best explains a window's residual.
+"""Localisation of a disturbance: the constant unknown power, in one volume, that best explains a window's residual.
 
-The live twin predicted the window; what it missed is compared with the linear response of every volume to a constant
-heat input, from the beginning of the window or from one of its quarters on. Initial state and tunables are projected
-out with what they may plausibly have drifted since the last window. The volume with the largest gain is named if that
-one number explains nearly all of the mismatch. A scalar cost hides the place (in scenario 2 of Energies 2026, 19,
-2452 the tank changes and the largest error shows at the heater); the pattern over all sensors does not.
+The residual of the live twin's prediction is compared with the linear response of every volume to a constant heat
+input, from the beginning of the window or of one of its quarters. Initial state and tunables are projected out with
+their plausible drift since the last window. The volume with the largest gain is named if that one number explains
+nearly all of the mismatch. A scalar cost hides the place (in scenario 2 of Energies 2026, 19, 2452 the tank changes and
+the largest error shows at the heater); the pattern over all sensors does not.
 """
 
 from __future__ import annotations
@@ -19,35 +19,39 @@ from twin.calibrators.base import Calibration, Window
 from twin.elements import Parameter
 from twin.elements.heat_source import HeatSource
 from twin.gauss_newton import SE90
-from twin.kernel import Kernel, masked
+from twin.kernel import Kernel, mask_measurements
 from twin.network import Array, Network, TwinFileError
 
 LEAST_MISFIT = 4.0
-"""Reduced chi-square of the live twin below which nothing is asked."""
+"""Reduced chi-square of the live twin below which no place is sought."""
 LEAST_GAIN = 0.25
 """Gain in reduced chi-square that a disturbance must bring to be named."""
 LEAST_SHARE = 0.9
-"""Share of the mismatch beyond noise that must be explained, by the power and the initial state, for a name."""
+"""Share of the mismatch beyond noise that the power and the initial state must explain for a name."""
 MARGIN = 2.0
-"""How many times more the runner-up must leave unexplained."""
+"""Factor by which the runner-up must leave more unexplained."""
 ONSETS = 4
-"""Candidate onsets: the beginning of each quarter of the window."""
+"""Number of candidate onsets: the beginning of each quarter of the window."""
 STATE_SD = 0.05
-"""K, of the state that the live twin entered the window with."""
+"""Standard deviation of the state with which the live twin entered the window, K."""
 RESPONSE_ERROR = 0.1
-"""Relative standard error taken for a lumped volume's response to heat."""
+"""Relative standard error assumed for a lumped volume's response to heat."""
 _PROBE_W = 10.0
 _STATE_STEP = 1e-2
 
 
 @dataclass(frozen=True)
-class Location:
-    """What the powers explain of one window.
+class DisturbanceLocation:
+    """Explanation of one window by unknown powers.
 
-    Attributes:
-        disturbed: the node, or None where no single power explains the mismatch.
-        power_W, interval90_W, since_s: the best node's power and onset.
-        explains: node -> share of the mismatch beyond noise that a power there explains, at most 1.
+    Attributes
+    ----------
+    disturbed
+        The node, or None where no single power explains the mismatch.
+    power_W, interval90_W, since_s
+        The best node's power and onset.
+    explains
+        Node -> share of the mismatch beyond noise that a power there explains, at most 1.
     """
 
     disturbed: str | None = None
@@ -57,7 +61,7 @@ class Location:
     explains: Mapping[str, float] = field(default_factory=dict)
 
     def enter(self, calibration: Calibration) -> Calibration:
-        """The calibration of the same window with these entries, and a flag if there is a place."""
+        """Return the calibration of the same window with these entries, and a flag if there is a place."""
         flags = calibration.flags
         if self.disturbed is not None and self.interval90_W is not None:
             low, high = self.interval90_W
@@ -73,25 +77,25 @@ class Location:
         )
 
 
-class Localiser:
-    """Asks a mismatched window for the place of an unknown power."""
+class DisturbanceLocaliser:
+    """Search for the place of an unknown power in a mismatched window."""
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self._probed, self._powers = with_probes(network)
+        self._probed, self._powers = with_power_probes(network)
         self._kernel = Kernel(self._probed, self._powers)
         # Compiled now: a live twin that has just been surprised should not wait for a compiler.
         here = np.zeros(1), network.nominal_inputs[None, :].copy()
         self._kernel.trace(self._probed.values, network.initial_state(np.full(len(network.sensors), np.nan)), *here)
 
-    def locate(self, window: Window) -> Location:
-        """The place, where the live twin's mismatch over the window is significant."""
-        y, weight = masked(window.measured, self.network.sigma)
+    def locate(self, window: Window) -> DisturbanceLocation:
+        """Return the place, where the live twin's mismatch over the window is significant."""
+        y, weight = mask_measurements(window.measured, self.network.sigma)
         count = float((weight > 0.0).sum())
         residual = (y - window.live) * weight
         total = float((residual**2).sum())
         if count == 0.0 or total < LEAST_MISFIT * count or not np.isfinite(total):
-            return Location()
+            return DisturbanceLocation()
         response, edges = self._responses(window)
         columns = (response * weight).reshape(response.shape[0], -1)
         free = columns.shape[0] - len(self._powers) * len(edges)
@@ -114,11 +118,11 @@ class Localiser:
         misfit: tuple[float, float],
         count: float,
         edges: list[float],
-    ) -> Location:
-        """Location from the gains (onsets, nodes) and, flattened alike, the powers (W) and their information (1/W^2).
+    ) -> DisturbanceLocation:
+        """Return the location from the gains (onsets, nodes) and, flattened alike, the powers (W) and their information
+        (1/W^2).
 
-        Args:
-            misfit: squares of the live twin, and after the initial state has explained what it can.
+        `misfit` holds the squares of the live twin, and those left after the initial state has explained its part.
         """
         total, before = misfit
         left = np.maximum(before - gain.max(axis=0) - count, 0.0)
@@ -129,16 +133,16 @@ class Localiser:
         floor = 0.5 * LEAST_GAIN * count
         clear = not others.size or others.min() > MARGIN * max(left[node], floor)
         if gain.flat[best] < LEAST_GAIN * count or left[node] > (1.0 - LEAST_SHARE) * (total - count) or not clear:
-            return Location(explains=explains)
-        # What is left unexplained has a pattern, and may have biased the power as much as it resembles it.
+            return DisturbanceLocation(explains=explains)
+        # The unexplained remainder has a pattern, and may have biased the power as much as it resembles it.
         share = left[node] / gain.flat[best] + RESPONSE_ERROR**2
         watts = float(power[best])
         reach = float(SE90 * np.sqrt(1.0 / information[best] + share * watts**2))
         name = self.network.nodes[int(node)]
-        return Location(name, watts, (watts - reach, watts + reach), edges[int(onset)], explains)
+        return DisturbanceLocation(name, watts, (watts - reach, watts + reach), edges[int(onset)], explains)
 
     def _responses(self, window: Window) -> tuple[Array, list[float]]:
-        """Responses (states + onsets x nodes, n, m) to 1 K and 1 W, and the onsets in s."""
+        """Return responses (states + onsets x nodes, n, m) to 1 K and 1 W, and the onsets in s."""
         k = nodes = len(self._powers)
         edges = np.unique(np.searchsorted(window.time, np.linspace(window.time[0], window.time[-1], ONSETS + 1)[:-1]))
         rows = np.tile(np.concatenate([window.parameters, np.zeros(nodes)]), (1 + k + edges.size * nodes, 1))
@@ -156,14 +160,16 @@ class Localiser:
         return (traced[1:] - traced[0]) / scale[:, None, None], window.time[edges].tolist()
 
 
-def with_probes(network: Network) -> tuple[Network, tuple[str, ...]]:
-    """The network with a constant heat source of 0 W in every node, and the ids of their powers, node by node."""
+def with_power_probes(network: Network) -> tuple[Network, tuple[str, ...]]:
+    """Return the network with a constant heat source of 0 W in every node, and the ids of their powers, node by
+    node.
+    """
     elements, parameters, ids = list(network.elements), dict(network.parameters), []
     taken = {e.name for e in elements}
     for node in network.nodes:
         element = HeatSource(f"unknown_power_in_{node}", node)
         if element.name in taken:
-            raise TwinFileError(f"{element.name!r} is a name that localisation needs; call the element otherwise")
+            raise TwinFileError(f"{element.name!r} is a name that localisation needs; rename the element")
         spec = element.parameters[0]
         name = f"{element.name}.{spec.name}"
         elements.append(element)

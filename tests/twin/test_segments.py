@@ -16,7 +16,15 @@ from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import on_grid
 from twin.kernel import Kernel
 from twin.network import Array, Network
-from twin.stretches import LONG_S, MOST, SHORT_S, each_alone, parts, stretches, traced
+from twin.segments import (
+    LONG_GAP_S,
+    MOST_GAPS,
+    SHORT_GAP_S,
+    find_segments,
+    segment_rows,
+    separate_columns,
+    simulate_segments,
+)
 from twin.twinfile import load
 
 from .conftest import LOOP
@@ -44,17 +52,17 @@ def steady(network: Network, hours: float, step_s: float = 5.0) -> tuple[Array, 
 
 def test_a_record_without_gaps_is_one_stretch(bench: Bench) -> None:
     time, inputs = bench.inputs(4.0, 1)
-    found = stretches(bench.network, time, inputs)
+    found = find_segments(bench.network, time, inputs)
     assert found.begins == (0,) and not found.lost.any() and not found.sentence
 
 
 @pytest.mark.parametrize(
     ("gap_s", "moved", "begins"),
     [
-        (LONG_S + 60.0, False, True),
-        (0.5 * LONG_S, False, False),
-        (0.5 * LONG_S, True, True),
-        (0.5 * SHORT_S, True, False),
+        (LONG_GAP_S + 60.0, False, True),
+        (0.5 * LONG_GAP_S, False, False),
+        (0.5 * LONG_GAP_S, True, True),
+        (0.5 * SHORT_GAP_S, True, False),
     ],
 )
 def test_a_gap_is_lost_where_it_is_long_or_an_input_moved_in_it(
@@ -63,7 +71,7 @@ def test_a_gap_is_lost_where_it_is_long_or_an_input_moved_in_it(
     time, inputs = steady(bench.network, 3.0)
     inputs[time >= 3600.0 + gap_s, 0] += 200.0 * moved
     keep = (time <= 3600.0) | (time >= 3600.0 + gap_s)
-    found = stretches(bench.network, time[keep], inputs[keep])
+    found = find_segments(bench.network, time[keep], inputs[keep])
     assert len(found.begins) == 1 + begins
     if begins:
         assert time[keep][found.begins[1]] == pytest.approx(3600.0 + gap_s, abs=5.0)
@@ -73,9 +81,9 @@ def test_rows_without_a_heater_power_are_a_gap_and_a_missing_room_is_none(bench:
     time, inputs = steady(bench.network, 3.0)
     dark = (time > 3600.0) & (time < 5400.0)
     inputs[dark, 3] = np.nan
-    assert stretches(bench.network, time, inputs).begins == (0,)
+    assert find_segments(bench.network, time, inputs).begins == (0,)
     inputs[dark, 0] = np.nan
-    found = stretches(bench.network, time, inputs)
+    found = find_segments(bench.network, time, inputs)
     assert len(found.begins) == 2 and (found.lost == dark).all()
     assert "30 min at 1.0 h" in found.sentence
 
@@ -83,7 +91,7 @@ def test_rows_without_a_heater_power_are_a_gap_and_a_missing_room_is_none(bench:
 def test_what_is_written_down_when_it_changes_loses_nothing(bench: Bench) -> None:
     time, inputs = steady(bench.network, 3.0)
     inputs[time % 1800.0 > 0.0, 2] = np.nan
-    assert stretches(bench.network, time, inputs).begins == (0,)
+    assert find_segments(bench.network, time, inputs).begins == (0,)
 
 
 def test_of_very_many_gaps_the_longest_count(bench: Bench) -> None:
@@ -91,19 +99,19 @@ def test_of_very_many_gaps_the_longest_count(bench: Bench) -> None:
     keep = np.ones(len(time), dtype=bool)
     for k in range(36):
         keep[(time > 3600.0 * (k + 1)) & (time < 3600.0 * (k + 1) + 400.0 + 10.0 * k)] = False
-    found = stretches(bench.network, time[keep], inputs[keep])
-    assert len(found.begins) == MOST + 1
-    assert min(b - a for a, b in found.gaps) > 400.0 + 10.0 * (36 - MOST - 1)
+    found = find_segments(bench.network, time[keep], inputs[keep])
+    assert len(found.begins) == MOST_GAPS + 1
+    assert min(b - a for a, b in found.gaps) > 400.0 + 10.0 * (36 - MOST_GAPS - 1)
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.integers(1, 39), min_size=0, max_size=5, unique=True), st.integers(1, 3))
 def test_stretches_cover_all_rows_and_slopes_are_their_own(cuts: list[int], k: int) -> None:
     begins = (0, *sorted(cuts))
-    rows = np.concatenate([np.arange(40)[part] for part in parts(begins, 40)])
+    rows = np.concatenate([np.arange(40)[part] for part in segment_rows(begins, 40)])
     assert (rows == np.arange(40)).all()
     slopes = np.ones((40, 2, k))
-    each = each_alone(slopes, begins)
+    each = separate_columns(slopes, begins)
     assert each.shape == (40, 2, len(begins) * k)
     assert (each.sum(axis=2) == k).all()
 
@@ -115,7 +123,7 @@ def test_runs_that_begin_where_they_would_have_been_are_the_run_itself(bench: Be
     begins = (0, 700, 1500)
     at = [kernel.trace(bench.network.values, STATE, time[: b + 1], inputs[: b + 1])[1][0] for b in begins[1:]]
     states = np.concatenate([STATE, *(a[: len(STATE)] for a in at)])
-    again = traced(kernel, bench.network.values[None], states[None], time, inputs, begins)
+    again = simulate_segments(kernel, bench.network.values[None], states[None], time, inputs, begins)
     assert again == pytest.approx(whole, abs=1e-9)
 
 
@@ -157,9 +165,9 @@ def test_commissioning_is_the_same_across_gaps(bench: Bench) -> None:
     start = bench.with_values(fins__UA_100=40.0, tank_loss__hA=4.0)
     gapped = without(record, (2.1, 2.9), (5.2, 5.6))
     whole, broken = (commission(start, r.time_s, r.inputs, r.measured) for r in (record, gapped))
-    assert any("begins anew" in note for note in broken.notes)
+    assert any("restarts" in note for note in broken.notes)
     for name, value in whole.values.items():
-        if name not in whole.cannot_tell:
+        if name not in whole.unidentifiable:
             low, high = broken.interval90[name]
             spread = max(high - low, 0.02 * abs(value))
             assert abs(broken.values[name] - value) < 1.5 * spread, name
