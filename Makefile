@@ -36,6 +36,7 @@ check: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.language
 
 # The documentation site, as docs/_build/index.html. A warning is an error. It needs no network, to build or to read.
 docs: $(STAMP)
