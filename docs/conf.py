@@ -21,10 +21,10 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.intersphinx",
-    "sphinx_click",
     "sphinx_copybutton",
     "mathml",
     "public_api",
+    "command_pages",
 ]
 intersphinx_mapping = {}  # the build needs no network
 source_suffix = {".md": "markdown"}
