@@ -1,7 +1,7 @@
 """Rules of language that a program can check without guessing.
 
-Each pattern stands for a private expression, and names the standard term to use instead. A word with an everyday meaning
-("tell", "late", "wins") is left to the reader's judgement.
+Each pattern stands for a private expression, and names the standard term to use instead. A word with an everyday
+meaning ("tell", "late", "wins") is left to the reader's judgement.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ FEWEST_WORDS = 3
 
 @dataclass(frozen=True)
 class Text:
-    """A text, its line, and whether it is the docstring of a public object."""
+    """A text, its line, and True for the docstring of a public object."""
 
     line: int
     text: str
@@ -22,24 +22,24 @@ class Text:
 def texts(source: str) -> Iterator[Text]:
     """Yield the docstrings of public objects, then all other strings that are prose."""
     tree = ast.parse(source)
-    documented = {id(node) for node, _ in _docstrings(tree, public=True)}
-    private = {id(node) for node, public in _docstrings(tree, public=True) if not public}
+    known = {id(node) for node, _ in _docstrings(tree, public=True)}
     for node, public in _docstrings(tree, public=True):
         if public:
             yield Text(node.lineno, str(node.value), is_docstring=True)
     for each in ast.walk(tree):
-        if isinstance(each, ast.Constant) and isinstance(each.value, str) and id(each) not in documented | private:
-            if len(each.value.split()) >= FEWEST_WORDS:
-                yield Text(each.lineno, each.value, is_docstring=False)
+        if not isinstance(each, ast.Constant) or not isinstance(each.value, str) or id(each) in known:
+            continue
+        if len(each.value.split()) >= FEWEST_WORDS:
+            yield Text(each.lineno, each.value, is_docstring=False)
 
 
 def _docstrings(parent: ast.AST, public: bool) -> Iterator[tuple[ast.Constant, bool]]:
     """Yield the docstrings below `parent` with True for those of public objects; also those of attributes."""
     body: list[ast.stmt] = getattr(parent, "body", [])
     for place, statement in enumerate(body):
-        if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant):
-            if isinstance(statement.value.value, str):
-                yield statement.value, public and _named_publicly(body[place - 1] if place else None)
+        value = statement.value if isinstance(statement, ast.Expr) else None
+        if isinstance(value, ast.Constant) and isinstance(value.value, str):
+            yield value, public and _named_publicly(body[place - 1] if place else None)
         if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             yield from _docstrings(statement, public and not statement.name.startswith("_"))
 

@@ -49,7 +49,8 @@ def test_weak_openings(text: str, weak: bool) -> None:
 
 
 def test_sentences_of_a_page_leave_out_code_tables_and_headings() -> None:
-    page = "# Title\n\nOne two. Three four\nfive, e.g. six.\n\n```sh\nhil run\n```\n\n| a | b |\n|---|---|\n\n- seven eight\n- nine\n"
+    code = "```sh\nhil run\n```\n\n| a | b |\n|---|---|\n\n"
+    page = f"# Title\n\nOne two. Three four\nfive, e.g. six.\n\n{code}- seven eight\n- nine\n"
     assert [s.text for s in sentences(page)] == ["One two.", "Three four five, e_g_ six.", "seven eight", "nine"]
 
 
