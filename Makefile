@@ -40,6 +40,7 @@ check: $(STAMP)
 
 # The documentation site, as docs/_build/index.html. A warning is an error. It needs no network, to build or to read.
 docs: $(STAMP)
+	rm -rf docs/_build
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
 
 bench: $(STAMP)

@@ -24,7 +24,7 @@ from hil.cli import group, main
 from tests.docs.fences import PROJECT, REASONS, Fence, fences, pages
 
 SHORTENED_S = 1200.0
-"""Two windows of ten minutes: enough for every calibrator, and for `hil diagnose`."""
+"""Two windows of ten minutes, the shortest record that `hil diagnose` takes."""
 FINDS = {"diagnose", "twin"}
 """Commands whose exit code 1 reports a finding, not a failure."""
 START_S = 60.0
