@@ -39,7 +39,6 @@ html_math_renderer = "mathml"
 autodoc_typehints = "description"
 autodoc_member_order = "bysource"
 autodoc_typehints_description_target = "documented"
-napoleon_numpy_docstring = False
 nitpicky = False
 suppress_warnings = ["autodoc.mocked_object"]
 

@@ -6,6 +6,8 @@ its place, and so fails `make docs`.
 
 from __future__ import annotations
 
+import html
+import re
 from typing import Any
 
 from docutils import nodes
@@ -13,15 +15,21 @@ from docutils.utils.math import MathError, latex2mathml
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
+_ALIASES = ((re.compile(r"\\dots[bcmio]?(?![A-Za-z])"), r"\\ldots"), (re.compile(r"\\[bB]igg?[lrm]?(?![A-Za-z])"), ""))
+"""Commands that docutils lacks, and their nearest equals: dots, and delimiters that stretch by themselves."""
+
 log = logging.getLogger(__name__)
 
 
 def _convert(node: nodes.Element, block: bool) -> str:
+    text = node.astext()
+    for pattern, instead in _ALIASES:
+        text = pattern.sub(instead, text)
     try:
-        return str(latex2mathml.tex2mathml(node.astext(), as_block=block))
+        return str(latex2mathml.tex2mathml(text, as_block=block))
     except MathError as error:
         log.warning("formula cannot be shown as MathML: %s", error, location=node)
-        return f"<code>{nodes.make_id(node.astext())}</code>"
+        return f"<code>{html.escape(text)}</code>"
 
 
 def _inline(self: Any, node: nodes.math) -> None:
