@@ -51,6 +51,9 @@ class Judgement:
     warnings: tuple[str, ...] = ()
 
 
+_NOTHING = Judgement()
+
+
 class Interlock:
     """One condition with its delays: `active` while it counts, `present` while its cause is there.
 
@@ -71,14 +74,17 @@ class Interlock:
 
     def update(self, tick: Tick) -> None:
         """Judge one tick."""
-        said = self.condition.judge(tick, self.active)
-        self.present = said is not None
-        passed, self._last_s = tick.now_s - self._last_s, tick.now_s
-        if self._drains and not self.present and not self.active and self._since is not None:
-            drained = self._since + 2.0 * passed
+        active = self.active
+        said = self.condition.judge(tick, active)
+        self.present = present = said is not None
+        last_s, self._last_s = self._last_s, tick.now_s
+        if self._since is None and not present and not active:  # as on nearly every tick of nearly every run
+            return
+        if self._drains and not present and not active and self._since is not None:
+            drained = self._since + 2.0 * (tick.now_s - last_s)
             self._since = drained if drained < tick.now_s else None
             return
-        if self.present == self.active:
+        if present == active:
             self._since = None
             return
         self._since = tick.now_s if self._since is None else self._since
@@ -100,6 +106,7 @@ class Interlocks:
 
     def __init__(self, rig: Rig, points: tuple[Point, ...]) -> None:
         self._names = tuple(point.name for point in points)
+        self._standing = _NOTHING
         alarmed = [point for point in points if point.alarm is not None]
         heartbeat = of_heartbeat(rig, frozenset(self._names))
         self._watchdog = 0 if rig.heartbeat is None else rig.heartbeat.watchdog_mask
@@ -154,19 +161,27 @@ class Interlocks:
         tick = self._tick(snapshot, now_s, commanded or {}, residuals or {})
         for item in self._all:
             item.update(tick)
-        return self.standing()
+        self._standing = self._active()
+        return self._standing
 
     def standing(self) -> Judgement:
-        """Latched trips and active warnings."""
+        """Return latched trips and active warnings."""
+        return self._standing
+
+    def _active(self) -> Judgement:
         active = [item for item in self._all if item.active]
+        if not active:
+            return _NOTHING
         return Judgement(
             tuple(item.reason for item in active if item.level == "alarm"),
             tuple(item.reason for item in active if item.level == "warning"),
         )
 
     def acknowledge(self) -> list[str]:
-        """Let go of the trips of which the cause is gone; the sentences of those that stay."""
-        return [item.reason for item in self._all if item.level == "alarm" and not item.acknowledge()]
+        """Let go of the trips of which the cause is gone; return the sentences of those that stay."""
+        stay = [item.reason for item in self._all if item.level == "alarm" and not item.acknowledge()]
+        self._standing = self._active()
+        return stay
 
     def rig_trip(self, snapshot: Snapshot) -> str | None:
         """What the rig says of its own watchdog and thermostat, where it has tripped."""
