@@ -71,24 +71,29 @@ class Interlock:
         self._since: float | None = None  # of what speaks against the present value of `active`
         self._drains = isinstance(condition, Untrusted)
         self._last_s = math.nan
+        self._is_quiet = True
 
-    def update(self, tick: Tick) -> None:
-        """Judge one tick."""
-        active = self.active
-        said = self.condition.judge(tick, active)
-        self.present = present = said is not None
-        last_s, self._last_s = self._last_s, tick.now_s
-        if self._since is None and not present and not active:  # as on nearly every tick of nearly every run
+    def update(self, tick: Tick) -> bool:
+        """Judge one tick; return True unless all is quiet: no cause, no delay under way, nothing active."""
+        said = self.condition.judge(tick, self.active)
+        if said is None and self._is_quiet:
+            return False
+        self._judged(said, tick.now_s)
+        self._is_quiet = self._since is None and not self.active
+        return True
+
+    def _judged(self, said: str | None, now_s: float) -> None:
+        self.present = said is not None
+        passed, self._last_s = now_s - self._last_s, now_s
+        if self._drains and not self.present and not self.active and self._since is not None:
+            drained = self._since + 2.0 * passed
+            self._since = drained if drained < now_s else None
             return
-        if self._drains and not present and not active and self._since is not None:
-            drained = self._since + 2.0 * (tick.now_s - last_s)
-            self._since = drained if drained < tick.now_s else None
-            return
-        if present == active:
+        if self.present == self.active:
             self._since = None
             return
-        self._since = tick.now_s if self._since is None else self._since
-        waited = tick.now_s - self._since
+        self._since = now_s if self._since is None else self._since
+        waited = now_s - self._since
         if said is not None and waited >= self._on_delay_s:
             self.active, self.reason, self._since = True, said, None
         elif said is None and self.level == "warning" and waited >= self._off_delay_s:
@@ -159,9 +164,8 @@ class Interlocks:
     ) -> Judgement:
         """What stands against the run now. Call once a tick, with rig time and what was commanded before it."""
         tick = self._tick(snapshot, now_s, commanded or {}, residuals or {})
-        for item in self._all:
-            item.update(tick)
-        self._standing = self._active()
+        if any([item.update(tick) for item in self._all]) or self._standing is not _NOTHING:  # a list: all are judged
+            self._standing = self._active()
         return self._standing
 
     def standing(self) -> Judgement:
