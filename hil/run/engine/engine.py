@@ -30,7 +30,7 @@ from hil.run.engine.recording import Position, Publisher, Recorder
 from hil.run.engine.supervisor import End, Supervisor
 from hil.run.interlocks.conditions import Residuals
 from hil.run.outputs.deviations import Deviations
-from hil.run.outputs.heaters import Descent, good_readings, safe_limits, still_hot
+from hil.run.outputs.heaters import Descent, GoodReadings, safe_limits, still_hot
 from hil.run.outputs.outputs import Outputs
 from hil.run.outputs.readback import SetpointReadback
 from hil.run.outputs.safing import Safed, make_safe, write_safe
@@ -165,6 +165,9 @@ class Engine:
         self._patience_s = clock.period_s + LONGEST_WAIT_S + self._rig.abort_after_s + 2.0 * sum(timeouts)
         self._descent = Descent(self._rig, self._limits, clock.period_s)
         self._deviations = Deviations(self._rig)
+        self._meters_of_setpoints = GoodReadings(connection.points, self._deviations.meters)
+        self._meters_of_heaters = GoodReadings(connection.points, (limit.meter for limit in self._limits))
+        self._soonest_stale_s = min((point.stale_after_s for point in connection.points), default=math.inf)
         self._made_safe: Safed | None = None
 
     # What others ask of it ---------------------------------------------------------------------
@@ -212,7 +215,7 @@ class Engine:
 
     def _hot(self) -> str:
         """Return which heater's meter reads more than is safe, as a sentence; empty where none does."""
-        return still_hot(self._rig, self._limits, good_readings(self._connection.points, self._snapshot))
+        return still_hot(self._rig, self._limits, self._meters_of_heaters.of(self._snapshot))
 
     def _not_safe(self) -> str:
         """Return what contradicts a state with safe outputs; empty where nothing does, and in every other state."""
@@ -410,7 +413,8 @@ class Engine:
         # A process that was stopped while it read has read at any time since: the row is of now, old values are stale.
         self._at.tick = self._first + clock.current_tick()
         passed = self._at.tick - last
-        age(snapshot, self._connection.points, now - asked_s)
+        if now - asked_s > self._soonest_stale_s:
+            age(snapshot, self._connection.points, now - asked_s)
         self._notice_pause(passed * clock.period_s)
         # A machine without descriptors cannot open the link again: waiting for it would only heat on.
         why = self._guard.failure() or (self._connection.exhausted if snapshot.faults else None)
@@ -422,7 +426,7 @@ class Engine:
             ended = self._lead_back(self._soak, snapshot, now)
         if was_running and machine.state is State.RUNNING:
             self._at.profile_ticks += passed
-            self._deviations.tick(self._outputs.values, good_readings(self._connection.points, snapshot))
+            self._deviations.tick(self._outputs.values, self._meters_of_setpoints.of(snapshot))
         over = machine.state is State.RUNNING and self._at.profile_s >= self._profile.duration_s
         if ended is None:
             await self._put_out(clock.period_s)
@@ -431,7 +435,7 @@ class Engine:
             ended = (Event.COMPLETE, "the profile is over") if over else None
             if ended is None:
                 clock.release()
-        self._told.sample(snapshot, self._commanded(), now, wall_s, began)
+        self._told.sample(snapshot, self._outputs.values, now, wall_s, began)
         if self._observer is not None and time.monotonic() - self._shown > 0.2:
             self._shown = time.monotonic()
             self._observer(self.status())
@@ -466,9 +470,6 @@ class Engine:
             self._machine.take(Event.START, f"the rig is back where it was, after {self._soaked_s:.0f} s of soaking")
         return None if soak.failure is None else (Event.FAIL, soak.failure)
 
-    def _commanded(self) -> dict[str, float]:
-        return {point.name: self._outputs.values[point.name] for point in self._rig.setpoints}
-
     async def _obeyed(self) -> str:
         """Return the answer to an operator: the state, and outside `HEATED` what the rig holds and its meters read."""
         said = f"{self.state} at {self._at.profile_s:g} s of the profile"
@@ -482,7 +483,7 @@ class Engine:
         """Return what the heaters' meters read now, to go on with a sentence."""
         if not self._limits:
             return ""
-        readings = good_readings(self._connection.points, await self._connection.read())
+        readings = self._meters_of_heaters.of(await self._connection.read())
         hot = still_hot(self._rig, self._limits, readings)
         if hot:
             return f", but {hot}"
@@ -500,7 +501,7 @@ class Engine:
             if state not in HEATED:
                 if not self._outputs.safe_held:
                     self._descent.clear()  # it counts from the read-back on
-                readings = good_readings(self._connection.points, self._snapshot)
+                readings = self._meters_of_heaters.of(self._snapshot)
                 hot = self._descent.stays(readings, self._clock.now())
                 await self._outputs.put_safe(arm=self._supervisor.arming, hot=hot)
             elif self._guard.may_heat():
