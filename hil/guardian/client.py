@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from drivers.points import LinkError
 from drivers.rig_model import Rig
 from drivers.steady_time import steady_s
-from hil.guardian.plan import SILENCE_S, plan_of
+from hil.guardian.plan import SAFE_WITHIN_S, SILENCE_S, plan_of, takes_s
 
 BEAT_EVERY_S = 0.2
 FENCE_S = 0.8 * SILENCE_S
@@ -169,13 +169,15 @@ class Guardian:
             return []
         self._probed = asyncio.get_running_loop().create_future()
         self._say(b"probe")
-        end = steady_s() + STARTS_WITHIN_S
+        # The guardian waits out the time after connecting in which a device takes no request.
+        end = steady_s() + STARTS_WITHIN_S + sum(wire["connect_delay_s"] for wire in self._plan["wires"])
         while not self._probed.done():
             self._receive()
             if self._lost is not None or steady_s() > end:
                 raise GuardianError(f"not armed: the guardian is gone ({self._lost or 'no answer'})")
             await asyncio.sleep(0.005)
-        return [why for why in self._probed.result() if why]
+        wires = self._plan["wires"]
+        return [why + _later(wire) for wire, why in zip(wires, self._probed.result(), strict=True) if why]
 
     def watch(self) -> None:
         """Arm it: from now on silence counts."""
@@ -300,3 +302,15 @@ class Guardian:
             self._sure = bool(document["checked"])
         elif "probe" in document and self._probed is not None and not self._probed.done():
             self._probed.set_result(document["probe"])
+
+
+def _later(wire: dict[str, Any]) -> str:
+    """Return the time that the guardian needs on a wire which it has to open first, where that is out of the ordinary;
+    the text continues a sentence."""
+    needs_s = takes_s(wire["connect_delay_s"])
+    if needs_s <= SAFE_WITHIN_S:
+        return ""
+    return (
+        f"; the device takes no request for {wire['connect_delay_s']:g} s after connecting, so that the guardian needs "
+        f"about {needs_s:g} s to make it safe"
+    )
