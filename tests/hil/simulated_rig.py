@@ -180,7 +180,7 @@ class SimulatedClock:
         self._tick += 1
         return self._tick
 
-    async def advance(self) -> None:
+    async def advance(self, at_most_s: float = math.inf) -> None:
         self._rig.pass_time(self.period_s)
         await asyncio.sleep(0)
 
@@ -196,6 +196,7 @@ class MemoryJournal:
     """What was journaled, as lists; a `broken` one refuses everything."""
 
     broken: bool = False
+    failure: str | None = None
     states: list[tuple[Any, ...]] = field(default_factory=list)
     events: list[tuple[str, str]] = field(default_factory=list)
     samples: list[tuple[Any, ...]] = field(default_factory=list)

@@ -108,36 +108,3 @@ def test_what_another_master_writes_while_the_run_ends_is_made_safe_again():
         assert written
         assert bench.rig.registers.holding[0] == 0
         assert bench.outcome.safe
-
-
-async def test_a_stop_does_not_wait_for_the_next_tick_of_a_slow_rig(tmp_path):
-    from drivers.rig import RigConnection
-    from hil.journal.writer import Header, JournalWriter
-    from hil.profile.load_profile import Profile
-    from hil.run.engine.clock import MonotonicClock
-    from hil.run.engine.engine import Engine
-
-    device = Device()
-    (tmp_path / "rig.toml").write_text(device.rig_text().replace("period_s = 0.1", "period_s = 30"))
-    rig = load_rig(tmp_path / "rig.toml")
-    clock = MonotonicClock(rig.period_s)
-    connection = RigConnection(rig, clock.now)
-    import numpy as np
-
-    profile = Profile("slow", np.array([0.0, 900.0]), ("heater_W",), np.array([[300.0], [300.0]]))
-    signals = connection.signals + tuple(point.as_signal() for point in rig.setpoints)
-    journal = JournalWriter(tmp_path / "journal.sqlite", Header(signals, {}, (), "slow", 900.0, 30.0, {}))
-    engine = Engine(connection, clock, profile, journal)
-    run = asyncio.create_task(engine.run())
-    while engine.state != "running":
-        await asyncio.sleep(0.05)
-    await asyncio.sleep(0.3)
-    began = time.monotonic()
-    engine.request_stop("the test")
-    while device.off_s is None or device.registers[0] or engine.state == "running":
-        assert time.monotonic() - began < 3.0
-        await asyncio.sleep(0.05)
-    run.cancel()
-    await asyncio.gather(run, return_exceptions=True)
-    journal.close()
-    device.close()
