@@ -29,6 +29,8 @@ from hil.tracking.adoption import Adoption
 from hil.tracking.twins import Proposed
 
 RECORD, REVIEW, REPORT, REVISION = "record.parquet", "review.rrd", "report.html", "adopted revision"
+RUN_UID = "run"
+"""Key of a journal's header table with the uid of the run that writes it."""
 _NOT_YET = "not made yet"
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
@@ -136,10 +138,11 @@ def derive_files(
         # A kill from here on finds in run.json which files are not there.
         with contextlib.suppress(OSError):
             place.write_manifest(manifest | {"missing": derived.missing})
+        foreign = _foreign(place, manifest)
         for name, step in steps.items():
-            if signals.received is None:
+            if signals.received is None and foreign is None:
                 announce(f"writing {name}")
-            why = _made(step, signals)
+            why = foreign or _made(step, signals)
             if why is None:
                 del derived.missing[name]
             else:
@@ -204,6 +207,21 @@ def _proposals(folder: RunFolder) -> list[Proposed]:
         return [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
     finally:
         reader.close()
+
+
+def _foreign(folder: RunFolder, manifest: dict[str, Any]) -> str | None:
+    """Return why nothing is made from the journal in `folder`: it is that of another run. None where it is not."""
+    try:
+        reader = JournalReader(folder.journal)
+        try:
+            uid = reader.meta(RUN_UID)
+        finally:
+            reader.close()
+    except (JournalError, OSError):
+        return None  # each file says what it needs of the journal
+    if uid is None or uid == manifest.get("uid"):
+        return None
+    return f"{folder.journal} is the journal of another run: put the one of this run in its place"
 
 
 def _made(step: Callable[[], None], signals: _Signals) -> str | None:

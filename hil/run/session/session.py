@@ -26,7 +26,7 @@ from hil.run.restore.calibrators import restore
 from hil.run.restore.gap_evidence import clocks_noted
 from hil.run.restore.resumption import Resumption
 from hil.run.restore.thermal_restore import SoakRule, unled
-from hil.run.session.derived_files import REVIEW, Derived, derive_files
+from hil.run.session.derived_files import REVIEW, RUN_UID, Derived, derive_files
 from hil.run.session.interrupted_run import questioned
 from hil.run.session.manifest import ended, files_of, how_it_stopped, settings_of
 from hil.run.session.output_queue import queued_output
@@ -193,6 +193,7 @@ async def _run_in(run: _Run) -> RunResult:
         header = _header(ready, () if tracking is None else tracking.calibrators)
         journal = JournalWriter(folder.journal, header, again=resumption is not None)
         stack.callback(_closed, journal)
+        journal.put_meta(RUN_UID, manifest["uid"])
         await stack.enter_async_context(clocks_noted(journal))
         if resumption is not None and State(resumption.standing.state) not in ENDED:
             was = resumption.standing
