@@ -126,9 +126,9 @@ class FileIdentity:
         other = sqlite3.connect(self._path, timeout=BUSY_S)
         try:
             other.execute("PRAGMA query_only=ON")
-            if self._last is not None:
-                if other.execute("SELECT 1 FROM samples WHERE tick = ?", (self._last,)).fetchone() is None:
-                    return f"the sample of tick {self._last} is gone"
+            last = "SELECT 1 FROM samples WHERE tick = ?"
+            if self._last is not None and other.execute(last, (self._last,)).fetchone() is None:
+                return f"the sample of tick {self._last} is gone"
             if (found := self._count(other)) < self._rows:
                 return f"{self._rows - found} samples are gone"
             sound = str(other.execute("PRAGMA quick_check(1)").fetchone()[0])

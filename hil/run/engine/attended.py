@@ -29,9 +29,7 @@ class Finished(Generic[T]):
     result: T
 
 
-async def attended(
-    work: Awaitable[T], request: asyncio.Event, trouble: Callable[[], str | None]
-) -> Finished[T] | Cut:
+async def attended(work: Awaitable[T], request: asyncio.Event, trouble: Callable[[], str | None]) -> Finished[T] | Cut:
     """Return the result of `work`, or that it was cut short.
 
     It is cut by `request`, `CUT_AFTER_S` after that was set, and as soon as `trouble` returns a reason. Raises what

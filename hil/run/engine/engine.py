@@ -9,7 +9,6 @@ this process no longer can.
 
 from __future__ import annotations
 
-import asyncio
 import math
 import time
 from collections.abc import Callable
@@ -34,7 +33,7 @@ from hil.run.outputs.deviations import Deviations
 from hil.run.outputs.heaters import Descent, good_readings, safe_limits, still_hot
 from hil.run.outputs.outputs import Outputs
 from hil.run.outputs.readback import SetpointReadback
-from hil.run.outputs.safing import Safed, make_safe, write_safe
+from hil.run.outputs.safing import Safed, attempt_s, make_safe, write_safe
 from hil.run.outputs.setpoints import bind
 from hil.run.restore.resumption import Resumption
 from hil.run.restore.thermal_restore import Soak
@@ -275,7 +274,8 @@ class Engine:
         for _ in range(_INTERRUPTED_AT_MOST):
             try:
                 if not outcome.safe:
-                    problem = await write_safe(self._connection, self._outputs.safe_values)
+                    within_s = attempt_s(self._rig)
+                    problem = await write_safe(self._connection, self._outputs.safe_values, within_s)
                     if problem:
                         self._guard.act()
                     await self._answer_stopped(problem)
@@ -349,7 +349,7 @@ class Engine:
         return self._supervisor.stop or await self._obey_now()
 
     def _trouble(self) -> str | None:
-        """Return why the run has to end before its next tick: the guardian has acted or is gone, the journal is lost."""
+        """Return why the run has to end before its next tick: the guardian acted or is gone, the journal is lost."""
         return self._guard.failure() or self._told.failure
 
     async def _obey_now(self) -> None:
