@@ -101,9 +101,8 @@ async def make_safe(
             if hurried() or time.monotonic() - held_s > max(waits) + WRITE_DEADLINE_S:
                 break
             await asyncio.sleep(RETRY_EVERY_S)
-    again = await write_safe(
-        connection, safe_values, within_s=attempt_s(connection.rig)
-    )  # the last word, whoever has written meanwhile
+    # The last word, whoever has written meanwhile.
+    again = await write_safe(connection, safe_values, within_s=attempt_s(connection.rig))
     return Safed(not again, not (problem or again), again or problem, hot)
 
 
