@@ -67,6 +67,7 @@ def command(
       hil resume runs/20260520T120000Z-battle_40h --gap 2.5h
       hil resume runs/20260520T120000Z-battle_40h --band 2 --timeout 14400
     """
+    from hil.run.engine.signals import RunSignals
     from hil.run.restore.gap_evidence import duration_s
     from hil.run.restore.thermal_restore import SoakRule
     from hil.run.session.interrupted_run import named, request_of
@@ -91,12 +92,16 @@ def command(
         for sentence in named(asked):
             click.echo(sentence, err=True)  # with --json too
 
-    with LiveRun(quiet=as_json) as live:
-        rule = SoakRule(band_K, timeout_s)
-        result = asyncio.run(resume_session(folder, request, rule, live.update, live.announce, gap_s, name_rig))
-    if as_json:
-        click.echo(json.dumps(as_json_document(result), indent=1))
-    else:
-        live.show_result(result)
+    with RunSignals() as signals:
+        with LiveRun(quiet=as_json) as live:
+            rule = SoakRule(band_K, timeout_s)
+            session = resume_session(
+                folder, request, rule, live.update, live.announce, gap_s, name_rig, signals=signals
+            )
+            result = asyncio.run(session)
+        if as_json:
+            click.echo(json.dumps(as_json_document(result), indent=1))
+        else:
+            live.show_result(result)
     if result.exit_code:
         sys.exit(result.exit_code)

@@ -118,14 +118,16 @@ def command(
         for note in ready.notes:
             click.echo(f"  {note}")
         return
+    from hil.run.engine.signals import RunSignals
     from hil.run.session.terminal import LiveRun
 
-    with LiveRun(quiet=as_json) as live:
-        result = asyncio.run(run_session(request, live.update, live.announce))
-    if as_json:
-        click.echo(json.dumps(as_json_document(result), indent=1))
-    else:
-        live.show_result(result)
+    with RunSignals() as signals:
+        with LiveRun(quiet=as_json) as live:
+            result = asyncio.run(run_session(request, live.update, live.announce, signals))
+        if as_json:
+            click.echo(json.dumps(as_json_document(result), indent=1))
+        else:
+            live.show_result(result)
     if result.exit_code:
         sys.exit(result.exit_code)
 

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 from drivers.bus.steady_time import steady_s
 from drivers.rig_file.model import Rig
 from drivers.signals.points import LinkError
-from hil.guardian.plan import SILENCE_S, plan_of
+from hil.guardian.plan import SAFE_WITHIN_S, SILENCE_S, plan_of, takes_s
 
 BEAT_EVERY_S = 0.2
 TICK_BEATS_AFTER_S = 0.75 * BEAT_EVERY_S
@@ -177,13 +177,15 @@ class Guardian:
             return []
         self._probed = asyncio.get_running_loop().create_future()
         self._say(b"probe")
-        end = steady_s() + STARTS_WITHIN_S
+        # The guardian waits out the time after connecting in which a device takes no request.
+        end = steady_s() + STARTS_WITHIN_S + sum(wire["connect_delay_s"] for wire in self._plan["wires"])
         while not self._probed.done():
             self._receive()
             if self._lost is not None or steady_s() > end:
                 raise GuardianError(f"not armed: the guardian is gone ({self._lost or 'no answer'})")
             await asyncio.sleep(0.005)
-        return [why for why in self._probed.result() if why]
+        wires = self._plan["wires"]
+        return [why + _later(wire) for wire, why in zip(wires, self._probed.result(), strict=True) if why]
 
     def watch(self) -> None:
         """Arm it: from now on silence counts."""
@@ -320,3 +322,15 @@ class Guardian:
             self._sure = bool(document["checked"])
         elif "probe" in document and self._probed is not None and not self._probed.done():
             self._probed.set_result(document["probe"])
+
+
+def _later(wire: dict[str, Any]) -> str:
+    """Return the time that the guardian needs on a wire which it has to open first, where that is out of the ordinary;
+    the text continues a sentence."""
+    needs_s = takes_s(wire["connect_delay_s"])
+    if needs_s <= SAFE_WITHIN_S:
+        return ""
+    return (
+        f"; the device takes no request for {wire['connect_delay_s']:g} s after connecting, so that the guardian needs "
+        f"about {needs_s:g} s to make it safe"
+    )

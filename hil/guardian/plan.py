@@ -31,6 +31,13 @@ SILENCE_S = 1.0
 """So long the engine may be silent before the guardian acts, s."""
 DEADLINE_S = 1.0
 """Longest wait for one reply, s, however patient the rig file is."""
+SAFE_WITHIN_S = 2.0
+"""Time from the loss of the engine to safe values that a device admits which answers as soon as it is connected, s."""
+
+
+def takes_s(connect_delay_s: float) -> float:
+    """Return the time from the loss of the engine to safe values where the guardian has to connect first, s."""
+    return SILENCE_S + connect_delay_s + (SAFE_WITHIN_S - SILENCE_S) / 2.0
 
 
 def plan_of(rig: Rig) -> dict[str, Any] | None:
@@ -66,7 +73,8 @@ def plan_of(rig: Rig) -> dict[str, Any] | None:
         found[first[meter.bus]]["meters"].append(
             {
                 "device": bus.device_id, "pdu": Read(block).request.hex(), "name": meter.name, "unit": meter.unit,
-                "limit": limit.at_most, "invalid": sorted(meter.sentinels), **_number(meter),
+                "limit": limit.at_most, "within_s": limit.within_s / rig.time_scale,
+                "invalid": sorted(meter.sentinels), **_number(meter),
             }
         )  # fmt: skip
     return {"silence_s": SILENCE_S, "wires": list(found.values())}

@@ -71,6 +71,11 @@ class Recorder:
         self._published = time.monotonic()
         self._behind = False
 
+    @property
+    def failure(self) -> str | None:
+        """Why rows do not reach the disk any more; None while they do."""
+        return self._journal.failure
+
     def sample(
         self, snapshot: Snapshot, commanded: Mapping[str, float], now_s: float, wall_s: float, began: float
     ) -> None:

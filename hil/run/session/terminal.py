@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from hil.run.engine.engine import Status
+    from hil.run.engine.engine import Outcome, Status
     from hil.run.session.session import RunResult
     from hil.tracking.twins import Comparison, ErrorTable
 
@@ -219,8 +219,6 @@ class LiveRun:
             + (f": {outcome.reason}" if outcome.reason else ""),
             highlight=False,
         )
-        if outcome.ticks and (outcome.away or not outcome.safe):
-            out.print("The rig was NOT confirmed safe: look at it now.", style="bold red")
         for problem in [*outcome.problems, *outcome.deviations]:
             out.print(f"  {problem}", markup=False)
         if outcome.guardian:
@@ -237,16 +235,32 @@ class LiveRun:
             out.print(result.gates, soft_wrap=True, markup=False)
         if result.adoption is not None:
             out.print(result.adoption.sentence, soft_wrap=True, markup=False)
-        out.print(f"run folder: {result.folder.path}", soft_wrap=True)
         path = result.folder.path
-        if outcome.status != "done" and outcome.ticks:
-            when = "when its cause is gone, go on with it" if outcome.status == "faulted" else "go on with it"
-            out.print(f"{when}: {invocation()} resume {path}", soft_wrap=True)
+        out.print(f"run folder: {path}", soft_wrap=True)
         out.print(f"look at it: {invocation()} review {path}", soft_wrap=True)
         if not result.viewed:
             out.print(
                 f"no display here; a picture: {invocation()} review {path} --screenshot review.png", soft_wrap=True
             )
+        for line in last_words(outcome, path):
+            out.print(line, style="bold red" if line.startswith(NOT_SAFE) else "", soft_wrap=True, markup=False)
+
+
+NOT_SAFE = "The rig was NOT confirmed safe"
+
+
+def last_words(outcome: Outcome, path: Path) -> list[str]:
+    """Return what to do after a run that did not go to its end, a line each; where the rig may still heat, that comes
+    last and `hil resume` only after it."""
+    is_unsafe = bool(outcome.ticks) and (bool(outcome.away) or not outcome.safe)
+    lines = []
+    if outcome.status != "done" and outcome.ticks:
+        when = "when its cause is gone, go on with it" if outcome.status == "faulted" else "go on with it"
+        when = "once somebody has seen at the rig that nothing heats, and the cause is gone" if is_unsafe else when
+        lines.append(f"{when}: {invocation()} resume {path}")
+    if is_unsafe:
+        lines.append(f"{NOT_SAFE}: go to the rig now, and switch the heater off there if it is on.")
+    return lines
 
 
 def cut_time(manifest: dict[str, Any]) -> str:
