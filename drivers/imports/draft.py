@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from drivers.encodings import decoded
 from drivers.points import ConfigurationError
-from drivers.rig_checks import Layout
+from drivers.rig_checks import Layout, unwritable
 from drivers.rig_model import Point
 from drivers.rig_places import mistake, shown
 from drivers.units import canonical_unit
@@ -220,6 +220,8 @@ class Collector:
             last = (point.address or 0) + point.width - 1
             if last > 65535:
                 raise ImportFileError(self.path, line, f"{name} ends at {last}, beyond 65535; correct address or type")
+            if (why := unwritable(point)) is not None:
+                raise ImportFileError(self.path, line, f"{name}: {why}, or correct its access {point.access!r}")
             clash = self._layout.clash(point)
             if clash is not None:
                 other = self._lines.get((bus, clash[0]), 0)
