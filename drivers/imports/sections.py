@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from drivers.imports.draft import DraftBus, ImportFileError, whole
-from drivers.plain_values import checked_host
 from drivers.rig_places import shown
 
 _PARITIES = {"N": "none", "E": "even", "O": "odd"}
@@ -57,10 +56,6 @@ def tcp(path: Path, line: int, host: str, port: int, device: int, *, rtu: bool =
     """
     if rtu:
         on_line(path, line, device)
-    try:
-        checked_host(host)
-    except ValueError as error:
-        raise ImportFileError(path, line, f"host {error}") from None
     return {"transport": "modbus_rtu_tcp" if rtu else "modbus_tcp", "host": host, "port": port, "device_id": device}
 
 
