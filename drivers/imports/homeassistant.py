@@ -282,4 +282,4 @@ class _Import:
         if not isinstance(host, str) or not host:
             raise ImportFileError(self.path, hub.line_of("host"), "a hub has no host; add it")
         port_number = whole(self.path, hub.line_of("port"), "port", hub.plain("port", 502), 1, 65535)
-        return tcp(self.path, hub.line, host, port_number, device, rtu=kind == "rtuovertcp")
+        return tcp(self.path, hub.line_of("host"), host, port_number, device, rtu=kind == "rtuovertcp")

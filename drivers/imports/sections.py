@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import Field, TypeAdapter, ValidationError
+
+from drivers.bus_sections import AnyBus
 from drivers.imports.draft import DraftBus, ImportFileError, whole
-from drivers.rig_places import shown
+from drivers.rig_places import mistake, shown
 
+_BUS: TypeAdapter[AnyBus] = TypeAdapter(Annotated[AnyBus, Field(discriminator="transport")])
 _PARITIES = {"N": "none", "E": "even", "O": "odd"}
 
 
@@ -52,11 +56,12 @@ def on_line(path: Path, line: int, device: int) -> int:
 def tcp(path: Path, line: int, host: str, port: int, device: int, *, rtu: bool = False) -> dict[str, Any]:
     """Return the keys of a Modbus/TCP server, or with `rtu` of a converter that passes on frames of a serial line.
 
-    Raises ImportFileError.
+    Raises ImportFileError where a rig file refuses one of them.
     """
     if rtu:
         on_line(path, line, device)
-    return {"transport": "modbus_rtu_tcp" if rtu else "modbus_tcp", "host": host, "port": port, "device_id": device}
+    transport = "modbus_rtu_tcp" if rtu else "modbus_tcp"
+    return _accepted(path, line, {"transport": transport, "host": host, "port": port, "device_id": device})
 
 
 def serial(
@@ -78,4 +83,14 @@ def serial(
         keys["parity"] = _PARITIES[parity]
     if stop_bits is not None:
         keys["stop_bits"] = whole(path, line, "stop bits", stop_bits, 1, 2)
-    return keys | {"device_id": device}
+    return _accepted(path, line, keys | {"device_id": device})
+
+
+def _accepted(path: Path, line: int, keys: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of a bus; raise ImportFileError with the rig file's own sentence where it refuses a value."""
+    try:
+        _BUS.validate_python(keys)
+    except ValidationError as error:
+        item = error.errors()[0]
+        raise ImportFileError(path, line, f"{item['loc'][-1]}: {mistake(item)}") from None
+    return keys

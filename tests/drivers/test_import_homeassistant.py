@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,9 @@ def test_hubs_on_serial_lines_and_converters_become_their_buses(tmp_path):
         (hub({"name": "x", "address": 1, "swap": "all"}), "x: swap 'all' is not known"),
         (hub({"name": "x", "address": 1, "scale": "ten"}), "x: scale 'ten' is no number"),
         (hub({"name": "x", "address": 1}, host=None), "a hub has no host"),
+        (hub({"name": "x", "address": 1}, host="10.0.0.256"), "hub hub: host: '10.0.0.256' is no address"),
+        (hub({"name": "x", "address": 1}, host="10.0.0.9:502"), "holds a port; write host = "),
+        (hub({"name": "x", "address": 1}, host="my plc", type="rtuovertcp"), "is no name of a host"),
         (hub({"name": "x", "address": 1}, {"name": "y", "address": 1}), "is x's already"),
     ],
 )
@@ -104,20 +108,22 @@ modbus:
 """
 
 
-def test_yaml_is_read_with_its_lines_where_a_reader_is_installed(tmp_path):
+def test_yaml_without_its_reader_is_refused_with_the_package_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "yaml", None)
+    with pytest.raises(ImportFileError, match="takes PyYAML to read; install it"):
+        import_homeassistant(table(tmp_path, HOME, "ha.yaml"))
+
+
+def test_yaml_is_read_with_its_lines(tmp_path):
     source = table(tmp_path, HOME, "ha.yaml")
-    try:
-        import yaml  # noqa: F401
-    except ImportError:
-        with pytest.raises(ImportFileError, match="takes PyYAML to read; install it"):
-            import_homeassistant(source)
-        return
     (point,) = written(tmp_path, import_homeassistant(source)).point
     assert (point.name, point.address, point.type) == ("Flow", 16, "float32")
     with pytest.raises(ImportFileError, match=r"ha.yaml, line 8: Flow: address 'ten'"):
         import_homeassistant(table(tmp_path, HOME.replace("0x10", "ten"), "ha.yaml"))
     with pytest.raises(ImportFileError, match=r"ha.yaml, line \d+: is not valid YAML"):
         import_homeassistant(table(tmp_path, HOME.replace("host: ", "host: [", 1), "ha.yaml"))
+    with pytest.raises(ImportFileError, match=r"ha.yaml, line 4: hub hub: host: '010.0.0.1' is no"):
+        import_homeassistant(table(tmp_path, HOME.replace("chiller.local", "'010.0.0.1'"), "ha.yaml"))
 
 
 VALUES = st.one_of(

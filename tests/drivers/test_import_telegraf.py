@@ -186,6 +186,16 @@ def test_every_key_of_a_telegraf_file_is_used_or_harmless_or_noted_with_its_line
     assert len(written(tmp_path, draft).point) == 6 - sum("left out)" in note for note in said)
 
 
+@pytest.mark.parametrize("host", ["00", "10.0.0.256", "my%20plc"])
+@pytest.mark.parametrize("mode", ["TCP", "RTUoverTCP"])
+def test_a_host_that_no_rig_file_takes_is_refused_with_its_line(tmp_path, host, mode):
+    controller = 'controller = "tcp://10.0.0.3:502"'
+    assert controller in REGISTERS
+    text = REGISTERS.replace(controller, f'{controller.replace("10.0.0.3", host)}\n  transmission_mode = "{mode}"')
+    with pytest.raises(ImportFileError, match=rf"telegraf.toml, line 3: .*host: '{host}' is no "):
+        import_telegraf(table(tmp_path, text, "telegraf.toml"))
+
+
 def test_a_controller_that_only_stands_for_one_is_refused(tmp_path):
     text = REGISTERS.replace("10.0.0.3", "${PLC}")
     with pytest.raises(ImportFileError, match=r"telegraf.toml, line 3: .*controller is \$\{PLC\}; write what that"):

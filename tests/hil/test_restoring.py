@@ -18,11 +18,13 @@ from tests.hil.synthetic_journal import make
 
 def test_only_what_the_journal_lacks_is_passed_on(tmp_path):
     header = make(10).header
+    proposed: dict[str, Any] = {"values": {}, "standard_errors": {}, "held": {}, "reasons": []}
+    band: dict[str, Any] = {"mean_K": {}, "half_width_K": {}}
     journal = JournalWriter(tmp_path / "journal.sqlite", header)
     journal.twin_outputs("static", [0, 1, 2], [0.0, 1.0, 2.0], np.zeros((3, 4)))
     journal.calibration("pso", 0.0, 600.0, {"kind": "calibrated"})
-    journal.proposal("hiera_unet", 300.0, {})
-    journal.band("static", 0.0, 600.0, {})
+    journal.proposal("hiera_unet", 300.0, proposed)
+    journal.band("static", 0.0, 600.0, band)
     journal.commit()
     reader = JournalReader(tmp_path / "journal.sqlite")
     rest = Remainder(journal, reader)
@@ -31,9 +33,9 @@ def test_only_what_the_journal_lacks_is_passed_on(tmp_path):
     for end_s in (600.0, 1200.0):
         rest.calibration("pso", end_s - 600.0, end_s, {"kind": "calibrated"})
         rest.event(7, end_s, "WARN", f"of the window up to {end_s:g}")
-        rest.proposal("hiera_unet", end_s / 2, {})
+        rest.proposal("hiera_unet", end_s / 2, proposed)
         rest.event(7, end_s, "INFO", f"of the proposal at {end_s / 2:g}")
-        rest.band("static", end_s - 600.0, end_s, {})
+        rest.band("static", end_s - 600.0, end_s, band)
     rest.event(7, 0.0, "ERROR", "pso: stopped")
     journal.commit()
     assert reader.twin_outputs("static").tick.tolist() == [0, 1, 2, 3, 4]
