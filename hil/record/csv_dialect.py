@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivers.units import canonical_unit
+from hil.record.heading_units import unit_of
 from hil.record.times.names import SECONDS_PER, is_time_name
 from hil.record.values.numbers import MARKS, MISSING, readings
 
@@ -24,9 +24,6 @@ SAMPLE = 200
 """Lines from the beginning from which the dialect is found: far more than any logger writes above its rows."""
 MOST_BELOW = 3
 """Lines between names and rows: units, kinds of processing and places of sensors, as loggers write them."""
-
-FAHRENHEIT = ("°f", "degf", "deg f", "fahrenheit")
-"""Ways to write degrees Fahrenheit, lower case; no signal of this project is in them."""
 
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
 _MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d{2})?.*|\d{4}-\d{2}-\d{2}T.*", re.ASCII)
@@ -184,18 +181,10 @@ def _units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
     """Return the units that a line below the names gives, by column; empty where it gives none."""
     found = {}
     for place, cell in enumerate(row):
-        symbol = cell.strip("[]() ").replace("Deg", "deg")
-        if symbol.lower() in FAHRENHEIT:
-            found[place] = "degF"
-            continue
-        if is_time_name(names[place]) and symbol.lower() in SECONDS_PER:
-            found[place] = symbol.lower()
-            continue
-        try:
-            unit = canonical_unit(symbol)
-        except ValueError:
-            continue
-        if unit != "1":
+        symbol = cell.strip("[]() ").lower()
+        if is_time_name(names[place]) and symbol in SECONDS_PER:
+            found[place] = symbol
+        elif (unit := unit_of(cell)) is not None:
             found[place] = unit
     return found
 

@@ -11,6 +11,7 @@ from drivers.units import column_name, split_column
 from hil.files.limits import require_columns
 from hil.record.annotated import is_annotated, read_annotated
 from hil.record.csv_dialect import BLANKS, Dialect, DialectError, find_dialect
+from hil.record.heading_units import fahrenheit_hint, name_and_unit
 from hil.record.headings import by_later_headings
 from hil.record.raw import RawRecord, RecordError, unique
 from hil.record.times.names import SECONDS_PER, is_time_name, names_unit, seconds_per_unit
@@ -49,7 +50,8 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         text = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+(?=\r?$)", "", text))
         content, encoding, delimiter = text.encode(), "utf-8", "\t"
     require_columns(path, len(dialect.names), RecordError)
-    named, units = _named(path, dialect)
+    named, units, hints = _named(path, dialect)
+    messages += hints
     names, repeated = unique(named)
     messages += repeated
     table, skipped = _table(path, content, names, delimiter, encoding, dialect.rows_from)
@@ -79,14 +81,15 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
     return by_later_headings(raw, dialect.names)
 
 
-def _named(path: Path, dialect: Dialect) -> tuple[list[str], dict[str, str]]:
-    """Return the names with the suffixes of the units that the file gives, and the unit of each column that has one.
+def _named(path: Path, dialect: Dialect) -> tuple[list[str], dict[str, str], list[str]]:
+    """Return the names with the suffixes of the units that the file gives, units by column, and hints at units.
 
     Raises:
         RecordError: a name ends in the suffix of another unit than the line below the names gives.
     """
     names = list(dialect.names)
-    units = {}
+    units: dict[str, str] = {}
+    hints: list[str] = []
     for place, unit in dialect.units.items():
         name = names[place]
         own = _unit_of(name)
@@ -98,11 +101,12 @@ def _named(path: Path, dialect: Dialect) -> tuple[list[str], dict[str, str]]:
             )
         if unit == "degF":
             names[place] = name if name.lower().endswith(("_f", "_degf")) else f"{name}_F"
+            hints.append(fahrenheit_hint(names[place]))
             continue
-        if name and not is_time_name(name) and split_column(name) is None:
+        if name and not is_time_name(name) and own is None:
             names[place] = column_name(name, unit)
         units[names[place]] = unit
-    return names, units
+    return names, units, list(filter(None, hints))
 
 
 def _unit_of(name: str) -> str | None:
@@ -110,7 +114,7 @@ def _unit_of(name: str) -> str | None:
     if is_time_name(name):
         per = seconds_per_unit(name)
         return next(unit for unit, seconds in SECONDS_PER.items() if seconds == per) if names_unit(name) else None
-    parts = split_column(name)
+    parts = split_column(name) or name_and_unit(name)
     return None if parts is None else parts[1]
 
 

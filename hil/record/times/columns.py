@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hil.record.raw import RawRecord, Reading, RecordError
-from hil.record.times.names import SECONDS_PER, is_time_name, names_dates, names_unit, seconds_per_unit
+from hil.record.times.names import SECONDS_PER, is_time_name, names_days, names_unit, seconds_per_unit
 from hil.record.times.numbers import day_count
 from hil.record.times.text import is_date, is_moment, is_time_of_day
 from hil.record.values.numbers import Sign, parse, trimmed
@@ -98,7 +98,7 @@ def _kind(name: str, cells: Any, sign: Sign) -> str:
         return ""
     numbers = parse(cells, sign)
     values = numbers.values[np.isfinite(numbers.values)] if numbers is not None else np.zeros(0)
-    if len(values) and names_dates(name) and day_count(float(values.min())) and day_count(float(values.max())):
+    if len(values) and names_days(name) and day_count(float(values.min())) and day_count(float(values.max())):
         return "date" if (values == np.round(values)).all() else ""
     return "time" if len(values) and (values >= 0.0).all() and (values < 1.0).all() else ""
 

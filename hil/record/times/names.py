@@ -33,9 +33,11 @@ _ELAPSED = ("time", "t", "elapsed", "elapsed time", "time elapsed", "run time", 
 _MOMENT = (
     *("timestamp", "time stamp", "datetime", "date time", "date/time", "date and time", "date", "epoch", "when"),
     *("local time", "utc", "time utc", "utc time", "timestamp utc", "last changed", "last updated", "recorded at"),
-    *("datum", "zeit", "uhrzeit", "zeitstempel", "datum/zeit", "datum uhrzeit", "date heure", "horodatage"),
+    *("date&time", "date & time", "time string", "timestring", "sourcetimestamp", "source timestamp"),
+    *("modified julian date", "modified julian day", "mjd", "julian date", "julian day", "jd", "datenum"),
+    *("datum", "zeit", "uhrzeit", "zeitstempel", "datum/zeit", "datum uhrzeit", "date heure", "heure", "horodatage"),
 )  # fmt: skip
-_UNIT = re.compile(r"(.+?)[ _]*[\[(]\s*([a-zµ]+)\s*[\])]|(.+)[ _]([a-zµ]+)|([a-zµ]+)")
+_UNIT = re.compile(r"(.+?)[ _]*[\[(]\s*([a-zµ]+)\s*[\])]|(.+?)\s*[/_ ]\s*(?:in\s+)?([a-zµ]+)|([a-zµ]+)")
 
 
 def seconds_per_unit(name: str) -> float | None:
@@ -49,7 +51,8 @@ def seconds_per_unit(name: str) -> float | None:
     stem, unit = (parts[1], parts[2]) if parts[1] else (parts[3], parts[4]) if parts[3] else ("", parts[5])
     if stem == "t" and not parts[1] and unit != "s":
         return None  # T_min and T_h are temperatures
-    if unit in SECONDS_PER and (_spelt(stem) in _ELAPSED or (not stem and unit in ("seconds", "minutes", "hours"))):
+    alone = not stem and unit in ("seconds", "minutes", "hours")
+    if unit in SECONDS_PER and (alone or _spelt(stem) in (*_ELAPSED, *_MOMENT)):
         return SECONDS_PER[unit]
     return None
 
@@ -68,6 +71,12 @@ def is_time_name(name: str) -> bool:
 def names_dates(name: str) -> bool:
     """Return True for a name of dates, or of dates with times, and never of a time since the beginning."""
     return _spelt(name.strip().lower()) in (*_MOMENT, "time of day") and "epoch" not in name.lower()
+
+
+def names_days(name: str) -> bool:
+    """Return True for a name of days, as `Date` and `MJD` are; whole numbers of a `timestamp` may be seconds."""
+    low = name.strip().lower()
+    return is_time_name(name) and re.search(r"date|datum|julian|\bm?jd\b", low) is not None
 
 
 def _spelt(low: str) -> str:

@@ -32,7 +32,8 @@ class DayCount:
     """Numbering of days with their fractions.
 
     Attributes:
-        name: of several, one: of one, for messages. of_1970: the number of 1970-01-01 00:00. first, last: numbers that are taken for it.
+        name, one: of several and of one, for messages. of_1970: the number of 1970-01-01 00:00.
+        first, last: numbers that are taken for it.
     """
 
     name: str

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hil.record.raw import RawRecord, Reading
 from hil.record.times.columns import has_unit, scale_of
 from hil.record.times.full_clock import require_full_clock
-from hil.record.times.names import names_dates
+from hil.record.times.names import names_days
 from hil.record.times.numbers import EPOCH_S, DayCount, are_days, compact_moments, count_of, day_count
 from hil.record.times.text import Stamps, TimeTextError, read_stamps, read_times_of_day
 from hil.record.values.numbers import Sign, parse, trimmed
@@ -145,9 +145,10 @@ def _seconds(name: str, cells: Any, sign: Sign, scale: float, choice: Reading, u
             return of_stamps(stamps)
     if not (unit_given and middle * scale < EPOCH_S[1]) and (moments := compact_moments(values)) is not None:
         return of_stamps(read_stamps(moments, choice.dates))
-    count = day_count(middle)
+    count = day_count(float(finite.min()))
+    count = count if count == day_count(float(finite.max())) else None
     if choice.time_scale == 1.0 and count is not None:
-        if scale == _DAY_S or (scale == 1.0 and (names_dates(name) or are_days(cells, finite, count, unit_given))):
+        if scale == _DAY_S or (scale == 1.0 and (names_days(name) or are_days(cells, finite, count, unit_given))):
             return _of_days(values, count)
     elif choice.time_scale == 1.0 and scale == 1.0:
         are_days(cells, finite, None, unit_given)
