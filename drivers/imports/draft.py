@@ -18,7 +18,7 @@ from drivers.points import ConfigurationError
 from drivers.rig_checks import Layout, unwritable
 from drivers.rig_model import Point
 from drivers.rig_places import mistake, shown
-from drivers.units import canonical_unit
+from drivers.units import canonical_unit, known_unit
 
 
 class ImportFileError(ConfigurationError):
@@ -186,7 +186,10 @@ class Collector:
         return self.name(f"{stem}_{count}")
 
     def unit(self, line: int, unit: str) -> tuple[str, str]:
-        """The unit's symbol here, and a comment: a unit that is not known becomes '1'."""
+        """Return the unit's symbol here and a comment; a unit that is not known becomes '1'."""
+        known = known_unit(unit)
+        if known is not None:
+            return known, ""
         try:
             return canonical_unit(unit.strip()), ""
         except ValueError as error:

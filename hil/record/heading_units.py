@@ -88,7 +88,7 @@ def with_heading_units(raw: RawRecord) -> RawRecord:
     if not said:
         return raw
     more = f" and {len(said) - _SHOWN} others" if len(said) > _SHOWN else ""
-    message = f"units in headings: {', '.join(said[:_SHOWN])}{more}"
+    messages = (f"units in headings: {', '.join(said[:_SHOWN])}{more}", *filter(None, hints))
     return dataclasses.replace(
-        raw, names=tuple(names), units=units, plausible=plausible, messages=(*raw.messages, message, *filter(None, hints))
+        raw, names=tuple(names), units=units, plausible=plausible, messages=(*raw.messages, *messages)
     )

@@ -96,7 +96,7 @@ def without_implausible(
 
 
 def _repeated(values: Values) -> list[float]:
-    """Return codes of no list: values at an end of a column of temperatures that it repeats exactly, far from all others.
+    """Return codes of no list: values at an end of a column of temperatures, repeated exactly and far from all others.
 
     Each has other values before and after it, so that a record that begins cold has none. Zero is none, since a
     controller may hold it.
