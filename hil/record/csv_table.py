@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from drivers.units import column_name, split_column
 from hil.files.limits import require_columns
 from hil.record.annotated import is_annotated, read_annotated
-from hil.record.csv_dialect import BLANKS, Dialect, DialectError, find_dialect
+from hil.record.csv_dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split
 from hil.record.heading_units import fahrenheit_hint, name_and_unit
 from hil.record.headings import by_later_headings
 from hil.record.raw import RawRecord, RecordError, unique
@@ -56,17 +56,19 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
     messages += repeated
     table, skipped = _table(path, content, names, delimiter, encoding, dialect.rows_from)
     if skipped:
+        _require_no_heading(path, skipped, dialect)
         line, row_text = skipped[0]
         if len(skipped) > may_be_lost(table.num_rows + len(skipped)):
             most = ", like most lines" if len(skipped) > table.num_rows else f", like {len(skipped)} lines in all"
             raise RecordError(
                 f"{path} line {line} does not have the {len(names)} fields of the header{most} ('{row_text[:40]}'); "
-                "write decimal points, or separate columns by semicolons"
+                f"{_remedy(row_text, dialect)}"
             )
         what = "1 line has" if len(skipped) == 1 else f"{len(skipped)} lines have"
         last = text.endswith(row_text) and len(skipped) == 1
         where = "the last one, cut off" if last else f"the first is line {line}"
         messages.append(f"{what} not the {len(names)} fields of the header ({where}): dropped")
+    names, table = _without_empty_end(dialect.names, names, table)
     raw = RawRecord(
         path,
         digest,
@@ -78,7 +80,42 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         skipped_lines=tuple(line for line, _ in skipped),
         delimiter=delimiter,
     )
-    return by_later_headings(raw, dialect.names)
+    return by_later_headings(raw, dialect.names[: len(names)])
+
+
+def _require_no_heading(path: Path, skipped: list[tuple[int, str]], dialect: Dialect) -> None:
+    """Raise RecordError for a line with another number of fields that names columns."""
+    for line, row_text in skipped:
+        row = heading_cells(row_text, dialect.delimiter)
+        if row is not None:
+            raise RecordError(
+                f"{path} line {line} is a heading of {len(row)} columns where that at the top (line "
+                f"{dialect.header_line}) has {len(dialect.names)}; split the file there"
+            )
+
+
+def _remedy(row_text: str, dialect: Dialect) -> str:
+    """Return what to do about a row whose number of fields differs from the heading's."""
+    row, width = split(row_text, dialect.delimiter), len(dialect.names)
+    if row is None:
+        return "close its quotes"
+    if len(row) < width:
+        return "give every row all its fields, empty where there is no value"
+    plain = all(cell.lstrip("+-").isdigit() for cell in row)
+    if dialect.delimiter == "," and plain:
+        return "write decimal points, or separate columns by semicolons"
+    if any(cell and not is_value(cell) for cell in row):
+        return f"quote texts that hold the delimiter '{dialect.delimiter}', or name every column in the heading"
+    return "name every column in the heading, and write decimal points where the delimiter is a comma"
+
+
+def _without_empty_end(
+    written: tuple[str, ...], names: tuple[str, ...], table: pa.Table
+) -> tuple[tuple[str, ...], pa.Table]:
+    """Return names and columns without a last one that has neither a name nor a cell: a delimiter ends each line."""
+    if written[-1] or len(names) < 2 or table.column(len(names) - 1).null_count < table.num_rows:
+        return names, table
+    return names[:-1], table.select(range(len(names) - 1))
 
 
 def _named(path: Path, dialect: Dialect) -> tuple[list[str], dict[str, str], list[str]]:

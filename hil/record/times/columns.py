@@ -110,5 +110,3 @@ def all_cells(cells: Any, test: Any) -> bool:
         return False
     first = text.drop_null()[:_SAMPLE].to_pylist()
     return bool(first) and all(test(cell) for cell in first)
-
-

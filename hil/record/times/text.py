@@ -54,7 +54,8 @@ _DATE = (
     r"|(?P<compact>(?:19|20|21)\d{6}))"
 )
 _STAMP = re.compile(rf"{_DATE}(?:[T\s,_-]+{_TIME})?|(?P<long>(?:19|20|21)\d{{6}})[T_ -]?(?P<clock>\d{{6}})", re.ASCII)
-_CLOCK = re.compile(_TIME, re.ASCII)
+_CLOCK = re.compile(rf"(?:(?P<days>\d{{1,5}})\s*d(?:ays?)?,?\s+)?{_TIME}", re.ASCII)
+"""A time of day, or one since the beginning with its days before it: `1 days 02:03:04`, `0d 02:03:04`."""
 _FOUR = re.compile(r"(\d{1,3}):([0-5]\d):([0-5]\d):(\d\d)", re.ASCII)
 """Days, hours, minutes and seconds, or hours, minutes, seconds and hundredths."""
 _HOUR = re.compile(r"(?:^|[T\s,_-])(\d{1,2}):[0-5]\d")
@@ -141,7 +142,9 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
         raise TimeTextError(
             f"'{there[0][0]}' may be hours and minutes or minutes and seconds; write hh:mm:ss, or a date before it"
         )
-    micros = [None if match is None else _micros_of_day(match) for match in found]
+    micros = [
+        None if match is None else _micros_of_day(match) + int(match["days"] or 0) * MICROS_PER_DAY for match in found
+    ]
     _require_full_clock(cells, micros)
     days = 0
     last: int | None = None
@@ -151,7 +154,8 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
             days += last is not None and value < last - MICROS_PER_DAY // 2
             last = value
         out.append(None if value is None else value + days * MICROS_PER_DAY)
-    return Stamps(out, "a time of day", False, dated=False)
+    how = "days, hours, minutes and seconds" if any(match["days"] for match in there) else "a time of day"
+    return Stamps(out, how, False, dated=False)
 
 
 def _four_fields(cells: Sequence[str | None]) -> Stamps | None:

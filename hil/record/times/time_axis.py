@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from hil.record.raw import RawRecord, Reading, RecordError
 from hil.record.times.columns import all_cells, find_columns, has_unit, scale_of
 from hil.record.times.daylight_saving import unfolded
-from hil.record.times.names import is_time_name
-from hil.record.times.seconds import Seconds, of_stamps, read_seconds, text_of
+from hil.record.times.names import is_time_name, zone_of
+from hil.record.times.seconds import ZONELESS, Seconds, of_stamps, read_seconds, text_of
 from hil.record.times.text import TimeTextError, is_date, is_moment, read_stamps
 from hil.record.values.numbers import Sign, may_be_lost, trimmed
 
@@ -71,6 +71,9 @@ def read_time(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> TimeAx
         raise RecordError(
             f"{raw.path} has no readable time in column '{column}'; write seconds, or ISO 8601 as 2026-11-02T10:00:00Z"
         )
+    if read.zoneless and read.start is not None and (zone := zone_of(column)) is not None:
+        start = read.start - datetime.timedelta(seconds=zone[1])
+        read = replace(read, start=start, how=read.how.replace(ZONELESS, f"in {zone[0]}"), zoneless=False)
     seconds = read.seconds
     if read.zoneless and read.start is not None:
         seconds, said = unfolded(seconds, read.start, raw.place)
@@ -144,5 +147,3 @@ def numbered(raw: RawRecord) -> TimeAxis:
     """Return rows by their number instead of a time; a column that could be one is left aside."""
     column = next((name for name in raw.names if is_time_name(name)), "")
     return TimeAxis(column, np.arange(len(raw.cells[0]), dtype=np.float64), None, (), columns=(column,))
-
-
