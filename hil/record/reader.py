@@ -46,6 +46,9 @@ HOTTEST_ROOM_C = 45.0
 COLDEST_C = -100.0
 """Below this the median of what was converted from kelvin is."""
 
+LIQUID_K = (233.0, 423.0)
+"""Kelvin of -40 to 150 degC: a record in degC that lies within throughout is asked about."""
+
 _COMPOUND_SUFFIXES = {"_kg_s": "kg/s", "_m3_h": "m3/h", "_L_min": "L/min", "_l_min": "L/min"}
 _STANDARD_UNITS = {"heater_power": "W", "pump_speed": "%", "fan_speed": "%"}
 
@@ -285,7 +288,7 @@ def _asked(name: str, written: str, values: NDArray[np.float64]) -> list[str]:
     said = []
     middle = float(np.nanmedian(values))
     if _standard_unit(name) == "degC":
-        if middle > 200:
+        if LIQUID_K[0] <= np.nanmin(values) and np.nanmax(values) <= LIQUID_K[1]:
             said.append(f"{name} has a median of {middle:.4g}: is it in kelvin?")
         elif (split_column(written) or ("", ""))[1] == "K" and middle < COLDEST_C:
             said.append(f"{name} has a median of {middle:.4g}: was it in degC before?")
