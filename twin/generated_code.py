@@ -8,6 +8,7 @@ import, attribute, string or call beyond that is refused, and what remains can r
 from __future__ import annotations
 
 import ast
+import functools
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -70,8 +71,15 @@ def functions(source: str, file: str, given: Mapping[str, Any] = MATH) -> dict[s
         GeneratedCodeError: see `checked`.
     """
     scope: dict[str, Any] = {"__builtins__": dict(BUILTINS), **given}
-    exec(code(checked(source, given), file), scope)
+    exec(_checked_code(source, file, frozenset(given)), scope)
     return scope
+
+
+@functools.lru_cache(maxsize=256)
+def _checked_code(source: str, file: str, given: frozenset[str]) -> CodeType:
+    """Check and compile; a search of effects asks for the same few dozen texts again and again, and the check of one
+    takes longer than its formulas on a whole record."""
+    return code(checked(source, dict.fromkeys(given)), file)
 
 
 def value(formula: str, names: Mapping[str, float]) -> float:
