@@ -224,9 +224,9 @@ def _operators_resolved_once() -> Iterator[None]:
     the same ones. Threads that compile other functions meanwhile may share them.
     """
     from numba.core import types
-    from numba.core.types.functions import BaseFunction
 
-    resolve = BaseFunction.get_call_type
+    functions: Any = types.functions.BaseFunction
+    resolve = functions.get_call_type
     known: dict[Any, Any] = {}
 
     def remembered(function: Any, context: Any, args: Any, kws: Any) -> Any:
@@ -237,11 +237,11 @@ def _operators_resolved_once() -> Iterator[None]:
             known[key] = resolve(function, context, args, kws)
         return known[key]
 
-    BaseFunction.get_call_type = remembered
+    functions.get_call_type = remembered
     try:
         yield
     finally:
-        BaseFunction.get_call_type = resolve
+        functions.get_call_type = resolve
 
 
 @contextlib.contextmanager
