@@ -5,7 +5,9 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check --require-virtualenv
 
-.PHONY: torch demo test check docs bench clean
+PYTEST :=
+
+.PHONY: torch demo test test-fast check docs bench clean
 
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -27,9 +29,15 @@ WITH ?= profiles/effects/modules_heat.toml
 demo: $(STAMP)
 	$(BIN)/hil run profiles/loads/battle_40h.csv --virtual --lockstep $(if $(WITH),--with $(WITH))
 
-# Two workers: many tests wait for clocks, and a file's fixtures (a rig, a run) are made once.
+# Three workers on two cores: many tests wait for clocks. A file's fixtures (a rig, a run) are made once, and the files
+# that take longest come first (tests/durations.txt, which `make test PYTEST=--write-durations` measures anew).
+XDIST := --dist loadfile --no-loadscope-reorder
 test: $(STAMP)
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 3 $(XDIST) $(PYTEST)
+
+# For the inner loop, under two minutes: everything but the slow tests. A part: `make test-fast PYTEST=tests/drivers`.
+test-fast: $(STAMP)
+	$(BIN)/python -m pytest -n 2 $(XDIST) -m "not slow" $(PYTEST)
 
 check: $(STAMP)
 	$(BIN)/ruff check .

@@ -8,6 +8,7 @@ import, attribute, string or call beyond that is refused, and the rest can reach
 from __future__ import annotations
 
 import ast
+import functools
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -84,8 +85,15 @@ def define_functions(source: str, file: str, given: Mapping[str, Any] = MATH) ->
         See `check_source`.
     """
     scope: dict[str, Any] = {"__builtins__": dict(BUILTINS), **given}
-    exec(compile_tree(check_source(source, given), file), scope)
+    exec(_checked_code(source, file, frozenset(given)), scope)
     return scope
+
+
+@functools.lru_cache(maxsize=256)
+def _checked_code(source: str, file: str, given: frozenset[str]) -> CodeType:
+    """Check and compile; a search of effects asks for the same few dozen texts again and again, and the check of one
+    takes longer than its formulas on a whole record."""
+    return compile_tree(check_source(source, dict.fromkeys(given)), file)
 
 
 def evaluate_formula(formula: str, names: Mapping[str, float]) -> float:

@@ -217,10 +217,38 @@ def _load(folder: Path, key: str, source: str) -> Callable[..., None]:
     module.__dict__.update({"__builtins__": dict(BUILTINS), "__file__": str(path), **given})
     # numba's cached code refers to its module by name while it is being loaded.
     sys.modules[module.__name__] = module
-    with _BUILDING, _beside_the_source(numba.config):
+    with _BUILDING, _beside_the_source(numba.config), _operators_resolved_once():
         exec(compile_tree(tree, str(path)), module.__dict__)
     kernel: Callable[..., None] = module.__dict__["kernel"]
     return kernel
+
+
+@contextlib.contextmanager
+def _operators_resolved_once() -> Iterator[None]:
+    """Have numba resolve an operator on the same scalar types once a kernel; a third of the time of compiling one.
+
+    A kernel has some 1700 operations of 50 kinds, and numba searches its overloads for each of them. The signatures are
+    the same ones. Threads that compile other functions meanwhile may share them.
+    """
+    from numba.core import types
+
+    functions: Any = types.functions.BaseFunction
+    resolve = functions.get_call_type
+    known: dict[Any, Any] = {}
+
+    def remembered(function: Any, context: Any, args: Any, kws: Any) -> Any:
+        if kws or not all(isinstance(arg, types.Number | types.Boolean) for arg in args):
+            return resolve(function, context, args, kws)
+        key = (id(context), function, tuple(args))
+        if key not in known:
+            known[key] = resolve(function, context, args, kws)
+        return known[key]
+
+    functions.get_call_type = remembered
+    try:
+        yield
+    finally:
+        functions.get_call_type = resolve
 
 
 @contextlib.contextmanager

@@ -7,7 +7,6 @@ what an effect would do can be told without simulating it: the power that it add
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
 
 from twin.assembly import System, python_source
 from twin.generated_code import define_functions, evaluate_formula
@@ -80,6 +79,8 @@ def follow(values: Array, constant_s: float, step_s: float) -> Array:
     """First-order lag of `constant_s`, at rest in the first sample; values lie on straight lines between samples."""
     if constant_s <= 0.0:
         return values
+    from scipy.signal import lfilter  # a second of processor time, so only where it is used
+
     kept = np.exp(-step_s / constant_s)
     # Exact for a straight line: how much of the step's end is in the answer, and how much of its beginning.
     new = 1.0 - (1.0 - kept) * constant_s / step_s
