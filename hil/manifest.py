@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import datetime
+import math
 from pathlib import Path
 from typing import Any
 
 from drivers.bus_sections import CanBus
 from hil.engine import Outcome
 from hil.journal import JournalError, JournalReader
+from hil.live_diagnosis import END_ONLY
 from hil.run_folder import FolderLostError, RunFolder
 from hil.run_request import Prepared, RunRequest
 from hil.segments import Resumption, Standing
@@ -40,7 +42,8 @@ def settings_of(request: RunRequest, tracking: Tracking | None) -> dict[str, Any
         "calibrators": [] if tracking is None else list(tracking.calibrators),
         "left_out": {} if tracking is None else tracking.left_out,
         "network_mode": request.network_mode,
-        "diagnose_s": request.diagnose_s,
+        # JSON has no infinity.
+        "diagnose_s": END_ONLY if request.diagnose_s == math.inf else request.diagnose_s,
         "adopt": request.adopt,
     }
 

@@ -17,6 +17,7 @@ from hil.gap_evidence import KEY, with_gap
 from hil.journal import JournalReader
 from hil.journal_check import require_alone
 from hil.journal_rows import SegmentRow, StateRow
+from hil.live_diagnosis import END_ONLY
 from hil.manifest_check import require_settings
 from hil.remaking import has_ended
 from hil.run_folder import RunFolder, RunFolderError
@@ -150,7 +151,7 @@ def request_of(
         control=control or (None if known is None else (known[0], known[1])),
         rearm=rearm,
         no_lock=no_lock,
-        diagnose_s=settings.get("diagnose_s"),
+        diagnose_s=math.inf if settings.get("diagnose_s") == END_ONLY else settings.get("diagnose_s"),
         healthy=files.get("healthy"),
         adopt=settings.get("adopt", False),
         guardian=guardian,

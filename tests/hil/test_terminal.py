@@ -43,7 +43,7 @@ def test_a_path_that_is_told_can_be_pasted(monkeypatch, capsys):
     assert capsys.readouterr().err.splitlines() == 2 * [f"adopted as {path}"]
     outcome = SimpleNamespace(status="done", overruns=0, reason="", ticks=0, away=False, safe=True, problems=[])
     told = Reply(problem="too short", revision=path)
-    folder = SimpleNamespace(path=path.parent, read_manifest=dict)
+    folder = SimpleNamespace(path=path.parent, review=path.parent / "review.rrd", read_manifest=dict)
     live.show_result(RunResult(folder, outcome, None, 1.0, 1.0, False, told, gates="held [everything] in 6 of 120"))
     out = capsys.readouterr().out
     assert f"revision of the twin: '{path}'\n" in out and "held [everything] in 6 of 120\n" in out
