@@ -104,7 +104,9 @@ def interval_of(text: str) -> float:
     match = re.fullmatch(r"(\d+(?:\.\d+)?) ?(min|h)", text)
     seconds = 0.0 if match is None else float(match[1]) * {"min": 60.0, "h": 3600.0}[match[2]]
     if seconds < LEAST_INTERVAL_S:
-        raise ConfigurationError(f"--diagnose {text!r} is no interval; write hourly, 30min or 2h (at least 1min), or end")
+        raise ConfigurationError(
+            f"--diagnose {text!r} is no interval; write hourly, 30min or 2h (at least 1min), or end"
+        )
     return seconds
 
 

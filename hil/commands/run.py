@@ -37,7 +37,11 @@ if TYPE_CHECKING:
 @click.option("--seed", default=0, show_default=True, help="Seed of the virtual rig and of the calibrators.")
 @click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
-@click.option("--diagnose", metavar="INTERVAL", help="Diagnose the whole run (end), and the record so far every hourly, 30min, 2h.")
+@click.option(
+    "--diagnose",
+    metavar="INTERVAL",
+    help="Diagnose the whole run (end), and the record so far every hourly, 30min, 2h.",
+)
 @click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, for --diagnose.")
 @click.option("--adopt", is_flag=True, help="Save a sure finding of --diagnose as the twin's next revision.")
 @click.option("--check-only", is_flag=True, help="Validate everything, move nothing.")
