@@ -117,7 +117,8 @@ class Kernel:
         m = len(self.network.sensors)
         readings = np.empty((call.blocks, len(call.time), m, call.lanes))
         call.run_pieces(self._variant("trace", call), cuts, readings)
-        rows = np.moveaxis(readings[:, call.first :], 3, 1).reshape(-1, len(time), m)
+        # Of one block this is a view.
+        rows = readings[:, call.first :].transpose(0, 3, 1, 2).reshape(-1, len(time), m)
         return rows[: call.count], call.ends(time, inputs)
 
     def linearise(
@@ -181,7 +182,7 @@ class Call:
     ) -> None:
         self.memory, self.count, self.lanes = memory, count, lanes
         self.blocks = -(-count // lanes)
-        self._base = np.array(parameters.reshape(-1, parameters.shape[-1])[0])
+        self._base = parameters.reshape(-1, parameters.shape[-1])[0].copy()
         self._lane = _laid_out(parameters[..., lane], count, lanes)
         temperatures, past, history = memory.taken_apart(state)
         if not (np.isfinite(self._lane).all() and np.isfinite(state[:, : memory.nodes]).all()):
@@ -200,7 +201,7 @@ class Call:
         kernel(self._base, self._lane, self._start, self._past, self.first, self.time, self.inputs, *rest)
 
     def run_pieces(self, kernel: Callable[..., None], cuts: Sequence[int], readings: Array) -> None:
-        rows = self.first + np.append(np.asarray(cuts, dtype=np.int64), len(self.time) - self.first)
+        rows = np.array([*cuts, len(self.time) - self.first], dtype=np.int64) + self.first
         past, now = (self._start, self._past), (self.time, self.inputs)
         kernel(self._base, self._lane, *past, rows, *now, readings, self.end, self.future)
 
@@ -273,5 +274,11 @@ def masked(measured: ArrayLike, sigma: Array | float = 1.0) -> tuple[Array, Arra
 def _laid_out(rows: Array, count: int, lanes: int) -> Array:
     """(..., P or 1, q) -> (..., blocks, q, lanes); a last partial block repeats its final particle."""
     last = min(count, rows.shape[-2]) - 1
+    if count <= lanes:  # one block, by far the most frequent: fancy indices would take longer than the copy
+        out = np.empty((*rows.shape[:-2], 1, rows.shape[-1], lanes))
+        turned = rows.swapaxes(-1, -2)
+        out[..., 0, :, : last + 1] = turned[..., : last + 1]
+        out[..., 0, :, last + 1 :] = turned[..., last : last + 1]
+        return out
     take = np.minimum(np.arange(-(-count // lanes) * lanes), last).reshape(-1, lanes)
     return np.array(np.moveaxis(rows[..., take, :], -1, -2), order="C")
