@@ -258,6 +258,7 @@ class FitProblem:
         self._full = np.tile(base, (1 + self.q + self.k, 1))
         self._rest = state[states:] if len(self._pieces) == 1 else state[:0]
         self._reach = np.concatenate([REACH * scaling.prior_sd(), np.full(states, np.inf)])
+        self._own_row, self._own_column = np.arange(1, 1 + self.q), np.arange(self.q)
         self.evaluations = 0
 
     def linearise(self, v: Array) -> Linearisation:
@@ -294,14 +295,15 @@ class FitProblem:
         self.evaluations += 1
         one = slice(0, self.q + self.k)
         steps = np.where(v[one] + self._steps[one] > self.high[one], -self._steps[one], self._steps[one])
-        rows = v[: self.q] + np.vstack([np.zeros(self.q), np.diag(steps[: self.q]), np.zeros((self.k, self.q))])
+        rows = np.repeat(v[None, : self.q], 1 + self.q + self.k, axis=0)
+        rows[self._own_row, self._own_column] += steps[: self.q]
         self._full[:, self.scaling.index] = self.scaling.to_values(rows)
         return steps
 
     def _begun(self, v: Array, i: int, rest: Array) -> Array:
         """Return states (1 + q + k, ...) of segment i, the last k rows a step away each; `rest` is the other memory."""
         own = v[self.q + i * self.k : self.q + (i + 1) * self.k]
-        rows = np.tile(np.concatenate([own, rest]), (1 + self.q + self.k, 1))
+        rows = np.repeat(np.concatenate([own, rest])[None], 1 + self.q + self.k, axis=0)
         rows[1 + self.q :, : self.k] += np.diag(self._steps[self.q : self.q + self.k])
         return rows
 

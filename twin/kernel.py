@@ -132,7 +132,8 @@ class Kernel:
         m = len(self.network.sensors)
         readings = np.empty((call.blocks, len(call.time), m, call.lanes))
         call.run_pieces(self._variant("trace", call), cuts, readings)
-        rows = np.moveaxis(readings[:, call.first :], 3, 1).reshape(-1, len(time), m)
+        # Of one block this is a view.
+        rows = readings[:, call.first :].transpose(0, 3, 1, 2).reshape(-1, len(time), m)
         return rows[: call.count], call.ends(time, inputs)
 
     def _call(
@@ -168,7 +169,7 @@ class _Call:
     ) -> None:
         self.layout, self.count, self.lanes = layout, count, lanes
         self.blocks = -(-count // lanes)
-        self._base = np.array(parameters.reshape(-1, parameters.shape[-1])[0])
+        self._base = parameters.reshape(-1, parameters.shape[-1])[0].copy()
         self._lane = _in_blocks(parameters[..., lane], count, lanes)
         temperatures, past, history = layout.split(state)
         if not (np.isfinite(self._lane).all() and np.isfinite(state[:, : layout.nodes]).all()):
@@ -189,7 +190,7 @@ class _Call:
 
     def run_pieces(self, kernel: Callable[..., None], cuts: Sequence[int], readings: Array) -> None:
         """Run a kernel of mode ``trace`` over pieces that begin at `cuts`."""
-        rows = self.first + np.append(np.asarray(cuts, dtype=np.int64), len(self.time) - self.first)
+        rows = np.array([*cuts, len(self.time) - self.first], dtype=np.int64) + self.first
         past, now = (self._start, self._past), (self.time, self.inputs)
         kernel(self._base, self._lane, *past, rows, *now, readings, self.end, self.future)
 
@@ -289,5 +290,11 @@ def mask_measurements(measured: ArrayLike, sigma: Array | float = 1.0) -> tuple[
 def _in_blocks(rows: Array, count: int, lanes: int) -> Array:
     """Return an array (..., P or 1, q) as (..., blocks, q, lanes); a last partial block repeats its final particle."""
     last = min(count, rows.shape[-2]) - 1
+    if count <= lanes:  # one block, by far the most frequent: fancy indices would take longer than the copy
+        out = np.empty((*rows.shape[:-2], 1, rows.shape[-1], lanes))
+        turned = rows.swapaxes(-1, -2)
+        out[..., 0, :, : last + 1] = turned[..., : last + 1]
+        out[..., 0, :, last + 1 :] = turned[..., last : last + 1]
+        return out
     take = np.minimum(np.arange(-(-count // lanes) * lanes), last).reshape(-1, lanes)
     return np.array(np.moveaxis(rows[..., take, :], -1, -2), order="C")

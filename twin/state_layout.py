@@ -47,7 +47,8 @@ class StateLayout:
         self.nodes = len(network.nodes)
         names, wanted = _names(own), _names(inner)
         self._width = len(names)
-        self._take = np.array([names.index(n) if n in names else -1 for n in wanted])
+        take = np.array([names.index(n) if n in names else -1 for n in wanted])
+        self._there, self._take = take >= 0, np.maximum(take, 0)
         self._give = np.array([wanted.index(n) for n in names])
         same = [d.element for d in own.delays] == [d.element for d in inner.delays]
         lines = delay_layout(own)
@@ -72,8 +73,11 @@ class StateLayout:
                 f"remembers; got {state.shape[1]}"
             )
         full = state.shape[1] == self.size
-        known = state if full else np.hstack([state, np.full((len(state), self._width - self.nodes), np.nan)])
-        start = np.where(self._take >= 0, known[:, np.maximum(self._take, 0)], np.nan)
+        known = state
+        if not full and self._width > self.nodes:
+            known = np.full((len(state), self._width), np.nan)
+            known[:, : self.nodes] = state
+        start = np.where(self._there, known[:, self._take], np.nan)
         at = self._width
         past = state[:, at : at + self.rows] if full and self.rows else None
         at += self._lines

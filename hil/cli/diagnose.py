@@ -7,7 +7,6 @@ import json
 import shlex
 import sys
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,10 +18,9 @@ from hil.errors import FOUND
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from hil.record.reader import Reading
-    from twin.discovery.diagnosis import Diagnosis, SensorError
+    from twin.discovery.diagnosis import Diagnosis
     from twin.discovery.healthy.basis import Columns
     from twin.network import Network
 
@@ -255,27 +253,13 @@ def _since(onset_s: float, d: Diagnosis) -> str:
     return f"{onset_s / 3600.0:.2f} h" if d.method == "contest" else "start"
 
 
-def _errors(errors: Mapping[str, SensorError], after: str) -> Table:
-    """A row a sensor; `after` is what the twin held whose errors are called that, "re-tuned" where nothing more."""
-    from rich.table import Table
-
-    table = Table()
-    added = after != "re-tuned"
-    headings = ("sensor", "stale", "re-tuned", *((after,) if added else ()), "noise")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading == "sensor" else "right")
-    for name, error in errors.items():
-        cells = (error.stale, error.before, *((error.after,) if added else ()), error.noise)
-        table.add_row(name, *(f"{x:.3f}" for x in cells))
-    return table
-
-
 def _show(to: Console, d: Diagnosis) -> None:
     from rich.table import Table
 
-    from hil.diagnosis.wording import after_label, reasons
-    from hil.record.times.time_axis import span
+    from hil.diagnosis.table import error_table, errors_of, held_out
+    from hil.diagnosis.wording import reasons
 
+    document = d.document()
     for warning in d.warnings:
         to.print(f"warning: {warning}", style="yellow", soft_wrap=True)
     to.print(f"[bold]{d.verdict}[/bold]: {d.summary}", soft_wrap=True)
@@ -293,7 +277,7 @@ def _show(to: Console, d: Diagnosis) -> None:
                 _since(e.onset_s, d), f"{e.z:.0f}",
             )  # fmt: skip
         to.print(table)
-    for reason in reasons(d.document()):
+    for reason in reasons(document):
         to.print(reason, soft_wrap=True)
     if d.indistinguishable or d.alternatives:
         table = Table(title="Other explanations", title_justify="left")
@@ -307,15 +291,12 @@ def _show(to: Console, d: Diagnosis) -> None:
         for a in d.alternatives[:8]:
             table.add_row(a.kind, a.where, a.driver, a.why_not)
         to.print(table)
-    low, high = d.held_out_s
-    part = f"free run from {span(low)} to {span(high)}, which the fit never saw"
-    if d.method == "growth at rest":
-        part = "every fourth steady state, which no fit saw"
-    to.print(f"RMSE in K, {part}", style="italic", soft_wrap=True)
-    to.print(_errors(d.errors, after_label(d.document())))
-    for one in d.elsewhere:
-        to.print(f"RMSE in K, free run over {one.name}, which no effect was fitted to", style="italic", soft_wrap=True)
-        to.print(_errors(one.errors, "with the effect" if d.network is not None else "re-tuned"))
+    to.print(held_out(document), style="italic", soft_wrap=True)
+    to.print(errors_of(document))
+    for one in document["further_records"]:
+        what = f"RMSE in K, free run over {one['record']}, which no effect was fitted to"
+        to.print(what, style="italic", soft_wrap=True)
+        to.print(error_table(one["sensors"], "with the effect" if d.network is not None else "re-tuned"))
     far = [m for m in d.moved if d.method == "contest" and max(abs(m.before_sd), abs(m.after_sd)) > 3.0]
     if far and d.effects:
         table = Table(title="Tunables that had to move, in standard deviations of commissioning", title_justify="left")

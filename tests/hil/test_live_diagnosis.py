@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import sqlite3
 import subprocess
 import sys
@@ -48,7 +49,9 @@ def found(**changes: Any) -> Found:
     return found_of(made(effects=(effect(**changes),)), 10_000.0)
 
 
-@pytest.mark.parametrize(("text", "seconds"), [("hourly", 3600.0), ("30min", 1800.0), ("2h", 7200.0), ("1.5 h", 5400)])
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("hourly", 3600.0), ("30min", 1800.0), ("2h", 7200.0), ("1.5 h", 5400), ("end", math.inf)]
+)
 def test_intervals_as_they_are_written(text, seconds):
     assert interval_of(text) == seconds
 

@@ -32,9 +32,10 @@ class RunRequest:
     takes the usual ones, without those that there are not for this twin. `card`: of the trained ensemble that the
     network calibrators ask, None for the shipped one. `network_mode`: see `tracking.adoption`. `control` is the control
     port of a virtual rig in lockstep that runs already, at the rig file's addresses. `rearm`: whether a trip that the
-    rig brings along is acknowledged. `diagnose_s`: seconds of profile time between diagnoses of the record so far,
-    against the record `healthy`; `adopt` saves what they find. `guardian` False does without the process that makes the
-    rig safe when this one is killed or hangs. `no_lock`: run although a second run is not kept off the rig.
+    rig brings along is acknowledged. `diagnose_s`: seconds of profile time between diagnoses of the record so far
+    (infinity: of the whole run alone), against the record `healthy`; `adopt` saves them. `guardian` False goes
+    without the process that makes the rig safe when this one is killed or hangs. `no_lock`: run although a second run
+    is not kept off the rig.
     """
 
     profile: Path

@@ -29,7 +29,7 @@ from twin.calibrators.hiera_unet.members import NORMAL90, Ensemble, Said
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.proposal import Proposal
 from twin.calibrators.hiera_unet.series import STEP_S, Series
-from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows
+from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows, joined
 from twin.calibrators.posterior import STATE_SD, window_data
 from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
 from twin.calibrators.windows import make_window
@@ -159,14 +159,14 @@ class HieraUNetCalibrator:
         nominal, deviations = self.network.values, self.features.deviations
         before = self._lived[0] if self._lived else live
         twins = (live, before) if (before != live).any() else (live,)
-        self._aside = contradicted.reviewed(self.features, self.history.series(), twins, self._aside)
-        series = self.series()
-        past = self._read(series)
+        whole = self.history.series()
+        self._aside = contradicted.reviewed(self.features, whole, twins, self._aside)
+        # A target is hidden from the fit that is evidence: what is proposed is of one that is still to come.
+        past, ahead = self._read(contradicted.trusted(whole, self._aside))
         if self._leakage is None and len(past.frame.time) - past.frame.begin >= gates.SHORTEST_STEPS:
             # Loading only compares the card's own number: the network itself is asked before any gate can open.
             self._leakage = self.ensemble.leakage(past.row)
-        # A target is hidden from the fit that is evidence: what is proposed is of one that is still to come.
-        _, evidence, _, said = ahead = self._read(series.ahead(TARGET))
+        _, evidence, _, said = ahead
         seen = self._evidently(past, ahead)
         alone = gates.reasons(seen, self.ids)
         closed = gates.held(alone, self.ids)
@@ -216,14 +216,19 @@ class HieraUNetCalibrator:
         self._spoken = (*before, now)
         return agreement.doubts(before, now, live, self.ids)
 
-    def _read(self, series: Series) -> _Reading:
-        """What a fit and the members say of the window that ends with a series."""
-        nominal = self.network.values
-        frame = self.features.frame(series, len(series), nominal)
-        evidence = estimate(self.features, frame, nominal)
-        frame = self.features.explained(frame, nominal, evidence.theta, evidence.steps)
-        row = one(self.features, frame, evidence, nominal)
-        return _Reading(frame, evidence, row, self.ensemble.ask(row))
+    def _read(self, series: Series) -> tuple[_Reading, _Reading]:
+        """Return what a fit and the members say of the window that ends with a series, and of the one that ends a
+        target later, of which nobody is asked for corrections."""
+        nominal, found = self.network.values, []
+        for part in (series, series.ahead(TARGET)):
+            frame = self.features.frame(part, len(part), nominal)
+            evidence = estimate(self.features, frame, nominal)
+            frame = self.features.explained(frame, nominal, evidence.theta, evidence.steps)
+            found.append((frame, evidence, one(self.features, frame, evidence, nominal)))
+        # Both at once: half of what a member costs does not depend on how many windows it is asked about.
+        said = self.ensemble.ask(joined([row for _, _, row in found]), corrected=1)
+        past, ahead = (_Reading(*read, told) for read, told in zip(found, said, strict=True))
+        return past, ahead
 
     def _evidently(self, past: _Reading, ahead: _Reading) -> Evidently:
         """What the gates look at: of the record and of what was foretold in the past, of parameters what is ahead.
