@@ -169,8 +169,8 @@ class _Worker:
     """The work in the other process: reads what is new in the journal and diagnoses all of it."""
 
     def __init__(self, config: LiveConfig) -> None:
+        from hil.diagnosis.columns import read_healthy
         from hil.diagnosis.experiment_file import limits_of, rig_of
-        from hil.diagnosis.hand_over import read_healthy
         from twin.twinfile import load
 
         self._config = config
@@ -202,7 +202,7 @@ class _Worker:
         return Reply(found, adopted=adopted, refusal=why, page=page, revision=self._revision, document=document)
 
     def _read(self) -> Columns | None:
-        from hil.diagnosis.hand_over import columns_of
+        from hil.diagnosis.columns import columns_of
         from hil.record.reader import Record
 
         reader = JournalReader(self._config.journal)
@@ -225,7 +225,7 @@ class _Worker:
 
     def _adopt(self, diagnosis: Diagnosis, found: Found) -> tuple[Path | None, str]:
         """File of a new revision, or why there is none."""
-        from hil.diagnosis.hand_over import revise
+        from hil.diagnosis.revision import revise
 
         why = refusal(diagnosis)
         if why is not None:
@@ -238,7 +238,7 @@ class _Worker:
 
     def _write(self, diagnosis: Diagnosis, out: Path) -> Path:
         from hil.diagnosis.experiment_file import rig_of, write_experiment
-        from hil.diagnosis.hand_over import provenance, write
+        from hil.diagnosis.results import provenance, write
 
         run = self._config.journal.parent
         extra: dict[str, object] = {

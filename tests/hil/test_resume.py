@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.diagnosis.hand_over import read_columns
+from hil.diagnosis.columns import read_columns
 from hil.journal.writer import JournalReader
 from hil.record.reader import Record, read_record
 from hil.review.rerun_io import read_words

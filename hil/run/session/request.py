@@ -181,7 +181,7 @@ def _check_diagnosis(request: RunRequest, twin: Path | None, network: Network | 
     """Remarks on a diagnosis that is asked for; raises ConfigurationError or RecordError."""
     if network is None or twin is None:
         raise ConfigurationError("--diagnose asks why a twin is wrong, and this run has none; take --no-twin out")
-    from hil.diagnosis.hand_over import read_columns
+    from hil.diagnosis.columns import read_columns
     from hil.diagnosis.healthy_record import commissioned_on
 
     if request.healthy is not None:

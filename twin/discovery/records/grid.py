@@ -71,19 +71,8 @@ def on_grid(
     t, u = clean_time(time_s), bridged(network, time_s, inputs)
     known = find_segments(network, t, np.asarray(inputs, dtype=np.float64))
     y = np.where(known.lost[:, None], np.nan, np.asarray(measured, dtype=np.float64))
-    if len(t) < 2:
-        raise TooShortError("the record has fewer than two samples; diagnosis needs at least two windows of data")
-    period = float(np.median(np.diff(t)))
-    step = max(least_s, period)
-    step *= max(np.ceil((t[-1] - t[0]) / step / MOST_BINS), 1.0)
-    bins = int(np.floor((t[-1] - t[0]) / step + 1e-9)) + 1
-    if bins * step < 2.0 * network.rules.window_s:
-        raise TooShortError(
-            f"the record covers {t[-1] - t[0]:.0f} s; diagnosis needs at least two windows of "
-            f"{network.rules.window_s:.0f} s (window_s under [windows] of the twin file)"
-        )
-    if not np.isfinite(y).any():
-        raise TwinFileError("the record has no reading of any of the twin's sensors; check the names of its columns")
+    period, step, bins = _bins(network, t, least_s)
+    _require_readings(y)
     where = np.minimum(((t - t[0]) / step + 1e-9).astype(np.intp), bins - 1)
     good = np.isfinite(y)
     count = np.stack([np.bincount(where, good[:, j], bins) for j in range(y.shape[1])], axis=1)
@@ -100,6 +89,37 @@ def on_grid(
             begins.append(first)
     u_means = _held_means(t, u, where, grid_time)
     return Grid(grid_time, u_means, mean, network.sigma / np.sqrt(per_bin), step, tuple(begins))
+
+
+def require_enough(network: Network, time_s: ArrayLike, measured: ArrayLike, least_s: float = BIN_S) -> None:
+    """Check a record before it is put on a grid, with the arguments of `on_grid`.
+
+    Raises:
+        TooShortError: it is too short. TwinFileError: not a single reading.
+    """
+    _bins(network, clean_time(time_s), least_s)
+    _require_readings(np.asarray(measured, dtype=np.float64))
+
+
+def _bins(network: Network, t: Array, least_s: float) -> tuple[float, float, int]:
+    """Return the period of the samples and the step of the bins, s, and how many bins there are."""
+    if len(t) < 2:
+        raise TooShortError("the record has fewer than two samples; diagnosis needs at least two windows of data")
+    period = float(np.median(np.diff(t)))
+    step = max(least_s, period)
+    step *= max(np.ceil((t[-1] - t[0]) / step / MOST_BINS), 1.0)
+    bins = int(np.floor((t[-1] - t[0]) / step + 1e-9)) + 1
+    if bins * step < 2.0 * network.rules.window_s:
+        raise TooShortError(
+            f"the record covers {t[-1] - t[0]:.0f} s; diagnosis needs at least two windows of "
+            f"{network.rules.window_s:.0f} s (window_s under [windows] of the twin file)"
+        )
+    return period, float(step), bins
+
+
+def _require_readings(y: Array) -> None:
+    if not np.isfinite(y).any():
+        raise TwinFileError("the record has no reading of any of the twin's sensors; check the names of its columns")
 
 
 def centred(readings: Array) -> Array:
