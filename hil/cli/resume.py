@@ -67,6 +67,7 @@ def command(
       hil resume runs/20260520T120000Z-battle_40h --gap 2.5h
       hil resume runs/20260520T120000Z-battle_40h --band 2 --timeout 14400
     """
+    from hil.cli.group import owns_process
     from hil.run.engine.signals import RunSignals
     from hil.run.restore.gap_evidence import duration_s
     from hil.run.restore.thermal_restore import SoakRule
@@ -92,7 +93,7 @@ def command(
         for sentence in named(asked):
             click.echo(sentence, err=True)  # with --json too
 
-    with RunSignals() as signals:
+    with RunSignals(until_exit=owns_process()) as signals:
         with LiveRun(quiet=as_json) as live:
             rule = SoakRule(band_K, timeout_s)
             session = resume_session(

@@ -118,10 +118,11 @@ def command(
         for note in ready.notes:
             click.echo(f"  {note}")
         return
+    from hil.cli.group import owns_process
     from hil.run.engine.signals import RunSignals
     from hil.run.session.terminal import LiveRun
 
-    with RunSignals() as signals:
+    with RunSignals(until_exit=owns_process()) as signals:
         with LiveRun(quiet=as_json) as live:
             result = asyncio.run(run_session(request, live.update, live.announce, signals))
         if as_json:
