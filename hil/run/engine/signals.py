@@ -29,6 +29,7 @@ _REASONS = {
         )
     },
 }  # fmt: skip
+_OF_A_TERMINAL = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
 _SKIPPING = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -38,8 +39,8 @@ class RunSignals:
     Each phase of a run says what a signal does in it; between two phases a signal does nothing. A signal is deliberate
     where none came within `SECOND_REQUEST_S` before it: a key that is held down sends many, and they are one request.
     While Python cannot run a handler, signals gather; their number is read from the wake-up descriptor, to which the
-    system's handler writes a byte for each. With `until_exit` they stay held for the rest of the process, where nothing
-    comes after the run.
+    system's handler writes a byte for each. With `until_exit` those of a terminal are ignored for
+    the rest of the process, where nothing comes after the run.
     """
 
     def __init__(self, *, until_exit: bool = False) -> None:
@@ -55,13 +56,17 @@ class RunSignals:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._holds and not self._until_exit:
-            signal.set_wakeup_fd(-1)
-            for number, handler in self._before.items():
-                signal.signal(number, signal.SIG_DFL if handler is None else handler)
-            for end in self._arrivals or ():
-                end.close()
-            self._holds, self._arrivals = False, None
+        if not self._holds:
+            return
+        for number, handler in self._before.items():
+            by_default = signal.SIG_DFL if handler is None else handler
+            # Python gives handlers of its own up before it ends, and a signal would then kill the process.
+            is_ignored = self._until_exit and number in _OF_A_TERMINAL
+            signal.signal(number, signal.SIG_IGN if is_ignored else by_default)
+        signal.set_wakeup_fd(-1)
+        for end in self._arrivals or ():
+            end.close()
+        self._holds, self._arrivals = False, None
 
     def hold(self) -> None:
         """Take the signals over until this context ends; harmless when repeated, and in a thread, where Python allows
