@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import sys
 from pathlib import Path
@@ -71,6 +70,7 @@ def command(
     from hil.run.engine.signals import RunSignals
     from hil.run.restore.gap_evidence import duration_s
     from hil.run.restore.thermal_restore import SoakRule
+    from hil.run.session.event_loop import finished
     from hil.run.session.interrupted_run import named, request_of
     from hil.run.session.session import resume_session
     from hil.run.session.terminal import LiveRun
@@ -99,7 +99,7 @@ def command(
             session = resume_session(
                 folder, request, rule, live.update, live.announce, gap_s, name_rig, signals=signals
             )
-            result = asyncio.run(session)
+            result = finished(session, until_exit=owns_process())
         if as_json:
             click.echo(json.dumps(as_json_document(result), indent=1))
         else:

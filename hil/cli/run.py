@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import sys
 from pathlib import Path
@@ -120,11 +119,13 @@ def command(
         return
     from hil.cli.group import owns_process
     from hil.run.engine.signals import RunSignals
+    from hil.run.session.event_loop import finished
     from hil.run.session.terminal import LiveRun
 
     with RunSignals(until_exit=owns_process()) as signals:
         with LiveRun(quiet=as_json) as live:
-            result = asyncio.run(run_session(request, live.update, live.announce, signals))
+            session = run_session(request, live.update, live.announce, signals)
+            result = finished(session, until_exit=owns_process())
         if as_json:
             click.echo(json.dumps(as_json_document(result), indent=1))
         else:

@@ -97,7 +97,6 @@ class RunSignals:
         if self._phase is not None:
             self._phase(signal.Signals(number), is_deliberate)
 
-
     def _arrived(self) -> int:
         """Return the number of signals that have come since the last call."""
         if self._arrivals is None:
