@@ -24,6 +24,7 @@ from drivers.dbc_layout import (
 from drivers.dbc_text import DbcText, usable
 from drivers.encodings import decoded
 from drivers.points import ConfigurationError
+from drivers.regular_file import MOST_DESCRIPTION, read_regular
 from drivers.rig_model import Point
 from drivers.units import canonical_unit
 
@@ -128,7 +129,7 @@ class DbcContents:
 def _load_dbc(path: Path, encoding: str | None) -> tuple[Any, DbcText, str]:
     """Return cantools' database of the lines that can be used; raise ConfigurationError."""
     try:
-        text, found = decoded(path.read_bytes(), encoding)
+        text, found = decoded(read_regular(path, MOST_DESCRIPTION), encoding)
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: there is no such DBC file; correct the path") from None
     except OSError as error:

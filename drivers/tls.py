@@ -15,6 +15,7 @@ from pathlib import Path
 
 from drivers.bus_sections import ModbusTlsBus
 from drivers.points import ConfigurationError
+from drivers.regular_file import read_regular
 
 _THEIRS = {
     "CERTIFICATE_REQUIRED": "it wants a certificate from us, and got none that it takes",
@@ -75,7 +76,7 @@ def check_valid(path: Path) -> None:
 
 def validity(path: Path) -> tuple[datetime.datetime, datetime.datetime]:
     """From when to when the first certificate of a PEM file is valid (RFC 5280, 4.1.2.5); raises ValueError."""
-    text = path.read_text(encoding="ascii")
+    text = read_regular(path).decode("ascii")
     end = text.index(_END) + len(_END)
     der = ssl.PEM_cert_to_DER_cert(text[text.index("-----BEGIN CERTIFICATE-----") : end])
     fields = _parts(_parts(_parts(der)[0][1])[0][1])

@@ -15,6 +15,7 @@ from twin.network import (
     TwinFileError,
     digest,
 )
+from twin.regular_file import read_regular
 from twin.twin_reader import FORMAT, Reader
 
 
@@ -34,7 +35,7 @@ def text_of(path: str | Path) -> str:
         TwinFileError: the file is absent or is not UTF-8.
     """
     try:
-        return Path(path).read_text(encoding="utf-8")
+        return read_regular(Path(path)).decode("utf-8")
     except OSError as error:
         raise TwinFileError(f"{path}: cannot be read ({error.strerror}); give the path of a twin file") from None
     except UnicodeDecodeError:

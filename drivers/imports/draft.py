@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from drivers.encodings import decoded
 from drivers.points import ConfigurationError
+from drivers.regular_file import MOST_DESCRIPTION, read_regular
 from drivers.rig_checks import Layout
 from drivers.rig_model import Point
 from drivers.rig_places import mistake, shown
@@ -80,7 +81,7 @@ def read_text(path: Path) -> str:
 def read_bytes(path: Path) -> bytes:
     """Return a file's content; raise ImportFileError."""
     try:
-        return path.read_bytes()
+        return read_regular(path, MOST_DESCRIPTION)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise ImportFileError(path, None, f"cannot be read ({why}); correct the path") from None

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from drivers.regular_file import read_regular
 from drivers.rig_places import mistake
 from drivers.toml_lines import line_of
 from drivers.units import split_column
@@ -156,7 +157,7 @@ def clock(seconds: float) -> str:
 def read_scenario(path: Path) -> Scenario:
     """The scenario in the TOML file at `path`; raises ScenarioError with a sentence for every problem."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_regular(path).decode("utf-8")
         document = tomllib.loads(text)
     except OSError as error:
         raise ScenarioError(f"{path} cannot be read ({error.strerror}); give the path of a scenario") from error
