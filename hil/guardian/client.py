@@ -18,7 +18,7 @@ from drivers.points import LinkError
 from drivers.rig_model import Rig
 from drivers.steady_time import steady_s
 from hil.guardian.plan import plan_of
-from hil.rig.time_to_safe import SAFE_WITHIN_S, SILENCE_S, takes_s
+from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, SILENCE_S, takes_s
 
 BEAT_EVERY_S = 0.2
 FENCE_S = 0.8 * SILENCE_S

@@ -16,9 +16,9 @@ from drivers.modbus_writes import Writes
 from drivers.plan import plan_reads
 from drivers.rig_model import Point, Rig
 from drivers.wires import wires
-from hil.rig.time_to_safe import SILENCE_S
 from hil.run.outputs.heaters import safe_limit
 from hil.run.outputs.setpoints import Setpoints
+from hil.run.outputs.time_to_safe import SILENCE_S
 
 DEADLINE_S = 1.0
 """Longest wait for one reply, s, however patient the rig file is."""

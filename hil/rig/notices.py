@@ -9,7 +9,7 @@ from drivers.regular_file import read_regular
 from drivers.rig_model import Point, Rig
 from drivers.roles import HEATER, ROLES, nearest_role
 from drivers.toml_lines import line_of
-from hil.rig.time_to_safe import SAFE_WITHIN_S, takes_s
+from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, takes_s
 from hil.run.restore.thermal_restore import has_memory, role_of, unled
 
 
