@@ -9,8 +9,9 @@ import pytest
 
 import hil.run.session.terminal
 from hil.diagnosis.live import Reply
+from hil.run.engine.engine import Outcome
 from hil.run.session.session import RunResult
-from hil.run.session.terminal import LiveRun, Steps
+from hil.run.session.terminal import LiveRun, Steps, last_words
 
 
 @pytest.fixture
@@ -41,9 +42,21 @@ def test_a_path_that_is_told_can_be_pasted(monkeypatch, capsys):
     with Steps("diagnosing", 6.0) as steps:
         steps.say(f"adopted as {path}")
     assert capsys.readouterr().err.splitlines() == 2 * [f"adopted as {path}"]
-    outcome = SimpleNamespace(status="done", overruns=0, reason="", ticks=0, away=False, safe=True, problems=[])
+    outcome = Outcome("done", "", safe=True)
     told = Reply(problem="too short", revision=path)
     folder = SimpleNamespace(path=path.parent, read_manifest=dict)
     live.show_result(RunResult(folder, outcome, None, 1.0, 1.0, False, told, gates="held [everything] in 6 of 120"))
     out = capsys.readouterr().out
     assert f"revision of the twin: '{path}'\n" in out and "held [everything] in 6 of 120\n" in out
+
+
+@pytest.mark.parametrize("status", ["faulted", "aborted"])
+def test_the_safety_sentence_comes_last_and_a_resume_only_after_a_look_at_the_rig(status, tmp_path):
+    unsafe = last_words(Outcome(status, "the link is lost", ticks=10, safe=False), tmp_path)
+    assert unsafe[-1].startswith("The rig was NOT confirmed safe: go to the rig now")
+    assert "once somebody has seen at the rig that nothing heats" in unsafe[0] and "resume" in unsafe[0]
+    safe = last_words(Outcome(status, "the link is lost", ticks=10, safe=True), tmp_path)
+    assert len(safe) == 1 and "go on with it" in safe[0]
+    assert last_words(Outcome("done", "", ticks=10, safe=True), tmp_path) == []
+    (done,) = last_words(Outcome("done", "", ticks=10, safe=True, away="heater still reads 40 W"), tmp_path)
+    assert done.startswith("The rig was NOT confirmed safe")
