@@ -346,7 +346,9 @@ class Engine:
             return done.result
         if done.trouble is not None:
             return Event.FAIL, done.trouble
-        return self._supervisor.stop or await self._obey_now()
+        if self._supervisor.stop is None:
+            await self._obey_now()
+        return self._supervisor.stop
 
     def _trouble(self) -> str | None:
         """Return why the run has to end before its next tick: the guardian acted or is gone, the journal is lost."""
