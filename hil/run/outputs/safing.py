@@ -25,6 +25,8 @@ ATTEMPT_S = 3.0
 that answers in 0.3 s."""
 REWRITE_EVERY_S = 0.5
 """Interval at which the safe values are written again while the meters come down, s of rig time."""
+LAST_TRIES = 3
+"""So often the last word is tried again: one reply that a busy machine or line delays makes no rig unsafe."""
 RETRY_EVERY_S = 0.1
 
 
@@ -107,6 +109,11 @@ async def make_safe(
             await asyncio.sleep(RETRY_EVERY_S)
     # The last word, whoever has written meanwhile.
     again = await write_safe(connection, safe_values, within_s=attempt_s(connection.rig))
+    for _ in range(LAST_TRIES):
+        if not again:
+            break
+        await asyncio.sleep(RETRY_EVERY_S)
+        again = await write_safe(connection, safe_values, within_s=attempt_s(connection.rig))
     return Safed(not again, not (problem or again), again or problem, hot)
 
 
