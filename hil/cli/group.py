@@ -70,17 +70,9 @@ def group() -> None:
     """
 
 
-OWN_PROCESS = "own process"
-"""Object of the root context where the process ends with the command; tests call commands within theirs."""
-
-
-def owns_process() -> bool:
-    """Return True where this process ends with the command that runs."""
-    return click.get_current_context().find_root().obj == OWN_PROCESS
-
-
 def main() -> None:
     """Entry point: errors that a user can mend become one sentence and exit code 2, faults that were found 1."""
+    from hil.cli.own_process import OWN_PROCESS
     from hil.errors import explained
     from hil.files.names import accept_any_name
 

@@ -66,7 +66,7 @@ def command(
       hil resume runs/20260520T120000Z-battle_40h --gap 2.5h
       hil resume runs/20260520T120000Z-battle_40h --band 2 --timeout 14400
     """
-    from hil.cli.group import owns_process
+    from hil.cli.own_process import owns_process
     from hil.run.engine.signals import RunSignals
     from hil.run.restore.gap_evidence import duration_s
     from hil.run.restore.thermal_restore import SoakRule

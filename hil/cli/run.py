@@ -117,7 +117,7 @@ def command(
         for note in ready.notes:
             click.echo(f"  {note}")
         return
-    from hil.cli.group import owns_process
+    from hil.cli.own_process import owns_process
     from hil.run.engine.signals import RunSignals
     from hil.run.session.event_loop import finished
     from hil.run.session.terminal import LiveRun
