@@ -18,6 +18,7 @@ from typing import Any
 
 from twin.elements.flow import WATER_DENSITY
 from twin.network import Network, Revision, TwinFileError, did_you_mean
+from twin.regular_file import read_regular
 from twin.twinfile import load
 
 WATER_CP = 4180.0
@@ -56,7 +57,7 @@ def from_datasheet(path: str | Path, template: str | Path | None = None) -> Netw
     """
     path = Path(path)
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(read_regular(path))
     except OSError as error:
         raise TwinFileError(f"{path}: cannot be read ({error.strerror}); give the path of a data sheet") from None
     except (ValueError, RecursionError) as error:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.network import Network, TwinFileError, digest
+from twin.regular_file import read_regular
 from twin.twin_reader import FORMAT, TwinReader
 
 
@@ -39,7 +40,7 @@ def read_text(path: str | Path) -> str:
         The file is absent or is not UTF-8.
     """
     try:
-        return Path(path).read_text(encoding="utf-8")
+        return read_regular(Path(path)).decode("utf-8")
     except OSError as error:
         raise TwinFileError(f"{path}: cannot be read ({error.strerror}); give the path of a twin file") from None
     except UnicodeDecodeError:

@@ -24,6 +24,7 @@ from drivers.rig_file.bus_sections import CanBus
 from drivers.rig_file.can_ids import IdMatch, by_id, by_j1939, pgn_of
 from drivers.rig_file.encodings import decoded
 from drivers.rig_file.model import Point
+from drivers.rig_file.regular_file import MOST_DESCRIPTION, read_regular
 from drivers.signals.points import ConfigurationError
 from drivers.signals.units import canonical_unit, known_unit
 
@@ -128,7 +129,7 @@ class DbcContents:
 def _load_dbc(path: Path, encoding: str | None) -> tuple[Any, DbcText, str]:
     """Return cantools' database of the lines that can be used; raise ConfigurationError."""
     try:
-        text, found = decoded(path.read_bytes(), encoding)
+        text, found = decoded(read_regular(path, MOST_DESCRIPTION), encoding)
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: there is no such DBC file; correct the path") from None
     except OSError as error:

@@ -17,6 +17,7 @@ from drivers.rig_file.checks import Layout, unwritable
 from drivers.rig_file.encodings import decoded
 from drivers.rig_file.messages import mistake, shown
 from drivers.rig_file.model import Point
+from drivers.rig_file.regular_file import MOST_DESCRIPTION, read_regular
 from drivers.signals.points import ConfigurationError
 from drivers.signals.units import canonical_unit, known_unit
 
@@ -80,7 +81,7 @@ def read_text(path: Path) -> str:
 def read_bytes(path: Path) -> bytes:
     """Return a file's content; raise ImportFileError."""
     try:
-        return path.read_bytes()
+        return read_regular(path, MOST_DESCRIPTION)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise ImportFileError(path, None, f"cannot be read ({why}); correct the path") from None

@@ -133,18 +133,20 @@ def _named(file: Path, checker: Callable[[Path, Path, Console], None]) -> Iterat
 
 def _has_rig(file: Path) -> bool:
     """Whether a TOML file has a table that only rig files have."""
+    from drivers.rig_file.regular_file import read_regular
     from drivers.rig_file.toml_lines import tables_of
 
-    return not {"rig", "bus", "point"}.isdisjoint(tables_of(file.read_bytes())[1])
+    return not {"rig", "bus", "point"}.isdisjoint(tables_of(read_regular(file))[1])
 
 
 def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
     if file.suffix == ".toml":
+        from drivers.rig_file.regular_file import read_regular
         from drivers.rig_file.toml_lines import tables_of
         from drivers.signals.points import ConfigurationError
 
         try:
-            keys = set(tables_of(file.read_bytes())[1])
+            keys = set(tables_of(read_regular(file))[1])
         except ValueError as error:
             raise ConfigurationError(f"{file}: {error}") from error
         if not keys:

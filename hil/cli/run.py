@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import sys
 from pathlib import Path
@@ -123,12 +122,15 @@ def command(
         for note in ready.notes:
             click.echo(f"  {note}")
         return
+    from hil.cli.options.own_process import owns_process
     from hil.run.engine.signals import RunSignals
+    from hil.run.session.event_loop import finished
     from hil.run.session.terminal import LiveRun
 
-    with RunSignals() as signals:
+    with RunSignals(until_exit=owns_process()) as signals:
         with LiveRun(quiet=as_json) as live:
-            result = asyncio.run(run_session(request, live.update, live.announce, signals))
+            session = run_session(request, live.update, live.announce, signals)
+            result = finished(session, until_exit=owns_process())
         if as_json:
             click.echo(json.dumps(as_json_document(result), indent=1))
         else:

@@ -18,7 +18,8 @@ from typing import Any, Protocol
 from drivers.bus.steady_time import steady_s
 from drivers.rig_file.model import Rig
 from drivers.signals.points import LinkError
-from hil.guardian.plan import SAFE_WITHIN_S, SILENCE_S, plan_of, takes_s
+from hil.guardian.plan import plan_of
+from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, SILENCE_S, takes_s
 
 BEAT_EVERY_S = 0.2
 TICK_BEATS_AFTER_S = 0.75 * BEAT_EVERY_S

@@ -26,18 +26,10 @@ from drivers.rig_file.wires import wires
 from drivers.signals.codec import WIDTH, encoder
 from hil.run.outputs.heaters import safe_limit
 from hil.run.outputs.setpoints import Setpoints
+from hil.run.outputs.time_to_safe import SILENCE_S
 
-SILENCE_S = 1.0
-"""So long the engine may be silent before the guardian acts, s."""
 DEADLINE_S = 1.0
 """Longest wait for one reply, s, however patient the rig file is."""
-SAFE_WITHIN_S = 2.0
-"""Time from the loss of the engine to safe values that a device admits which answers as soon as it is connected, s."""
-
-
-def takes_s(connect_delay_s: float) -> float:
-    """Return the time from the loss of the engine to safe values where the guardian has to connect first, s."""
-    return SILENCE_S + connect_delay_s + (SAFE_WITHIN_S - SILENCE_S) / 2.0
 
 
 def plan_of(rig: Rig) -> dict[str, Any] | None:

@@ -6,15 +6,16 @@ from pathlib import Path
 
 from drivers.rig_file.bus_sections import ModbusTcpBus
 from drivers.rig_file.model import Point, Rig
+from drivers.rig_file.regular_file import read_regular
 from drivers.rig_file.toml_lines import line_of
 from drivers.signals.roles import HEATER, ROLES, nearest_role
-from hil.guardian.plan import SAFE_WITHIN_S, takes_s
+from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, takes_s
 from hil.run.restore.thermal_restore import has_memory, role_of, unled
 
 
 def notices(rig: Rig, file: Path) -> list[str]:
     """Heaters that stay on, roles that are none, and a rig that `hil resume` cannot lead back."""
-    text = file.read_text(encoding="utf-8")
+    text = read_regular(file).decode("utf-8")
     found = []
     for index, point in enumerate(rig.point):
         for key, what in (("safe_value", _stays_on(rig, point)), ("role", _no_role(point))):

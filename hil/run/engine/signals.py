@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -28,6 +29,7 @@ _REASONS = {
         )
     },
 }  # fmt: skip
+_OF_A_TERMINAL = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
 _SKIPPING = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -36,29 +38,44 @@ class RunSignals:
 
     Each phase of a run says what a signal does in it; between two phases a signal does nothing. A signal is deliberate
     where none came within `SECOND_REQUEST_S` before it: a key that is held down sends many, and they are one request.
+    While Python cannot run a handler, signals gather; their number is read from the wake-up descriptor, to which the
+    system's handler writes a byte for each. With `until_exit` those of a terminal are ignored for
+    the rest of the process, where nothing comes after the run.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, until_exit: bool = False) -> None:
+        self._until_exit = until_exit
         self._phase: Callable[[signal.Signals, bool], None] | None = None
         self._last_s = -SECOND_REQUEST_S
         self._before: dict[signal.Signals, Any] = {}
         self._holds = False
+        self._arrivals: tuple[socket.socket, socket.socket] | None = None
 
     def __enter__(self) -> RunSignals:
         self._before = {number: signal.getsignal(number) for number in _REASONS}
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._holds:
-            for number, handler in self._before.items():
-                signal.signal(number, signal.SIG_DFL if handler is None else handler)
-        self._holds = False
+        if not self._holds:
+            return
+        for number, handler in self._before.items():
+            by_default = signal.SIG_DFL if handler is None else handler
+            # Python gives handlers of its own up before it ends, and a signal would then kill the process.
+            is_ignored = self._until_exit and number in _OF_A_TERMINAL
+            signal.signal(number, signal.SIG_IGN if is_ignored else by_default)
+        signal.set_wakeup_fd(-1)
+        for end in self._arrivals or ():
+            end.close()
+        self._holds, self._arrivals = False, None
 
     def hold(self) -> None:
         """Take the signals over until this context ends; harmless when repeated, and in a thread, where Python allows
         no handler."""
         if not self._holds and threading.current_thread() is threading.main_thread():
-            self._holds = True
+            self._holds, self._arrivals = True, socket.socketpair()
+            for end in self._arrivals:
+                end.setblocking(False)
+            signal.set_wakeup_fd(self._arrivals[1].fileno(), warn_on_full_buffer=False)
             for number in _REASONS:
                 signal.signal(number, self)
 
@@ -74,10 +91,20 @@ class RunSignals:
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         now = time.monotonic()
-        is_deliberate = now - self._last_s > SECOND_REQUEST_S
+        arrived = self._arrived()
+        is_deliberate = now - self._last_s > SECOND_REQUEST_S and arrived <= 1
         self._last_s = now
         if self._phase is not None:
             self._phase(signal.Signals(number), is_deliberate)
+
+    def _arrived(self) -> int:
+        """Return the number of signals that have come since the last call."""
+        if self._arrivals is None:
+            return 1
+        try:
+            return len(self._arrivals[0].recv(4096))
+        except BlockingIOError:
+            return 0
 
 
 @contextlib.contextmanager

@@ -23,6 +23,10 @@ HURRIED_WRITE_DEADLINE_S = 5.0
 ATTEMPT_S = 3.0
 """Time that one attempt may take beyond the time-outs of a write and its read-back, s: some ten requests of a device
 that answers in 0.3 s."""
+REWRITE_EVERY_S = 0.5
+"""Interval at which the safe values are written again while the meters come down, s of rig time."""
+LAST_TRIES = 3
+"""So often the last word is tried again: one reply that a busy machine or line delays makes no rig unsafe."""
 RETRY_EVERY_S = 0.1
 
 
@@ -77,6 +81,7 @@ async def make_safe(
     hot = "no meter was read" if limits else ""
     descent = Descent(connection.rig, limits, period_s)
     busy_s = 0.0
+    every = max(round(REWRITE_EVERY_S / period_s), 1)
     for number in range(math.ceil(max(waits, default=0.0) / period_s)):
         progress()
         asked_s = time.monotonic()
@@ -88,9 +93,10 @@ async def make_safe(
             problem = hot or problem
             if not problem or hurried():
                 break
-            if not descent.stays(readings, number * period_s):
+            stays = bool(descent.stays(readings, number * period_s))
+            if not stays:
                 await connection.write(heartbeat())
-            else:  # another master may have written since
+            if stays or number % every == every - 1:  # another master may have written since
                 problem = await write_safe(connection, safe_values, within_s=attempt_s(connection.rig)) or problem
             busy_s += time.monotonic() - asked_s
             if busy_s > max(waits) + WRITE_DEADLINE_S:
@@ -103,6 +109,11 @@ async def make_safe(
             await asyncio.sleep(RETRY_EVERY_S)
     # The last word, whoever has written meanwhile.
     again = await write_safe(connection, safe_values, within_s=attempt_s(connection.rig))
+    for _ in range(LAST_TRIES):
+        if not again:
+            break
+        await asyncio.sleep(RETRY_EVERY_S)
+        again = await write_safe(connection, safe_values, within_s=attempt_s(connection.rig))
     return Safed(not again, not (problem or again), again or problem, hot)
 
 

@@ -20,6 +20,7 @@ from twin.calibrators.hiera_unet.heads import evidence_of
 from twin.calibrators.hiera_unet.leakage import leakage
 from twin.calibrators.hiera_unet.windows import Windows
 from twin.network import Array
+from twin.regular_file import read_regular
 
 FORMAT = 2
 """2: factors of parameters by the chance that they moved."""
@@ -126,7 +127,7 @@ def load_ensemble(card: Path, identity: Identity) -> Ensemble:
             a member is missing or altered, belongs elsewhere or is of another configuration, or its parameters leak.
     """
     try:
-        document: dict[str, Any] = dict(json.loads(card.read_text(encoding="utf-8")))
+        document: dict[str, Any] = dict(json.loads(read_regular(card)))
         if document.get("format") != FORMAT:
             raise HieraError(f"the card {card} has format {document.get('format')}, not {FORMAT}; {AGAIN}")
         names: dict[str, str] = dict(document["members"])
@@ -138,7 +139,9 @@ def load_ensemble(card: Path, identity: Identity) -> Ensemble:
             f"there is no trained network {card}; train one with `hil train loop` and name its card with --network, or "
             "choose another calibrator"
         ) from error
-    except (OSError, RecursionError, json.JSONDecodeError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise HieraError(f"the card {card} cannot be read ({error.strerror}); give the card of an ensemble") from error
+    except (RecursionError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise HieraError(f"the card {card} cannot be read ({error}); {AGAIN}") from error
     except KeyError as error:
         raise HieraError(f"the card {card} has no {error}; {AGAIN}") from error
