@@ -13,7 +13,7 @@ from hil.cli.options.paths import INPUT_FILE, VIRTUAL_RIG
 from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
 
 if TYPE_CHECKING:
-    from hil.run.session.session import RunResult
+    from hil.run.session.run import RunResult
     from hil.tracking.adoption import NetworkMode
 
 

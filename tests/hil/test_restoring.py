@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import hil.run.session.session
+import hil.run.session.run
 from hil.journal.writer import Header, JournalError, JournalReader, JournalWriter
 from hil.run.restore.calibrators import Remainder
 from tests.hil.synthetic_journal import make
@@ -81,8 +81,8 @@ async def test_calibrators_that_do_not_come_back_start_anew_and_that_is_said(mon
         pass
 
     fresh.close = close
-    monkeypatch.setattr(hil.run.session.session, "restore", fails)
-    monkeypatch.setattr(hil.run.session.session, "_start_tracking", start)
+    monkeypatch.setattr(hil.run.session.run, "restore", fails)
+    monkeypatch.setattr(hil.run.session.run, "start_tracking", start)
     run: Any = SimpleNamespace(
         resumption=SimpleNamespace(standing=SimpleNamespace(tick=7, time_s=7.0)), folder=SimpleNamespace(journal=None),
         announce=said.append, request=None, ready=None,
@@ -90,7 +90,7 @@ async def test_calibrators_that_do_not_come_back_start_anew_and_that_is_said(mon
     tracking: Any = SimpleNamespace(failures=[])
     journal: Any = SimpleNamespace(event=lambda *row: noted.append(row))
     async with contextlib.AsyncExitStack() as stack:
-        assert await hil.run.session.session._restored(stack, run, tracking, journal) is fresh
+        assert await hil.run.session.run._restored(stack, run, tracking, journal) is fresh
     sentence = "the calibrators could not be restored and start anew: pso stopped: the process ended"
     assert said[-1] == sentence
     assert noted == [(7, 7.0, "WARN", sentence)]

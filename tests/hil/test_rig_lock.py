@@ -29,7 +29,8 @@ from hil.run.engine.engine import Outcome
 from hil.run.locks.lock_folder import RigLockError
 from hil.run.locks.rig_lock import RigBusyError, RigClaim, claimed, end_points
 from hil.run.session.request import RunRequest
-from hil.run.session.session import RunResult, run_session
+from hil.run.session.run import RunResult
+from hil.run.session.session import run_session
 from hil.run_folder.folder import RunFolder
 from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import rig_with

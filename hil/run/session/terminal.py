@@ -20,7 +20,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from hil.diagnosis.live import Reply
     from hil.run.engine.engine import Outcome, Status
-    from hil.run.session.session import RunResult
+    from hil.run.session.run import RunResult
     from hil.tracking.twins import Comparison, ErrorTable
 
 LINE_EVERY_S = 5.0

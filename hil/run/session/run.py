@@ -1,0 +1,214 @@
+"""One run in its folder: journal, rig, engine, and the files that are derived at its end."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Coroutine
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from drivers.rig.connection import RigConnection
+from hil.diagnosis.live import Reply
+from hil.journal.states import ENDED, State
+from hil.journal.writer import Header, JournalError, JournalWriter
+from hil.run.engine.control_socket import serving
+from hil.run.engine.engine import Engine, Outcome, Status
+from hil.run.engine.signals import RunSignals, interrupted, stopping
+from hil.run.locks.rig_lock import RigClaim
+from hil.run.restore.calibrators import restore
+from hil.run.restore.gap_evidence import clocks_noted
+from hil.run.restore.resumption import Resumption
+from hil.run.session.derived_files import REVIEW, RUN_UID, Derived, derive_files
+from hil.run.session.manifest import ended
+from hil.run.session.request import Prepared, RunRequest
+from hil.run.session.rig_time import rig_and_clock
+from hil.run.session.services import Publishers, guard_of, live_review, signals_of, start_diagnosis, start_tracking
+from hil.run_folder.folder import RunFolder
+from hil.tracking.adoption import Adoption
+from hil.tracking.process import Tracking
+from hil.tracking.twins import STATIC, Comparison
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """A finished run: its folder, how it ended, the twins side by side, how fast it went, what the diagnosis said, what
+    became of parameters that the network's gates let through, and what these gates held, as a sentence."""
+
+    folder: RunFolder
+    outcome: Outcome
+    comparison: Comparison | None
+    duration_s: float
+    wall_s: float
+    viewed: bool
+    diagnosis: Reply | None = None
+    adoption: Adoption | None = None
+    gates: str | None = None
+    derived: Derived | None = None
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command: 0 where the run was in order and every file of it is there (see `Derived`)."""
+        in_order = self.outcome.in_order
+        return int(not in_order) if self.derived is None else self.derived.exit_code(in_order)
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedRun:
+    """Run that is ready to begin or, with `resumption`, to go on."""
+
+    folder: RunFolder
+    manifest: dict[str, Any]
+    request: RunRequest
+    ready: Prepared
+    claim: RigClaim
+    tracking: Tracking | None
+    observer: Callable[[Status], None] | None
+    announce: Callable[[str], None]
+    signals: RunSignals
+    resumption: Resumption | None = None
+
+
+async def carry_out(run: PreparedRun) -> RunResult:
+    """Carry out the run; where it cannot even end in order, its manifest says so."""
+    try:
+        return await _run_in(run)
+    except BaseException as error:
+        failed = {"exit_status": "faulted", "reason": f"{type(error).__name__}: {error}"}
+        # A disk that is full must not hide why the run ended.
+        with contextlib.suppress(OSError):
+            run.folder.write_manifest(run.manifest | failed)
+        raise
+
+
+async def _run_in(run: PreparedRun) -> RunResult:
+    """Return the result of the run, carried out in its folder."""
+    folder, manifest, request, ready = run.folder, run.manifest, run.request, run.ready
+    tracking, announce, resumption = run.tracking, run.announce, run.resumption
+    loop = asyncio.get_running_loop()
+    async with contextlib.AsyncExitStack() as stack:
+        header = _header(ready, () if tracking is None else tracking.calibrators)
+        journal = JournalWriter(folder.journal, header, again=resumption is not None)
+        stack.callback(_closed, journal)
+        journal.put_meta(RUN_UID, manifest["uid"])
+        await stack.enter_async_context(clocks_noted(journal))
+        if resumption is not None and State(resumption.standing.state) not in ENDED:
+            was = resumption.standing
+            journal.state(was.tick, was.time_s, was.profile_s, was.state, "cut", State.IDLE.value, resumption.reason)
+        if tracking is not None and resumption is not None:
+            tracking = await _restored(stack, run, tracking, journal)
+        began = loop.time()
+        starts_s = 0.0 if resumption is None else resumption.first_tick(ready.rig.period_s) * ready.rig.period_s
+        rig, clock = await stack.enter_async_context(rig_and_clock(request, ready.rig, starts_s, announce))
+        connection = RigConnection(rig, clock.now)
+        if ready.network is not None and resumption is None:
+            parameters = ready.network.parameters
+            journal.put_meta("commissioned", {name: p.value for name, p in parameters.items()})
+            journal.put_meta("parameter_units", {name: p.unit for name, p in parameters.items()})
+        if tracking is not None:
+            tracking.attach(journal)
+            for name, why in tracking.left_out.items() if resumption is None else ():
+                journal.event(0, 0.0, "INFO", f"{name} is left out: {why}")
+        live = start_diagnosis(request, folder, journal, announce)
+        if live is not None:
+            stack.push_async_callback(live.close)
+        follower = await stack.enter_async_context(live_review(request, folder, announce))
+        engine = Engine(
+            connection,
+            clock,
+            ready.profile,
+            journal,
+            publisher=Publishers(tuple(p for p in (tracking, live) if p is not None)),
+            observer=run.observer,
+            told=announce,
+            residuals=dict if tracking is None else tracking.off_K,
+            lockstep=request.mode == "lockstep",
+            resumption=resumption,
+            rearm=request.rearm,
+            guard=guard_of(request, folder, run.claim, rig),
+        )
+        async with serving(folder.control, engine, announce):
+            with stopping(engine, run.signals):
+                outcome = await engine.run()
+        run.claim.release()  # what follows needs no rig
+        comparison = None if tracking is None else await _unless_interrupted(tracking.finish(), run)
+        outcome.problems.extend(tracking.failures if tracking is not None else ())
+        wall_s = loop.time() - began
+        told = None
+        if live is not None:
+            announce("diagnosing the whole run (Ctrl-C skips it)")
+            with interrupted(live.give_up, run.signals):
+                told = await live.finish(folder.diagnosis)
+        manifest |= ended(folder, manifest, outcome, resumption, wall_s) | {
+            "errors_K": None if comparison is None else asdict(comparison.errors),
+            "bands": None if comparison is None else comparison.bands,
+            "parameters": None if comparison is None else comparison.parameters,
+            "diagnosis": None if told is None or told.found is None else told.found.verdict,
+        }
+        journal.put_meta("exit_status", outcome.status)
+        journal.put_meta("errors", manifest["errors_K"])
+        try:
+            journal.commit()
+        except JournalError as error:  # a journal that is lost must not keep the rest from being made
+            manifest["problems"] = [*manifest["problems"], str(error)]
+    manifest.pop("adoption", None)  # of a segment before this one
+    there = (REVIEW,) if follower and folder.review.is_file() else ()
+    derived = derive_files(folder, manifest, announce, there=there, signals=run.signals)
+    duration_s = outcome.ticks * clock.period_s
+    return RunResult(
+        derived.folder, outcome, comparison, duration_s, wall_s, follower, told, derived.adopted, derived.gates, derived
+    )
+
+
+async def _unless_interrupted(work: Coroutine[Any, Any, Comparison | None], run: PreparedRun) -> Comparison | None:
+    """Return what the calibrators have left to say; None where an impatient operator asks for the end, which must not
+    cost the record."""
+    asked = asyncio.Event()
+    with interrupted(asked.set, run.signals):
+        last, stop = asyncio.ensure_future(work), asyncio.ensure_future(asked.wait())
+        await asyncio.wait({last, stop}, return_when=asyncio.FIRST_COMPLETED)
+        stop.cancel()
+        if last.done():
+            return last.result()
+        last.cancel()
+        await asyncio.gather(last, stop, return_exceptions=True)
+    run.announce("the calibrators were not waited for: their last windows are missing")
+    return None
+
+
+def _closed(journal: JournalWriter) -> None:
+    """Close the journal; what keeps it from being written has been reported by then."""
+    with contextlib.suppress(JournalError):
+        journal.close()
+
+
+async def _restored(
+    stack: contextlib.AsyncExitStack, run: PreparedRun, tracking: Tracking, journal: JournalWriter
+) -> Tracking:
+    """Return the calibrators with all that they knew; where that fails they start anew, and that is reported."""
+    assert run.resumption is not None
+    was = run.resumption.standing
+    run.announce("restoring the calibrators from the journal")
+    await restore(tracking, journal, run.folder.journal, run.announce)
+    if not tracking.failures:
+        return tracking
+    said = f"the calibrators could not be restored and start anew: {'; '.join(tracking.failures)}"
+    run.announce(said)
+    journal.event(was.tick, was.time_s, "WARN", said)
+    anew = await start_tracking(run.request, run.ready)
+    assert anew is not None
+    stack.push_async_callback(anew.close)
+    return anew
+
+
+def _header(ready: Prepared, calibrators: tuple[str, ...]) -> Header:
+    network = ready.network
+    return Header(
+        signals=signals_of(ready.rig),
+        twin_sensors={} if network is None else dict(network.sensor_columns),
+        twin_names=() if network is None else (STATIC, *calibrators),
+        profile=ready.profile.name,
+        duration_s=ready.profile.duration_s,
+        period_s=ready.rig.period_s,
+        noise_K={} if network is None else dict(zip(network.sensor_names, network.sigma.tolist(), strict=True)),
+    )

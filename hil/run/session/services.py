@@ -1,0 +1,89 @@
+"""Services that accompany a run: calibrators, live diagnosis, review, guardian."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+
+from drivers.rig.connection import RigConnection
+from drivers.rig_file.model import Rig
+from drivers.signals.points import Signal
+from hil.diagnosis.healthy_record import commissioned_on
+from hil.diagnosis.live import LiveConfig, LiveDiagnosis
+from hil.guardian.client import Guard, Guardian, NoGuard
+from hil.journal.writer import JournalWriter
+from hil.run.engine.recording import Publisher
+from hil.run.locks.rig_lock import RigClaim
+from hil.run.session.request import Prepared, RunRequest, tracking_config
+from hil.run_folder.folder import RunFolder
+from hil.tracking import adoption
+from hil.tracking.process import Tracking
+
+
+async def start_tracking(request: RunRequest, ready: Prepared) -> Tracking | None:
+    """Start the calibrators of a run in processes of their own; None without a twin."""
+    config = tracking_config(request, ready, tuple(signal.column for signal in signals_of(ready.rig)))
+    if config is None or ready.network is None:
+        return None
+    advise = None if request.network_mode == "shadow" else adoption.Advice(ready.network).news
+    lockstep, watched = request.mode == "lockstep", any(spec.kind == "residual" for spec in ready.rig.interlock)
+    tracking = Tracking(config, wait=lockstep, in_step=lockstep and watched, advise=advise)
+    await tracking.start()
+    return tracking
+
+
+def signals_of(rig: Rig) -> tuple[Signal, ...]:
+    """Return the signals that are polled, then those that are commanded."""
+    return RigConnection(rig, lambda: 0.0).signals + tuple(point.as_signal() for point in rig.setpoints)
+
+
+@dataclass(frozen=True, slots=True)
+class Publishers:
+    """Publishers that each get every block."""
+
+    each: tuple[Publisher, ...]
+
+    async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
+        for publisher in self.each:
+            await publisher.publish(ticks, time_s, rows)
+
+
+def start_diagnosis(
+    request: RunRequest, folder: RunFolder, journal: JournalWriter, announce: Callable[[str], None]
+) -> LiveDiagnosis | None:
+    """Start the diagnosis of the record so far, if the request asks for one."""
+    if request.diagnose_s is None:
+        return None
+    healthy = request.healthy or commissioned_on(folder.twin).path
+    config = LiveConfig(folder.twin, folder.journal, healthy, request.diagnose_s, request.adopt)
+    live = LiveDiagnosis(config, journal, announce)
+    live.start()
+    return live
+
+
+@contextlib.asynccontextmanager
+async def live_review(request: RunRequest, folder: RunFolder, announce: Callable[[str], None]) -> AsyncIterator[bool]:
+    """Open a viewer that follows the journal, if there is a display or one was asked for; yield whether it runs."""
+    from hil.review import has_display
+
+    wanted = has_display() if request.viewer is None else request.viewer
+    if not wanted:
+        yield False
+        return
+    from hil.review import start_follower
+
+    announce("opening Rerun")
+    follower = await asyncio.to_thread(start_follower, folder.journal, folder.review)
+    try:
+        yield True
+    finally:
+        await asyncio.to_thread(follower.finish)
+
+
+def guard_of(request: RunRequest, folder: RunFolder, claim: RigClaim, rig: Rig) -> Guard:
+    """Return the guardian of a rig that goes on without this process; a virtual one of the run's own ends with it."""
+    if request.virtual or request.control is not None or not request.guardian:
+        return NoGuard()
+    return Guardian(rig, folder.path / "guardian.log", claim.descriptors)
