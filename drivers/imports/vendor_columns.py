@@ -65,7 +65,7 @@ def ambiguous_thousand(text: str, *, decimal_comma: bool) -> bool:
 
 
 def raw_ends(ends: Sequence[float], scale: float, offset: float, unit: str, kind: RegisterType) -> str:
-    """Return whether the ends of a range are raw counts or in `unit` (degC, ...): `raw`, `unit`, `either`, `neither` or `same`.
+    """Return what the ends of a range are: `raw` counts, in `unit` (degC, ...), `either`, `neither` or the `same`.
 
     They are the same where the type has no scale. They are raw where no reading in the unit is as large (`PLAUSIBLE`)
     or no register of type `kind` holds it, and are so once they are scaled. They are in the unit where they are no

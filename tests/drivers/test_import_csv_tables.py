@@ -1,4 +1,4 @@
-"""Register tables as a whole: lines above the heading, ranges that all lines write in one way, units by any spelling."""
+"""Register tables as a whole: lines above the heading, ranges written in one way, units in any spelling."""
 
 from __future__ import annotations
 
