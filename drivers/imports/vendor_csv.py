@@ -46,7 +46,7 @@ _REMEDY = "rename it scale (value = raw x scale) or divisor (value = raw / divis
 
 @dataclass(slots=True)
 class _Columns:
-    """Where the columns of a table are, by key; `inside` are words in brackets behind their headings."""
+    """Columns of a table by key; `inside` are words in brackets behind their headings."""
 
     at: dict[str, int] = field(default_factory=dict)
     inside: dict[str, str] = field(default_factory=dict)
