@@ -26,12 +26,12 @@ _CAN_PLACE = re.compile(r"(?P<message>[A-Za-z_]\w*)\.(?P<signal>[A-Za-z_]\w*)")
 
 
 class DescriptionError(ConfigurationError):
-    """What was said of a rig cannot be understood; the message is one plain sentence."""
+    """A description of a rig that cannot be understood; the message is one plain sentence."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a value is: `keys` as a rig file has them, on bus `plc` or `can`."""
+    """Place of a value: `keys` as a rig file has them, on bus `plc` or `can`."""
 
     bus: str
     keys: dict[str, Any]

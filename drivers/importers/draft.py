@@ -1,4 +1,4 @@
-"""What an import has found, as plain data, and the commented rig file that is written of it."""
+"""Points that an import has found, as plain data, and the commented rig file written of them."""
 
 from __future__ import annotations
 

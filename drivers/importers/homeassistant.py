@@ -38,7 +38,7 @@ _ITEM_HARMLESS = {
     "unique_id", "scan_interval", "device_class", "state_class", "lazy_error_count", "icon", "entity_category",
     "precision", "friendly_name",
 }  # fmt: skip
-"""How Home Assistant shows, names and schedules an entity; no value and no address depends on them."""
+"""Keys by which Home Assistant shows, names and schedules an entity; no value and no address depends on them."""
 _ITEM_NOTED = {"zero_suppress": "small values are kept as they are read"}
 _MOST_VIRTUAL = 2000
 """Coils that one request may read (Modbus application protocol V1.1b3, 6.1): no device has more in one entry."""

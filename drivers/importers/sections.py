@@ -38,7 +38,7 @@ class Sections:
         return bus
 
     def with_points(self) -> list[DraftBus]:
-        """Those that have points."""
+        """Return the buses that have points."""
         return [bus for bus in self._buses.values() if bus.points]
 
 

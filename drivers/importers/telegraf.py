@@ -41,7 +41,7 @@ _SECTION_HARMLESS = {
     "namepass", "namedrop", "fieldpass", "fielddrop", "fieldinclude", "fieldexclude", "tagpass", "tagdrop",
     "taginclude", "tagexclude", "metricpass",
 }  # fmt: skip
-"""How Telegraf names, schedules and filters its metrics; no value and no address depends on them."""
+"""Keys by which Telegraf names, schedules and filters its metrics; no value and no address depends on them."""
 _WORKAROUNDS_HARMLESS = {"close_connection_after_gather", "read_coils_starting_at_zero", "string_register_location"}
 _WORKAROUNDS_NOTED = {
     "pause_after_connect": "look at what the device wants after a connection",

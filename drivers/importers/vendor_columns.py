@@ -65,14 +65,15 @@ def ambiguous_thousand(text: str, *, decimal_comma: bool) -> bool:
 
 
 def raw_ends(ends: Sequence[float], scale: float, offset: float, unit: str, kind: RegisterType) -> str:
-    """Return whether the ends of a range are raw counts or in `unit` (degC, ...): `raw`, `unit` or `either`.
+    """Return what the ends of a range are: `raw` counts, in `unit` (degC, ...), `either`, `neither` or the `same`.
 
-    They are raw where no reading in the unit is as large (`PLAUSIBLE`) or no register of type `kind` holds it, and are
-    so once they are scaled. They are in the unit where they are no whole numbers.
+    They are the same where the type has no scale. They are raw where no reading in the unit is as large (`PLAUSIBLE`)
+    or no register of type `kind` holds it, and are so once they are scaled. They are in the unit where they are no
+    whole numbers.
     """
-    if scale in (0.0, 1.0) and offset == 0.0:
-        return "unit"
-    if kind.startswith("float") or any(end != int(end) for end in ends):
+    if (scale in (0.0, 1.0) and offset == 0.0) or kind.startswith("float"):
+        return "same"
+    if any(end != int(end) for end in ends):
         return "unit"
     low, high = plausible_range(_symbol(unit))
     lowest, highest = raw_bounds(kind)
@@ -80,7 +81,7 @@ def raw_ends(ends: Sequence[float], scale: float, offset: float, unit: str, kind
     as_raw = all(low <= end * scale + offset <= high and lowest <= end <= highest for end in ends)
     if as_raw:
         return "either" if as_unit else "raw"
-    return "unit"
+    return "unit" if as_unit else "neither"
 
 
 def _symbol(unit: str) -> str:

@@ -9,7 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from drivers.importers.draft import Collector, Draft, DraftBus, ImportFileError, placeholder_in, read_any_text
+from drivers.importers.draft import (
+    Collector,
+    Draft,
+    DraftBus,
+    DraftPoint,
+    ImportFileError,
+    placeholder_in,
+    read_any_text,
+)
 from drivers.importers.vendor_cells import (
     Addressing,
     access_of,
@@ -46,7 +54,7 @@ _REMEDY = "rename it scale (value = raw x scale) or divisor (value = raw / divis
 
 @dataclass(slots=True)
 class _Columns:
-    """Where the columns of a table are, by key; `inside` are words in brackets behind their headings."""
+    """Columns of a table by key; `inside` are words in brackets behind their headings."""
 
     at: dict[str, int] = field(default_factory=dict)
     inside: dict[str, str] = field(default_factory=dict)
@@ -71,10 +79,13 @@ def import_csv(
             path, None, "does not say what its addresses count from; give --addressing zero, one or modicon"
         )
     collector = Collector(path)
-    rows = _rows(path, read_any_text(path, encoding, collector.notes))
+    text = read_any_text(path, encoding, collector.notes)
+    rows = _rows(path, text)
     if not rows:
         raise ImportFileError(path, None, "has no line with a heading and values; is this the register table?")
     head_line, head = rows[0]
+    if head_line > 1 and "".join(text.splitlines()[: head_line - 1]).strip():
+        collector.note(head_line, "is taken for the heading; the lines above it were not used")
     columns = _columns(path, head_line, head, rows[1:])
     draft = Draft(path, [DraftBus("plc", bus)], collector.notes)
     if columns.unused:
@@ -89,7 +100,10 @@ def import_csv(
                 said = f"has {len(row)} cells and the heading {len(head)}; quote cells that hold a delimiter"
                 raise ImportFileError(path, line, said)
             if any(cells.values()):
-                draft.buses[0].points.append(collector.point("plc", cells["name"], line, table.keys(line, cells)))
+                point = collector.point("plc", cells["name"], line, table.keys(line, cells))
+                draft.buses[0].points.append(point)
+                table.range_of(point, cells)
+    table.settle_ranges()
     if addressing != "modicon":
         _note_entity_numbers(draft, collector)
     if not draft.buses[0].points:
@@ -110,13 +124,26 @@ def _rows(path: Path, text: str) -> list[tuple[int, list[str]]]:
         except ImportFileError as error:
             mistake = mistake or (delimiter, error)
             continue
-        known = {heading_key(cell)[0] for cell in found[0][1]} - {None} if found else set()
-        if len(known) > most:
-            best, most = found, len(known)
+        first, known = _heading_of(found)
+        if known > most:
+            best, most = found[first:], known
     if most < 2 and mistake is not None:  # no heading was found, and quotes that do not close may be the reason
         likely = max(_DELIMITERS, key=text.count)
         raise _parse_error(path, text, likely) or mistake[1]
     return best
+
+
+_MOST_ABOVE = 20
+"""Records above the heading that may hold the title of a sheet and the state of a revision."""
+
+
+def _heading_of(found: list[tuple[int, list[str]]]) -> tuple[int, int]:
+    """Return the place of the first record that names a point and an address, else 0, and how many headings it has."""
+    for place, (_, row) in enumerate(found[:_MOST_ABOVE]):
+        keys = {heading_key(cell)[0] for cell in row} - {None}
+        if {"name", "address"} <= keys:
+            return place, len(keys)
+    return 0, len({heading_key(cell)[0] for cell in found[0][1]} - {None}) if found else 0
 
 
 def _parsed(path: Path, text: str, delimiter: str) -> list[tuple[int, list[str]]]:
@@ -229,6 +256,7 @@ class _Table:
     addressing: Addressing
     order: str
     collector: Collector
+    ranges: list[tuple[DraftPoint, str, dict[str, str]]] = field(default_factory=list)
 
     def keys(self, line: int, cells: dict[str, str]) -> dict[str, Any]:
         """Return the keys of a line's point; raise ImportFileError."""
@@ -262,7 +290,7 @@ class _Table:
         keys["unit"] = cells.get("unit", "")
         if kind not in ("bool", "string"):
             keys |= self._scaling(line, cells, address, is_whole="int" in kind and keys["bits"] is None)
-        keys["plausible"] = self._plausible(line, cells, keys, kind)
+        keys["plausible"] = self._plausible(line, cells, kind)
         keys["doc"] = cells.get("doc") or None
         return keys
 
@@ -328,25 +356,50 @@ class _Table:
             raise ImportFileError(self.path, line, said)
         return offset
 
-    def _plausible(self, line: int, cells: dict[str, str], keys: dict[str, Any], kind: str) -> list[float] | None:
+    def _plausible(self, line: int, cells: dict[str, str], kind: str) -> list[float] | None:
         low, high = cells.get("min", ""), cells.get("max", "")
-        if low in ("", "-") or high in ("", "-"):
+        if low in ("", "-") or high in ("", "-") or kind in ("bool", "string"):
             return None
         try:
             self._decimal_signs_agree(line, cells, ("min", "max"))
-            found = [number_of(self.path, line, "min", low), number_of(self.path, line, "max", high)]
+            return [number_of(self.path, line, "min", low), number_of(self.path, line, "max", high)]
         except ImportFileError as error:
             self.collector.note(line, f"{cells['name']}: {error.what}; no plausible range was taken")
             return None
-        if kind in ("bool", "string"):
-            return found
-        scale, offset = keys.get("scale", 1.0), keys.get("offset", 0.0)
-        meant = raw_ends(found, scale, offset, keys.get("unit", ""), cast(RegisterType, kind))
-        if meant == "raw" or (meant == "either" and keys.get("access") in ("w", "rw")):
-            said = "are raw counts" if meant == "raw" else "may be raw counts or values, and the point can be written"
+
+    def range_of(self, point: DraftPoint, cells: dict[str, str]) -> None:
+        """Remember what the ends of a point's range may mean, until the whole table is known."""
+        ends, keys = point.keys.get("plausible"), point.keys
+        if ends is not None:
+            scale, offset = keys.get("scale", 1.0), keys.get("offset", 0.0)
+            meant = raw_ends(ends, scale, offset, cells.get("unit", ""), cast(RegisterType, keys.get("type", "int16")))
+            self.ranges.append((point, meant, cells))
+
+    def settle_ranges(self) -> None:
+        """Settle the ranges that may be raw counts: a table writes all of them in one way, as some of its lines show.
+
+        Where no line shows it, a point that is only read gets the range that holds both meanings. One that can be
+        written gets none but where its own line shows that the range is in its unit.
+        """
+        shown = {meant for _, meant, _ in self.ranges} & {"raw", "unit"}
+        for point, meant, cells in self.ranges:
+            written = point.keys.get("access") in ("w", "rw")
+            if meant in ("unit", "same") or (meant == "either" and shown == {"unit"} and not written):
+                continue
+            low, high = point.keys.pop("plausible")
+            said = "no range was taken, give it in the point's unit"
+            if meant == "neither":
+                what = "fit neither as values nor as raw counts"
+            elif meant == "raw" or shown == {"raw"}:
+                what = "are raw counts"
+            elif written:
+                what = "may be raw counts or values, and the point can be written"
+            else:
+                what = "may be raw counts or values"
+                scale, offset = point.keys.get("scale", 1.0), point.keys.get("offset", 0.0)
+                ends = (low, high, low * scale + offset, high * scale + offset)
+                point.keys["plausible"] = [min(ends), max(ends)]
+                said = "the range that holds both was taken, give the right one in the point's unit"
             self.collector.note(
-                line,
-                f"{cells['name']}: min {low} and max {high} {said}; no range was taken, give it in the point's unit",
+                point.line, f"{cells['name']}: min {cells['min']} and max {cells['max']} {what}; {said}"
             )
-            return None
-        return found

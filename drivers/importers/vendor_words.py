@@ -58,8 +58,8 @@ HEADINGS = {
         "length", "registers", "count", "size", "quantity", "number of registers", "no of registers", "word count",
         "words", "laenge", "anzahl", "anzahl register", "longueur", "nombre de registres", "taille",
     ),
-    "min": ("min", "minimum", "min value", "minimalwert", "minwert"),
-    "max": ("max", "maximum", "max value", "maximalwert", "maxwert"),
+    "min": ("min", "minimum", "min value", "minimalwert", "minwert", "mini", "valeur min", "lower limit"),
+    "max": ("max", "maximum", "max value", "maximalwert", "maxwert", "maxi", "valeur max", "upper limit"),
     "doc": (
         "description", "doc", "comment", "comments", "remark", "remarks", "notes", "note", "beschreibung", "bemerkung",
         "bemerkungen", "kommentar", "hinweis", "commentaire", "remarque", "remarques",

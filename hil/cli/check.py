@@ -1,4 +1,4 @@
-"""`hil check`: say what a file holds and whether it can be used, before anything moves."""
+"""`hil check`: report the content of a file and its mistakes before anything moves."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def _named(file: Path, checker: Callable[[Path, Path, Console], None]) -> Iterat
 
 
 def _has_rig(file: Path) -> bool:
-    """Whether a TOML file has a table that only rig files have."""
+    """Return True for a TOML file with a table that only rig files have."""
     from drivers.rig_file.regular_file import read_regular
     from drivers.rig_file.toml_lines import tables_of
 

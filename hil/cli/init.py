@@ -165,7 +165,7 @@ def _imported(
 
 
 def _thermocouples(said: tuple[str, ...], dbc: Path | None, encoding: str | None) -> dict[str, Place]:
-    """Those that were named; where none of them is on CAN, also every temperature of the DBC."""
+    """Return the named thermocouples, and where none of them is on CAN every temperature of the DBC."""
     from drivers.importers.described import CAN, place_of, temperatures_of
 
     found: dict[str, Place] = {}

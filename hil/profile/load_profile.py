@@ -103,7 +103,7 @@ class Profile:
         return self.values[np.maximum(row, 0)]
 
     def place(self, row: int) -> str:
-        """Where `row` stands, for a message: its line, or its time where there is no file."""
+        """Return the place of `row` for a message: its line, or its time where there is no file."""
         return f"line {self.lines[row]}" if self.lines else f"{self.time_s[row]:g} s"
 
     @cached_property
@@ -113,7 +113,7 @@ class Profile:
 
 @dataclass(frozen=True, slots=True)
 class SetpointLimit:
-    """What the rig allows of one set-point: values in [`low`, `high`] `unit`, at most `max_rate_per_s` unit/s."""
+    """Limits of one set-point on the rig: values in [`low`, `high`] `unit`, at most `max_rate_per_s` unit/s."""
 
     low: float
     high: float

@@ -41,7 +41,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a CSV is laid out.
+    """Layout of a CSV.
 
     Attributes:
         delimiter: between columns. names: of the columns, as written.

@@ -60,6 +60,7 @@ def _with_rows(raw: RawRecord) -> RawRecord:
 
 def _parquet(path: Path, content: bytes, digest: str) -> RawRecord:
     import pyarrow as pa
+    import pyarrow.parquet as pq
 
     if not content.endswith(b"PAR1"):
         raise RecordError(
@@ -67,6 +68,7 @@ def _parquet(path: Path, content: bytes, digest: str) -> RawRecord:
         )
     try:
         table = read_parquet(path, pa.BufferReader(content), RecordError)
+        stored = pq.read_schema(pa.BufferReader(content))
         given = table.column_names
         units = {f.name: told for f in table.schema if (told := _told(f.metadata, b"unit"))}
         declared = {f.name: _range(_told(f.metadata, b"plausible")) for f in table.schema}
@@ -80,6 +82,9 @@ def _parquet(path: Path, content: bytes, digest: str) -> RawRecord:
         for key, value in (table.schema.metadata or {}).items()
     }
     names, messages = unique(given)
+    messages += tuple(
+        f"column '{field.name}' holds {field.type}: dropped" for field in stored if field.name not in given
+    )
     plausible = {name: limits for name, limits in declared.items() if limits is not None}
     return RawRecord(path, digest, names, tuple(table.columns), messages, metadata, units, plausible=plausible)
 

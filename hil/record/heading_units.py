@@ -61,11 +61,13 @@ def with_heading_units(raw: RawRecord) -> RawRecord:
     Raises:
         RecordError: a heading gives two units.
     """
-    letters = [one[2] for name in raw.names if (one := _IN_BRACKETS.fullmatch(name.strip())) and len(one[2]) == 1]
+    brackets = [_IN_BRACKETS.fullmatch(name.strip()) for name in raw.names]
+    letters = [match[2] for match in brackets if match is not None and len(match[2]) == 1]
     are_labels = any(letter != "F" and unit_of(letter) is None for letter in letters)
     names = list(raw.names)
     units, plausible = dict(raw.units or {}), dict(raw.plausible)
-    said, hints = [], []
+    said: list[str] = []
+    hints: list[str] = []
     for place, heading in enumerate(raw.names):
         found = None if is_time_name(heading) else name_and_unit(heading)
         if found is None or found[1] in SECONDS_PER:

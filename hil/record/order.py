@@ -1,4 +1,4 @@
-"""Rows of a record in the order of time, and what is odd about their steps."""
+"""Rows of a record in the order of time, and messages about odd steps between them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hil.record.times.time_axis import GAP_PERIODS, TimeAxis, span
 
 
 def order(raw: RawRecord, axis: TimeAxis) -> tuple[NDArray[np.int64], list[str]]:
-    """Rows with a readable time in the order of time, equal times in the order of the file; and what was moved."""
+    """Return the rows with a readable time in the order of time, equal times in that of the file, and messages."""
     rows = np.flatnonzero(np.isfinite(axis.seconds))
     stamps = axis.seconds[rows]
     steps = np.diff(stamps)
@@ -29,7 +29,7 @@ def order(raw: RawRecord, axis: TimeAxis) -> tuple[NDArray[np.int64], list[str]]
 
 
 def describe_steps(time_s: NDArray[np.float64]) -> list[str]:
-    """What is to say of gaps and rate of strictly increasing `time_s (n,)`."""
+    """Return messages about gaps and rate of strictly increasing `time_s (n,)`."""
     steps = np.diff(time_s)
     if len(steps) < 2:
         return []

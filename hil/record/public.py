@@ -30,7 +30,7 @@ DRY_COOLER_FULL_L_MIN = 400.0
 TOWER_FULL_L_MIN = 400.0
 """The same of the wet tower."""
 HOLD_S = 3600.0
-"""How long each steady state is held when it is written down as a record."""
+"""Seconds for which each steady state is held in a record."""
 HOLD_ROWS = 4
 
 
@@ -49,7 +49,7 @@ class Columns:
 
 
 def tclab(real: Path, part: str) -> Columns:
-    """One of `mimo_train`, `mimo_validation`, `siso_train`, `siso_validation`.
+    """Return one of `mimo_train`, `mimo_validation`, `siso_train`, `siso_validation`.
 
     The source's own model takes a row's heater values as in force during the second that ends at the row; a twin
     holds its inputs from a row to the next, so they move up by one row here.
@@ -66,7 +66,7 @@ def tclab(real: Path, part: str) -> Columns:
 
 
 def heated_pipe(real: Path, test: str) -> Columns:
-    """One of `PIPE_TESTS`. `flow_pct` is the flow in per cent of 100 L/min; channels that never move are left out."""
+    """Return one of `PIPE_TESTS`: `flow_pct` in per cent of 100 L/min, without channels that never move."""
     names = ("time_s", "m_flow_kg_s", "T_pipe_out_C", "T_water_out_C", "T_pipe_in_C", "T_water_in_C")
     table = _read(real / "heated_pipe" / f"{test}.csv", names)
     columns = {"flow_pct": table["m_flow_kg_s"] * 60.0 / WATER_DENSITY}
@@ -82,7 +82,7 @@ def heated_pipe(real: Path, test: str) -> Columns:
 
 
 def dry_cooler(real: Path, experiment: str) -> Columns:
-    """Steady states of `dc_exp1` or `dc_exp3`, one row each; `time_s` only counts them."""
+    """Return steady states of `dc_exp1` or `dc_exp3`, one row each; `time_s` only counts them."""
     table = _read(real / "psa_cooling" / f"{experiment}_exp.csv", ("Tamb", "Tin", "w_fan", "q", "Tout"))
     columns = {
         "T_ambient_C": table["Tamb"],
@@ -95,7 +95,7 @@ def dry_cooler(real: Path, experiment: str) -> Columns:
 
 
 def wet_tower(real: Path, experiment: str) -> Columns:
-    """Steady states of `wct_exp1` or `wct_exp3`, one row each; `time_s` only counts them."""
+    """Return steady states of `wct_exp1` or `wct_exp3`, one row each; `time_s` only counts them."""
     table = _read(real / "psa_cooling" / f"{experiment}_exp.csv", ("Tamb", "HR", "Tin", "w_fan", "q", "Tout"))
     columns = {
         "T_ambient_C": table["Tamb"],
@@ -109,7 +109,7 @@ def wet_tower(real: Path, experiment: str) -> Columns:
 
 
 def held_steady(states: Columns, measured: tuple[str, ...], hold_s: float = HOLD_S) -> Columns:
-    """Steady states as a record that can be simulated and fitted.
+    """Return steady states as a record that can be simulated and fitted.
 
     Each state is held for `hold_s`; the columns named in `measured` appear at the end of its hold only, when the
     network has come to rest.
@@ -125,7 +125,7 @@ def held_steady(states: Columns, measured: tuple[str, ...], hold_s: float = HOLD
 
 
 def _read(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
-    """Columns of a CSV file with one header line, as floats; what is not a number is NaN."""
+    """Return the columns of a CSV file with one header line, as floats; what is not a number is NaN."""
     try:
         table: Any = np.genfromtxt(path, delimiter=",", names=True)
     except OSError:

@@ -37,7 +37,7 @@ class RawRecord:
     lines: tuple[int, ...] = ()
 
     def place(self, row: int) -> str:
-        """Where `row` (from 0) stands in the file, for a message."""
+        """Return the place of `row` (from 0) in the file, for a message."""
         if self.lines:
             return f"line {self.lines[row]}"
         if not self.header_line:

@@ -301,7 +301,7 @@ def _asked(name: str, written: str, values: NDArray[np.float64]) -> list[str]:
 
 
 def _standard_unit(column: str) -> str | None:
-    """Unit that the contract gives the signal of `column`, None where it says nothing of it."""
+    """Return the unit that the contract gives the signal of `column`, None where it gives none."""
     signal, _ = split_column(column) or (column, "")
     return _STANDARD_UNITS.get(signal) or ("degC" if signal.startswith("T_") else None)
 
@@ -338,7 +338,7 @@ def _describe_missing(
         reasons = _reasons([quality[name][missing] for name in names if name in quality])
         each = " each" if len(names) > 1 else ""
         messages.append(
-            f"{who}: {count} of {len(time_s)} values missing{each}{reasons}, the longest stretch "
+            f"{who}: {count} of {len(time_s)} values missing{each}{reasons}, the longest gap "
             f"{ends[longest] - starts[longest]} samples at {span(time_s[starts[longest]])}"
         )
     return messages

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
@@ -124,3 +125,23 @@ def test_a_plain_signal_over_multiplexed_ones_costs_none_of_them(tmp_path):
 def test_a_file_of_lost_multiplexed_signals_alone_is_refused_with_the_line(tmp_path):
     with pytest.raises(ImportFileError, match=r"line 8: T_w: is multiplexed \(m4\)"):
         imported(tmp_path, message('T_w m4 : 16|16@1- (0.1,0) [0|0] "degC"'))
+
+
+@pytest.mark.parametrize("unit", ["U/min", "1/min", "RPM"])
+def test_a_unit_of_one_meaning_is_taken_in_any_spelling_and_binds(tmp_path, unit):
+    _, rig = imported(tmp_path, message(f'n : 0|16@1+ (1,0) [0|0] "{unit}"'))
+    assert rig.get("n").unit == "rpm"
+    assert bind("can", rig.bus["can"], rig.point)[0].decode(bytes([5, 0, 0, 0, 0, 0, 0, 0])) == {"n": 5.0}
+
+
+def test_a_named_value_beyond_the_bits_of_its_signal_is_no_code(tmp_path):
+    text = message('T_w : 0|16@1+ (0.1,0) [0|0] "degC"', after=f'VAL_ 300 T_w {"9" * 400} "error" 65535 "invalid" ;')
+    _, rig = imported(tmp_path, text)
+    assert rig.get("T_w").invalid == (6553.5,)
+
+
+def test_a_number_of_thousands_of_digits_costs_no_time(tmp_path):
+    begun = time.process_time()
+    with pytest.raises(ImportFileError, match="line 8: T_w"):
+        imported(tmp_path, message(f'T_w : 0|16@1+ (1,{"9" * 20_000} [0|0] "degC"'))
+    assert time.process_time() - begun < 2.0

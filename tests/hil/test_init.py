@@ -154,3 +154,19 @@ def test_who_gives_up_leaves_nothing_behind(tmp_path, monkeypatch):
     done = made("--out", tmp_path / "rig.toml", typed="my bench\n")
     assert done.exit_code == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "said"),
+    [
+        ("--host", "http://10.0.0.5", "is a web address; give the name or the address alone"),
+        ("--host", "10.0.0.5:1502", "write --host 10.0.0.5 --port 1502"),
+        ("--host", "10.0.0.300", "is no address: IPv4 has four numbers from 0 to 255"),
+        ("--socketcand", "10.0.0.300:29536", "is no address: IPv4 has four numbers from 0 to 255"),
+        ("--socketcand", "10.0.0.3:70000", "port 70000 is not from 1 to 65535"),
+    ],
+)
+def test_a_host_that_no_rig_file_takes_is_refused(tmp_path, option, given, said):
+    out = tmp_path / "rig.toml"
+    done = CliRunner().invoke(init, [option, given, "--heater", "set=holding:0*0.1,max=900", "--out", str(out)])
+    assert done.exit_code == 2 and said in " ".join(done.output.split()) and not out.exists()

@@ -108,7 +108,7 @@ def test_a_missing_file_and_a_truncated_copy_are_refused(tmp_path: Path) -> None
         (_rows(*range(200), *range(9)), "if these are two records in one file, split it"),
         (_rows(0, 1, 2.5, 3, 4.7, 5, 6.4), "sampling is irregular: steps of 0.35 to 1.65 s, typically 1.2 s"),
         ("time_s,T_tank_C\n0,20\n,21\nnan,22\n3,23\n", "2 rows have no readable time (the first is line 3): dropped"),
-        ("time_s,T_tank_C\n0,20\n1,\n2,NaN\n3,23\n", "T_tank_C: 2 of 4 values missing, the longest stretch 2 samples"),
+        ("time_s,T_tank_C\n0,20\n1,\n2,NaN\n3,23\n", "T_tank_C: 2 of 4 values missing, the longest gap 2 samples"),
         ("time_s,T_tank_C\n0,20\n1,ERR\n2,20\n3,23\n", "1 cell is no number (the first, line 3, is 'ERR'): missing"),
         ("time_s,T_tank_C\n0,20\n1,inf\n2,20\n3,23\n", "T_tank_C: 1 values are infinite: missing"),
         ("time_s,T_tank_C\n0,20\n1,-9999\n2,20\n3,23\n", "1 values are -9999, a mark for no measurement: missing"),
@@ -344,7 +344,7 @@ def test_the_record_equals_the_journal_sample_for_sample(tmp_path: Path, monkeyp
     assert np.array_equal(record.quality["T_pm1_C"], quality[:, 4])
     assert list(record.quality) == ["T_pm1_C"]
     assert record.messages == (
-        "T_pm1_C: 51 of 300 values missing (sensor fault, link fault), the longest stretch 50 samples at 1 min 40 s",
+        "T_pm1_C: 51 of 300 values missing (sensor fault, link fault), the longest gap 50 samples at 1 min 40 s",
     )
     assert json.loads(record.metadata["hil"])["run"] == {"uid": "abc"}
     schema = pq.read_schema(tmp_path / "record.parquet")

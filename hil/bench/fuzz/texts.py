@@ -14,7 +14,7 @@ VALUES = (
     "!secret k", "!include k.yaml", "${VAR}", "*a", "&a", "0,1", "1/10", "x10", "-", "|", ">", "<<", "<<:",
     "1.000,5", "٣", "é", "\x7f",
 )  # fmt: skip
-"""What takes the place of a value: wrong types, ends of ranges, other tools' placeholders, decimal commas."""
+"""Texts that take the place of a value: wrong types, ends of ranges, other tools' placeholders, decimal commas."""
 MARKS = (
     '"',
     "'",

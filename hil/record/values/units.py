@@ -22,17 +22,17 @@ _DRIVES = ("_W", "_kW", "_pct", "_L_per_min", "_kg_per_s", "_rpm")
 
 
 def of_a_room(name: str) -> bool:
-    """Whether a column is by its name the temperature of a room or of the air outdoors."""
+    """Return True for a column that is by its name the temperature of a room or of the air outdoors."""
     return any(word.startswith(("amb", "room", "outdoor")) for word in name.lower().split("_"))
 
 
 def remarks(columns: Columns) -> list[str]:
-    """What the columns of a record tell without a twin."""
+    """Return questions about the units of a record that need no twin."""
     return [*_by_name(columns), *_fractions(columns), *_at_first(columns)]
 
 
 def beyond_declared(network: Network, columns: Columns) -> list[str]:
-    """Inputs that use next to nothing of the range that their twin declares."""
+    """Return questions about inputs that use next to nothing of the range that their twin declares."""
     said = []
     for column, spec in network.inputs.items():
         values = _finite(columns.get(column))
@@ -78,7 +78,7 @@ def _fraction(name: str, values: NDArray[np.float64]) -> bool:
 
 
 def _at_first(columns: Columns) -> list[str]:
-    """What the first readings say of their unit, where the room's temperature stands beside them."""
+    """Return questions about the unit of first readings that do not fit the temperature of the room."""
     first = {name: float(known[0]) for name, values in columns.items() if (known := _finite(values)).size}
     room = next((value for name, value in first.items() if name.endswith("_C") and of_a_room(name)), None)
     read = {name: value for name, value in first.items() if name.endswith("_C") and not of_a_room(name)}

@@ -1,0 +1,47 @@
+"""Register tables as a whole: lines above the heading, ranges written in one way, units in any spelling."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.drivers.test_import_csv import drafted
+
+
+@pytest.mark.parametrize(
+    ("scale", "ends", "other", "plausible", "said"),
+    [
+        ("0.1", "0,1000", "", [0.0, 1000.0], "may be raw counts or values; the range that holds both was taken"),
+        ("10/1", "0,150", "", [0.0, 1500.0], "may be raw counts or values; the range that holds both was taken"),
+        ("10/1", "0,150", "0,90.5", [0.0, 150.0], None),
+        ("0.1", "-4000,12000", "", None, "fit neither as values nor as raw counts; no range was taken"),
+        ("0.1", "0,900", "-2000,12000", None, "are raw counts; no range was taken"),
+    ],
+)
+def test_other_lines_show_if_a_range_is_in_raw_counts(tmp_path, scale, ends, other, plausible, said):
+    more = f"u,4,input,int16,0.1,degC,r,{other}\n" if other else ""
+    text = f"name,address,table,type,scale,unit,access,min,max\nt,3,input,int16,{scale},degC,r,{ends}\n{more}"
+    points, notes = drafted(tmp_path, text)
+    assert points["t"].get("plausible") == plausible
+    assert any(said in note for note in notes) if said else not notes
+
+
+def test_a_register_that_cannot_be_written_is_left_out_where_its_access_says_so(tmp_path):
+    text = "name,address,table,type,access\nt,3,input,int16,rw\nu,4,holding,int16,rw\n"
+    points, notes = drafted(tmp_path, text)
+    assert list(points) == ["u"]
+    assert notes == [
+        "line 2: t: input registers cannot be written; use table 'holding', or correct its access 'rw' (left out)"
+    ]
+
+
+def test_lines_above_the_heading_are_left_out_with_a_note(tmp_path):
+    text = "Register map,,,\nUnit 1,,,\nname,address,table,type\nt,3,input,int16\n"
+    points, notes = drafted(tmp_path, text)
+    assert points["t"]["address"] == 3
+    assert notes == ["line 3: is taken for the heading; the lines above it were not used"]
+
+
+@pytest.mark.parametrize(("unit", "symbol"), [("U/min", "rpm"), ("DEG C", "degC"), ("%HR", "%"), ("l/h", "L/h")])
+def test_a_unit_of_one_meaning_is_taken_in_any_spelling(tmp_path, unit, symbol):
+    points, notes = drafted(tmp_path, f"name,address,table,type,unit\nt,3,input,int16,{unit}\n")
+    assert points["t"]["unit"] == symbol and not notes
