@@ -1,4 +1,4 @@
-"""Element kinds, one file each. A new file in this folder is a new kind: nothing else has to know of it."""
+"""Element kinds, one file each. A new file in this folder is a new kind: it is found without registration."""
 
 from __future__ import annotations
 

@@ -35,12 +35,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
 
 WATER_DENSITY = 0.997
 """kg/L at 25 degC (IAPWS-95)."""
 LEAST_PERCENT = 0.1
-"""A film at a lower pump speed counts as at this one, so that the power of a pump at rest is finite."""
+"""Pump speed below which a film stays as at this one, %: the power of a pump at rest is finite."""
 FILM_EXPONENT = ParameterSpec(
     "film_exponent", "1", 0.4, 0.0, 1.0, "fixed", "of hA in the flow: 0 laminar, 0.8 turbulent (Incropera 8.4, 8.5)"
 )
@@ -96,14 +96,18 @@ class Flow(Element):
             return f"node {strangers[0]!r} has a film but is not on the path"
         return None
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         now = sites.values[f"{self.name}.factor"]
         return (
-            self.moves(
-                "factor", "flow", "loop", "constant", "of the nominal flow", 0.03, -0.8 * now, 1.0,
+            self.parameter_candidate(
+                "factor",
+                "flow",
+                "loop",
+                "constant",
+                EffectSize("of the nominal flow", 0.03, -0.8 * now, 1.0),
                 "carries {value} more than when commissioned",
             ),
-        )  # fmt: skip
+        )
 
     def emit(self, n: Names) -> Fragment:
         flow, mcp = n.local("q"), n.local("mcp")
@@ -161,14 +165,14 @@ def _arriving(n: Names, pipe: str, water: str) -> str:
 
 
 def _let_through(n: Names, share: Mapping[str, str]) -> str:
-    """How much of a change of the water comes round again; the bounds keep it well below 1."""
+    """Return the share of a change of the water that comes round again; the bounds keep it well below 1."""
     factors = [f"(1.0 - {a})" for a in share.values()]
     factors += [n.local("through", s.pipe) for s in (n.streams.get(node) for node in share) if s and s.pipe]
     return " * ".join(factors)
 
 
 def _once_around(n: Names, share: Mapping[str, str]) -> str:
-    """Water temperature after one turn that began at 0."""
+    """Return the water temperature after one turn that began at 0."""
     turn = "0.0"
     for node, a in share.items():
         stream = n.streams.get(node)
