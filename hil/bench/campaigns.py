@@ -20,7 +20,7 @@ from hil.bench.published import ONSET_S
 from hil.bench.windows import steady_start
 from hil.profile import read_profile
 from hil.record import read_record
-from twin.commission import commission
+from twin.commissioning import commission
 from twin.datasheet import from_datasheet
 from twin.kernel import simulate
 from twin.network import Array, Network

@@ -15,7 +15,7 @@ from hil.commands.reading_options import reading
 
 if TYPE_CHECKING:
     from hil.record import Reading
-    from twin.commission import CommissionOptions, CommissionResult
+    from twin.commissioning import CommissionOptions, CommissionResult
 
 
 @click.command()
@@ -60,8 +60,8 @@ def command(
     from hil.record_units import beyond_declared
     from hil.subject import record_of
     from hil.terminal import console
-    from twin.commission import commission
     from twin.commission_check import clock_warning, refusal_reason
+    from twin.commissioning import commission
     from twin.datasheet import from_datasheet
     from twin.network import TwinFileError
     from twin.twinfile import load

@@ -4,18 +4,36 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from twin.calibrators.base import Calibration, Calibrator, Window, WindowKind
+from twin.calibrators.base import (
+    Calibration,
+    Calibrator,
+    FilteredReadings,
+    Proposer,
+    Restartable,
+    SampleFilter,
+    Window,
+    WindowKind,
+)
+from twin.calibrators.windows import LEAST_ROWS, LEAST_SPAN, make_window
 from twin.network import Network, TwinFileError
 
 __all__ = [
     "ANY_TWIN_CALIBRATORS",
     "CALIBRATOR_NAMES",
+    "LEAST_ROWS",
+    "LEAST_SPAN",
     "UNTRAINED_CALIBRATORS",
     "Calibration",
     "Calibrator",
+    "FilteredReadings",
+    "Proposer",
+    "Restartable",
+    "SampleFilter",
     "Window",
     "WindowKind",
+    "default_tunables",
     "make_calibrator",
+    "make_window",
 ]
 
 UNTRAINED_CALIBRATORS = ("pso", "pso_paper", "least_squares", "kalman")
