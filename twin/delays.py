@@ -64,9 +64,9 @@ def delay_layout(system: System) -> DelayLayout:
     )
 
 
-def delay_lines(system: System, text: KernelText, alike: bool) -> DelayLines:
-    """Return the delay lines of a kernel; `alike` says that all lanes share flow and volumes, in the past too."""
-    return SharedDelayLines(system, text) if alike else SeparateDelayLines(system, text)
+def delay_lines(system: System, text: KernelText, same_flow: bool) -> DelayLines:
+    """Return the delay lines of a kernel; `same_flow` says that all lanes share flow and volumes, in the past too."""
+    return SharedDelayLines(system, text) if same_flow else SeparateDelayLines(system, text)
 
 
 class DelayLines(ABC):
@@ -198,7 +198,7 @@ class SharedDelayLines(DelayLines):
 
     def refresh(self) -> list[str]:
         body = [f"q{g} = {flow}" for g, flow in enumerate(self.system.flows)] + self.reaches(range(len(self.delays)))
-        # With one lane, what belongs to it is a row like any other.
+        # With one lane, the flow's quantities are rows like any other.
         out = self.text.loop(body, own=False) if self.text.lanes == 1 else body
         for g in self.flows:
             reaches = ", ".join([*(f"far{p}" for p, d in enumerate(self.delays) if d.line == g), "0.0"])

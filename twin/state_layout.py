@@ -80,7 +80,7 @@ class StateLayout:
         commands = state[0, at:] if full and self._commands else None
         return start, past, commands
 
-    def pushed_alike(self, past: Array | None) -> bool:
+    def pushed_equally(self, past: Array | None) -> bool:
         """Return True if the same volumes have been pushed through all delay lines (P, rows)."""
         return past is None or len(past) == 1 or not np.ptp(past[:, self._pushed], axis=0).any()
 

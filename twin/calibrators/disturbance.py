@@ -174,7 +174,7 @@ def with_power_probes(network: Network) -> tuple[Network, tuple[str, ...]]:
         name = f"{element.name}.{spec.name}"
         elements.append(element)
         parameters[name] = Parameter(
-            name, element.name, spec.name, 0.0, spec.unit, spec.lower, spec.upper, "fixed", "asked after a mismatch"
+            name, element.name, spec.name, 0.0, spec.unit, spec.lower, spec.upper, "fixed", "probe of a mismatch"
         )
         ids.append(name)
     return replace(network, elements=tuple(elements), parameters=MappingProxyType(parameters), digest=""), tuple(ids)

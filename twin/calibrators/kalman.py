@@ -281,8 +281,8 @@ class KalmanFilter:
         q, scaling = len(self.ids), self._scaling
         w = self._now(self._piece)[0]
         values = self._values(w)
-        told = window_information(fitted.jtj, self._wide)
-        names = [i for i, hit in zip(self.ids, told.unidentifiable, strict=True) if hit]
+        info = window_information(fitted.jtj, self._wide)
+        names = [i for i, hit in zip(self.ids, info.unidentifiable, strict=True) if hit]
         moved = np.zeros(q, dtype=bool)
         lasts = structural_covariance(
             self._problem(window), v, fitted.jtj, moved, window, self._wide, max(cost**2, 1.0)
@@ -292,8 +292,8 @@ class KalmanFilter:
         return CalibrationReport(
             covariance=limit_covariance(known + lasts, self._wide) * np.outer(slope, slope),
             flags=tuple(f"{i} is not identifiable by itself: its value comes from earlier windows" for i in names),
-            window_errors=told.window_errors(scaling, values),
-            condition=told.condition,
+            window_errors=info.window_errors(scaling, values),
+            condition=info.condition,
         )
 
     def _problem(self, window: Window) -> FitProblem:

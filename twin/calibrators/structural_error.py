@@ -26,9 +26,9 @@ PERSISTENCE_S = 300.0
 
 def sample_sd(sigma: Array, time: Array) -> Array:
     """Return the standard deviation (m,), K, of one of the samples at `time` (n,) s, noise `sigma` (m,) included."""
-    alike = max(CORRELATED_S / _pace(time), 1.0)
-    weighed: Array = np.sqrt(sigma**2 + MODEL_K**2 * alike)
-    return weighed
+    correlated = max(CORRELATED_S / _pace(time), 1.0)
+    found: Array = np.sqrt(sigma**2 + MODEL_K**2 * correlated)
+    return found
 
 
 def error_size(window: Window, sigma: Array) -> Array:

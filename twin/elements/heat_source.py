@@ -10,9 +10,9 @@
 Sources: Q_j of eq. 1 of Energies 2026, 19, 2452: the heater's is its measured electrical power times the "effective
 heat input" of Table 2, the modules' the constant Q_pm of Table 1, zero in a healthy loop. Cubed: a pump's shaft
 power by the affinity laws (Karassik et al., Pump Handbook, 4th ed., sec. 2.3), which ends as heat in the water;
-squared: what goes with its head.
+squared: heat in proportion to its head.
 Daily: first harmonic of a day, of amplitude sqrt(c^2 + s^2) with its peak at 24/(2 pi) atan2(s, c) o'clock;
-`daylight` is the sun on a surface, for which the night counts nothing: it lasts 24/pi acos(n / sqrt(c^2 + s^2)) h.
+`daylight` is the sun on a surface, without an effect at night: it lasts 24/pi acos(n / sqrt(c^2 + s^2)) h.
 
 A clock is an input column like any other: hours since midnight, named with the ending `_h`, e.g. `time_of_day_h`.
 """

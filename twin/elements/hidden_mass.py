@@ -34,7 +34,7 @@ TIME_CONSTANTS_S = tuple(120.0 * 3.0 ** (k / 2.0) for k in range(10))
 PUT_IN_S = TIME_CONSTANTS_S[1::2]
 """Capacity over conductance of candidate masses that are inserted at the temperature of the room, s."""
 MOST, SLOWEST_S, QUICKEST_S = 500.0, 200.0, 5.0
-"""Largest conductance of such a mass, W/K, and the times in which the node beside it follows it at most, s."""
+"""Largest conductance of such a mass, W/K, and the longest and shortest response time of the node beside it, s."""
 LEAST_PUT_IN = 5.0
 """Least conductance of such a mass, W/K: that of a hand's breadth of metal in stirred water."""
 

@@ -7,8 +7,8 @@ Mass Transfer, 7th ed., eq. 1.7); between two nodes `emissivity` is the grey-bod
 which holds the view factor (ibid., eq. 13.18). The fourth powers are written as (a - b)(a + b)(a^2 + b^2), which
 keeps the digits of a small difference.
 
-A temperature counts as at most 727 degC: far above any liquid loop, and what keeps a runaway finite. The step
-is chosen for 200 degC; the integrator's margin covers the rest.
+A temperature counts as at most 727 degC: far above any liquid loop, and finite in a runaway. The step is chosen for
+200 degC; the integrator's margin covers the rest.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A fan-blown radiator, as a conductance or by its effectiveness.
+"""Fan-blown radiator, as a conductance or by its effectiveness.
 
     UA = UA_100 * fan^fan_exponent * flow^flow_exponent                fan and flow as shares of full
 
@@ -15,8 +15,8 @@ UA and eps C_min are then divided by 1 + recirculation * themselves.
 The share of the full flow is that of the pump's speed, times the factor of the flow path that the node stands on.
 
 T is the temperature of the node, which the water leaves with. "outlet" is the (hA)_r of Energies 2026, 19, 2452 when
-UA_still = flow_exponent = 0 and the fan is constant; `flow_exponent` then also holds what the lumped outlet
-temperature hides of the drop along the core. The other two take the water as it arrives, T_in, and C_w = m cp
+UA_still = flow_exponent = 0 and the fan is constant; `flow_exponent` then also contains the drop along the core, which
+the lumped outlet temperature hides. The other two take the water as it arrives, T_in, and C_w = m cp
 from the flow path that the node stands on, and an air flow of air_0 + (air_100 - air_0) * fan, C_a its m cp; the share
 of the full air flow then stands for the fan in UA. "effectiveness" is for a core of several rows; its slope
 has a kink where C_w = C_a, which a fit may hang on. "one_row" is smooth.
