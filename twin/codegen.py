@@ -24,7 +24,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from twin.affine import lane_free_call, names_in
-from twin.assembly import System
+from twin.assembly import NetworkEquations
 from twin.delays import NEVER, SLOTS, delay_lines
 from twin.integrators import PAIRS, Integrator
 from twin.kernel_functions import ARRIVED, EXP, PIECES
@@ -71,7 +71,7 @@ class KernelGenerator:
 
     def __init__(self, network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int, same_flow: bool) -> None:
         self.network, self.mode, self.lanes = network, mode, lanes
-        self.system = s = System(network, lane_ids)
+        self.system = s = NetworkEquations(network, lane_ids)
         self.k, self.m = len(s.states), len(s.readings)
         self.text = KernelText(lanes)
         self.table: dict[str, int] = {}

@@ -23,7 +23,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.assembly import System
+from twin.assembly import NetworkEquations
 from twin.kernel_functions import DELAY_STATE, SEPARATE_FLOW, SHARED_FLOW
 from twin.kernel_text import KernelText, indent
 
@@ -53,7 +53,7 @@ class DelayLayout:
         return [row + e for row in self.volumes for e in range(SLOTS + 1)]
 
 
-def delay_layout(system: System) -> DelayLayout:
+def delay_layout(system: NetworkEquations) -> DelayLayout:
     """Return the layout of a system's delay lines."""
     flows, count = len(system.flows), len(system.delays)
     waters = flows * (SLOTS + 1)
@@ -64,7 +64,7 @@ def delay_layout(system: System) -> DelayLayout:
     )
 
 
-def delay_lines(system: System, text: KernelText, same_flow: bool) -> DelayLines:
+def delay_lines(system: NetworkEquations, text: KernelText, same_flow: bool) -> DelayLines:
     """Return the delay lines of a kernel; `same_flow` says that all lanes share flow and volumes, in the past too."""
     return SharedDelayLines(system, text) if same_flow else SeparateDelayLines(system, text)
 
@@ -80,7 +80,7 @@ class DelayLines(ABC):
     functions: ClassVar[str]
     lanes: int
 
-    def __init__(self, system: System, text: KernelText) -> None:
+    def __init__(self, system: NetworkEquations, text: KernelText) -> None:
         self.system, self.text = system, text
         self.flows, self.delays = range(len(system.flows)), system.delays
         for p in range(len(self.delays)):
@@ -189,7 +189,7 @@ class SharedDelayLines(DelayLines):
 
     functions = DELAY_STATE + SHARED_FLOW
 
-    def __init__(self, system: System, text: KernelText) -> None:
+    def __init__(self, system: NetworkEquations, text: KernelText) -> None:
         super().__init__(system, text)
         self.lanes = 1
 
@@ -227,7 +227,7 @@ class SeparateDelayLines(DelayLines):
 
     functions = DELAY_STATE + SEPARATE_FLOW
 
-    def __init__(self, system: System, text: KernelText) -> None:
+    def __init__(self, system: NetworkEquations, text: KernelText) -> None:
         super().__init__(system, text)
         self.lanes = text.lanes
         for name in (f"{n}{g}" for n in ("v", "q", "share") for g in self.flows):

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, replace
 from typing import Any, NoReturn
 
-from twin.assembly import System
+from twin.assembly import NetworkEquations
 from twin.column_names import contradicted_unit
 from twin.elements import KINDS, Element, Parameter, ParameterSpec
 from twin.elements.base import STATUSES
@@ -135,7 +135,7 @@ class TwinReader:
             digest=digest(self.text),
         )
         try:
-            assert System(network, network.ids).slopes
+            assert NetworkEquations(network, network.ids).slopes
         except ValueError as error:
             self.fail((), f"the elements do not fit together: {error}")
         return network

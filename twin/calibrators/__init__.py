@@ -71,9 +71,9 @@ def make_calibrator(
         There is no trained network for this twin, or that of `card` does not fit it.
     """
     if name == "pso":
-        from twin.calibrators.pso import Swarm
+        from twin.calibrators.pso import ParticleSwarm
 
-        return Swarm(network, tunables or default_tunables(network), "tuned", seed)
+        return ParticleSwarm(network, tunables or default_tunables(network), "tuned", seed)
     if name == "least_squares":
         from twin.calibrators.least_squares import LeastSquares
 
@@ -85,9 +85,9 @@ def make_calibrator(
     if name in CALIBRATOR_NAMES:
         _require_loop(name, network, tunables)
     if name == "pso_paper":
-        from twin.calibrators.pso import Swarm
+        from twin.calibrators.pso import ParticleSwarm
 
-        return Swarm(network, tunables or "paper4", "paper", seed)
+        return ParticleSwarm(network, tunables or "paper4", "paper", seed)
     if name == "hiera_unet":
         from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
 

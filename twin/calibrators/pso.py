@@ -92,7 +92,7 @@ LEAST_PERTURBATION = 0.02
 """Share of the full perturbation that remains when the live twin's error is noise alone."""
 
 
-class Swarm:
+class ParticleSwarm:
     """Swarm calibrator; satisfies `Calibrator`.
 
     Parameters
@@ -264,7 +264,7 @@ class _Cost:
     that the state at the beginning follows from the parameters; or, if the swarm re-aligns, from an estimate.
     """
 
-    def __init__(self, swarm: Swarm, window: Window) -> None:
+    def __init__(self, swarm: ParticleSwarm, window: Window) -> None:
         self.swarm, self.window = swarm, window
         self.threshold = swarm.network.rules.calibrated_K
         self.index = swarm.network.index(swarm.ids)
