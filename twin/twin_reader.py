@@ -160,7 +160,7 @@ class TwinReader:
         if named is not None:
             self.fail(
                 keys,
-                f"unit {unit!r} contradicts the name, which ends in {named}; convert nominal and bounds to {named}, or "
+                f"unit {unit!r} contradicts the name, which means {named}; convert nominal and bounds to {named}, or "
                 "name the column after its unit",
             )
         return InputSpec(column=column, unit=unit, source=str(table.get("source", "")), **values)
