@@ -1,19 +1,19 @@
 """Transport delays in the kernel: plug flow, looked up by the volume that has followed the water.
 
 Each flow counts the volume v that it has moved. Each delay stores its water in slots of that volume:
-a + r (m + r b) at the share r of a slot. While one step fills a slot, a, m and b are the water at its start, its slope
-there and the difference to the water at its end; the error is of third order in the step. Where slower flows fill a
-slot in several steps, it has the water at both ends and the mean of the water that has gone in. Jumps lie between
+a + r (m + r b) at the share r of a slot. While one step fills a slot, a and m are the water at its start and its slope
+there. b is the difference to the water at its end. The error is then of third order in the step. Slower flows fill a
+slot in several steps. It then has the water at both ends and the mean of the water that has gone in. Jumps lie between
 slots, or lose their shape.
 
-The outlet at v is the water at v - volume. Where one step moves more than the volume, it is that at v minus the volume
-moved in the step, and only the share `late` of the water is delayed (see `twin.elements.base.PlugFlowDelay`). So a
-look-up never needs the step under way. The outlet over a step runs through parts of slots; the kernel takes the
+The outlet at v is the water at v - volume. If one step moves more than the volume, it is that at v minus the volume
+moved in the step. Only the share `late` of the water is then delayed (see `twin.elements.base.PlugFlowDelay`). So a
+look-up never needs the step under way. The outlet over a step runs through parts of slots. The kernel takes the
 quadratic in time that has the same mean and first two moments. So a jump in the middle of a step acts correctly on
 everything that is slow against the step, and no heat is lost on the way.
 
-Where all lanes share flow and volumes, the volumes are counted once and the weights of a look-up are scalars. Where
-they do not, every lane has its own, and all lanes go through the slots that any of them needs.
+If all lanes share flow and volumes, the volumes are counted once and the weights of a look-up are scalars. If they do
+not, every lane has its own, and all lanes go through the slots that any of them needs.
 """
 
 from __future__ import annotations

@@ -5,9 +5,10 @@ temperatures K]. The model is linear in the temperatures and mildly not in the p
 differences along the predicted trajectory, are renewed every RENEW_S only; in between a sample costs a scalar update
 per sensor.
 
-A naive joint filter diverges with nine tunables. Hence: parameters in units of their plausible range, held inside their
-bounds by a transformation w; the commissioned values as an informative prior; a small random walk; and innovations
-that are larger than expected widen the parameters' covariance again, segment by segment and only as far as needed.
+A naive joint filter diverges with nine tunables. Hence parameters are in units of their plausible range, held inside
+their bounds by a transformation w. The commissioned values are an informative prior, followed by a small random walk.
+Innovations that are larger than expected widen the parameters' covariance again, segment by segment and only as far as
+needed.
 Some windows the filter cannot follow even so: a change is too slow for single innovations, or so large that a
 derivative at the wrong place misleads. They are fitted by least squares, from the filter's estimate before the window,
 and the filter continues from there.

@@ -13,8 +13,8 @@ The levels of an expression, cheapest first:
 ``heat``     the result, W into each node
 
 An element may also have memory. An `ElementState` is a temperature of its own that is integrated with those of the
-nodes; a `SensorLag` follows a temperature without acting on it; a `PlugFlowDelay` hands on water after the flow has
-pushed it through; an `InputDrive` stands between an input column and the value that the elements see.
+nodes. A `SensorLag` follows a temperature without acting on it. A `PlugFlowDelay` hands on water after the flow has
+pushed it through. An `InputDrive` stands between an input column and the value that the elements see.
 
 The kernel generator takes apart every expression that is affine in the temperatures, so an element need not care how it
 writes it down. Every parameter that switches an effect off should do so at exactly 0 or 1. While such a parameter is

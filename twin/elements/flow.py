@@ -6,8 +6,8 @@
     water leaving j:  w_j = w_in - a_j * (w_in - T_j)        (outlet = "exchanged")
                       w_j = T_j                              (outlet = "volume")
 
-``a_j`` is the share of the way to equilibrium that the water makes in node j. It is the same at every flow, except for
-the nodes in `film`: there it is the share at full speed, and a film between water and solid makes it follow the flow,
+``a_j`` is the share of the way to equilibrium that the water makes in node j. It is the same at every flow, except in
+the nodes of `film`. There it is the share at full speed, and a film between water and solid makes it follow the flow,
 
     a_j = 1 - exp(-NTU_j),   NTU_j = -log(1 - effectiveness_j) (pump/100)^(film_exponent - 1)
 
@@ -17,7 +17,7 @@ that term by a flow factor at the modules and keeps T_j as the inlet of the next
 this creates heat from nothing, m cp (a_j - 1)(w_in - T_j). "exchanged" hands on the remainder, so that the heat is
 conserved for every a_j, and it is the default.
 
-Between 0 and 2 each node passes on at most the change that it receives, |w_j / w_in| <= 1 at every frequency, so the
+Between 0 and 2 each node passes on at most the change that it receives, |w_j / w_in| <= 1 at every frequency. So the
 ring is stable; beyond 2 it is not, hence the bounds.
 
 A closed path in which no node is well mixed is solved for the returning water, w_0 = P w_0 + r with P the product of

@@ -6,7 +6,7 @@
     w_out   = T_amb + (w_e - T_amb) exp(-loss_hA / m cp)                                 loss
 
 with w the water leaving the node before it on the flow path. The wall stands at the outlet, as one capacity
-that exchanges with the passing water: heat is conserved and the mean delay is (volume + C_w / density cp) / q, as in a
+that exchanges with the passing water. Heat is conserved and the mean delay is (volume + C_w / density cp) / q, as in a
 pipe whose wall is heated along its length. Every term vanishes at 0: no volume, no wall, no loss.
 
 Sources: van der Heijde et al., Dynamic equation-based thermo-hydraulic pipe model for district heating and cooling

@@ -16,10 +16,10 @@ The share of the full flow is that of the pump's speed, times the factor of the 
 
 T is the temperature of the node, which the water leaves with. "outlet" is the (hA)_r of Energies 2026, 19, 2452 when
 UA_still = flow_exponent = 0 and the fan is constant; `flow_exponent` then also contains the drop along the core, which
-the lumped outlet temperature hides. The other two take the water as it arrives, T_in, and C_w = m cp
-from the flow path that the node stands on, and an air flow of air_0 + (air_100 - air_0) * fan, C_a its m cp; the share
-of the full air flow then stands for the fan in UA. "effectiveness" is for a core of several rows; its slope
-has a kink where C_w = C_a, which a fit may hang on. "one_row" is smooth.
+the lumped outlet temperature hides. The other two take the water as it arrives, T_in, and C_w = m cp from the node's
+flow path. Their air flow is air_0 + (air_100 - air_0) * fan, with C_a its m cp; the share of the full air flow then
+stands for the fan in UA. "effectiveness" is for a core of several rows; its slope has a kink at C_w = C_a, at which a
+fit may stop. "one_row" is smooth.
 
 Sources: fan affinity laws with a power law of the air-side film (Incropera, Fundamentals of Heat and Mass Transfer,
 7th ed., sec. 7.6: exponents 0.5 to 0.8); effectiveness of a single-pass cross-flow core, both sides unmixed (ibid.,
