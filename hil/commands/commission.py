@@ -15,7 +15,7 @@ from hil.commands.reading_options import reading
 
 if TYPE_CHECKING:
     from hil.record import Reading
-    from twin.commissioning import CommissionOptions, CommissionResult
+    from twin.commissioning import CommissionResult
 
 
 @click.command()
@@ -61,7 +61,7 @@ def command(
     from hil.subject import record_of
     from hil.terminal import console
     from twin.commission_check import clock_warning, refusal_reason
-    from twin.commissioning import commission
+    from twin.commissioning import CommissionOptions, commission
     from twin.datasheet import from_datasheet
     from twin.network import TwinFileError
     from twin.twinfile import load

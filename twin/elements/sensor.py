@@ -21,8 +21,8 @@ from typing import ClassVar
 from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, SensorLag, Sites, place
 
 LUMPED_S, PIPED_S = 25.0, 6.0
-"""Time that water needs through a small loop's hoses and cold plates, s, which a twin without pipes takes for a sensor
-lag; and the time that remains with pipes, from mixing in them.
+"""Time that water needs through a small loop's hoses and cold plates, s; a twin without pipes sees it as a sensor lag.
+The second is the time that remains with pipes, from mixing in them.
 """
 ADJUSTED_C = 25.0
 """Temperature of a room in which thermometers are adjusted, degC."""
