@@ -32,22 +32,22 @@ class NotAffineError(Exception):
 
 
 @dataclass(frozen=True)
-class Form:
+class AffineForm:
     """An affine form: ``slopes[v] * v`` summed over the variables v, plus `offset`; all of it text."""
 
     slopes: Mapping[str, str] = field(default_factory=dict)
     offset: str = ZERO
 
-    def __add__(self, other: Form) -> Form:
+    def __add__(self, other: AffineForm) -> AffineForm:
         slopes = dict(self.slopes)
         for name, text in other.slopes.items():
             slopes[name] = add(slopes.get(name, ZERO), text)
-        return Form({name: text for name, text in slopes.items() if text != ZERO}, add(self.offset, other.offset))
+        return AffineForm({name: text for name, text in slopes.items() if text != ZERO}, add(self.offset, other.offset))
 
-    def scaled(self, factor: str) -> Form:
+    def scaled(self, factor: str) -> AffineForm:
         """Return the form times a factor that does not depend on temperature."""
         slopes = {name: multiply(text, factor) for name, text in self.slopes.items()}
-        return Form({name: text for name, text in slopes.items() if text != ZERO}, multiply(self.offset, factor))
+        return AffineForm({name: text for name, text in slopes.items() if text != ZERO}, multiply(self.offset, factor))
 
     def text(self) -> str:
         """Return the form as one expression, a chain of multiply-adds."""
@@ -57,7 +57,7 @@ class Form:
         return total
 
 
-def affine_form(text: str, variables: Iterable[str], known: Mapping[str, Form]) -> Form:
+def affine_form(text: str, variables: Iterable[str], known: Mapping[str, AffineForm]) -> AffineForm:
     """Return the affine form of an expression in `variables`; names in `known` stand for forms of their own.
 
     Raises
@@ -118,12 +118,12 @@ def _factor(a: str) -> str:
     return a if a.replace("_", "").replace(".", "").isalnum() else f"({a})"
 
 
-def _form(node: ast.expr, variables: frozenset[str], known: Mapping[str, Form]) -> Form:
+def _form(node: ast.expr, variables: frozenset[str], known: Mapping[str, AffineForm]) -> AffineForm:
     touched = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
     if not touched & variables and not touched & known.keys():
-        return Form(offset=_constant(node))
+        return AffineForm(offset=_constant(node))
     if isinstance(node, ast.Name):
-        return known[node.id] if node.id in known else Form({node.id: ONE})
+        return known[node.id] if node.id in known else AffineForm({node.id: ONE})
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
         inner = _form(node.operand, variables, known)
         return inner.scaled("-1.0") if isinstance(node.op, ast.USub) else inner

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from twin.affine import ZERO, Form, NotAffineError, add, affine_form, multiply, names_in, parse_expression
+from twin.affine import ZERO, AffineForm, NotAffineError, add, affine_form, multiply, names_in, parse_expression
 from twin.elements import Fragment, Names
 from twin.elements.base import InputDrive
 from twin.elements.symbols import Stream, Symbols
@@ -41,11 +41,11 @@ class FirstOrderLag:
     """A first-order lag: the affine form that it follows, and its time constant."""
 
     name: str
-    of: Form
+    of: AffineForm
     constant: str
 
 
-class System:
+class NetworkEquations:
     """The equations of a network in which the parameters `free` may vary.
 
     Attributes
@@ -134,16 +134,16 @@ class System:
         return frozenset((*(f"x{j}" for j in range(len(self.states))), *(f"D{k}" for k in range(count))))
 
     @cached_property
-    def chain(self) -> dict[str, Form]:
+    def chain(self) -> dict[str, AffineForm]:
         """Return the affine locals that keep a name of their own."""
         return self._forms[2]
 
     @cached_property
-    def _forms(self) -> tuple[dict[str, Form], dict[str, str], dict[str, Form]]:
+    def _forms(self) -> tuple[dict[str, AffineForm], dict[str, str], dict[str, AffineForm]]:
         """Return the affine locals, the others, and the affine ones that keep a name of their own."""
-        forms: dict[str, Form] = {}
+        forms: dict[str, AffineForm] = {}
         others: dict[str, str] = {}
-        chain: dict[str, Form] = {}
+        chain: dict[str, AffineForm] = {}
         used = self._uses() if len(self.states) > FEW_STATES else Counter[str]()
         for name, value in self.locals_.items():
             try:
@@ -170,7 +170,7 @@ class System:
                     found[node.id] += 1
         return found
 
-    def form(self, text: str) -> Form:
+    def form(self, text: str) -> AffineForm:
         """Return the affine form of an expression.
 
         Raises
@@ -183,9 +183,9 @@ class System:
             raise NotAffineError(text)
         return affine_form(text, self.variables | chain.keys(), forms)
 
-    def _name_terms(self, form: Form) -> Form:
+    def _name_terms(self, form: AffineForm) -> AffineForm:
         """Return the form with a name for every coefficient that is more than a name, so that texts stay short."""
-        return Form({v: self._short(t) for v, t in form.slopes.items()}, self._short(form.offset))
+        return AffineForm({v: self._short(t) for v, t in form.slopes.items()}, self._short(form.offset))
 
     def _short(self, text: str) -> str:
         if re.fullmatch(r"-?[\w.]+", text):
@@ -198,7 +198,7 @@ class System:
         return name
 
     @cached_property
-    def slopes(self) -> tuple[tuple[Form, str], ...]:
+    def slopes(self) -> tuple[tuple[AffineForm, str], ...]:
         """Return the affine form of each state's rate, K/s, and the remainder that is not affine, W or K/s."""
         rows = []
         for j, node in enumerate(self.network.nodes):
@@ -208,8 +208,8 @@ class System:
             rows += [self._sum([s.rate]) for s in f.states]
         return tuple((self._name_terms(form), rest) for form, rest in rows)
 
-    def _sum(self, terms: Iterable[str]) -> tuple[Form, str]:
-        form, rest = Form(), ZERO
+    def _sum(self, terms: Iterable[str]) -> tuple[AffineForm, str]:
+        form, rest = AffineForm(), ZERO
         for term in terms:
             try:
                 form = form + self.form(term)
@@ -279,7 +279,7 @@ class System:
         )
 
     @cached_property
-    def inlet_forms(self) -> tuple[Form, ...]:
+    def inlet_forms(self) -> tuple[AffineForm, ...]:
         """Return the affine form of the water that enters each delay."""
         return tuple(self._name_terms(self.form(d.water)) for d in self.delays)
 
@@ -313,8 +313,8 @@ def python_source(network: Network) -> str:
     of an actuator, and pipes without delay. Any parameter may differ from the network's, except those of elements with
     states, which are left out while they are neutral.
     """
-    remembering = {name for name, f in System(network, network.ids).parts if f.states}
-    system = System(network, tuple(p.id for p in network.parameters.values() if p.element not in remembering))
+    remembering = {name for name, f in NetworkEquations(network, network.ids).parts if f.states}
+    system = NetworkEquations(network, tuple(p.id for p in network.parameters.values() if p.element not in remembering))
     body: list[str] = []
     for k, (_, drive) in enumerate(system.drives):
         column = network.input_columns.index(drive.column)
@@ -325,7 +325,7 @@ def python_source(network: Network) -> str:
     return _function("rhs(T, u, p)", [*body, *_locals(system)], f"[{', '.join(_plain_rates(system))}]")
 
 
-def stateful_source(system: System) -> str:
+def stateful_source(system: NetworkEquations) -> str:
     """Return plain Python source of a network with pipes and lags at one instant, from the elements' formulas alone.
 
     ``now(T, D, u, p)``, with states T and outlets of delays D, returns dT/dt, the water that enters each delay and the
@@ -350,12 +350,12 @@ def stateful_source(system: System) -> str:
     )
 
 
-def _locals(system: System) -> list[str]:
+def _locals(system: NetworkEquations) -> list[str]:
     steps = _in_order({**system.own_coefficients, **system.locals_})
     return [f"{name} = {value}" for name, value in steps.items()]
 
 
-def _plain_rates(system: System) -> list[str]:
+def _plain_rates(system: NetworkEquations) -> list[str]:
     """Return the rates of all states as the elements write them, nothing taken apart."""
     rows = []
     for j, node in enumerate(system.network.nodes):
@@ -388,4 +388,4 @@ def _in_order(expressions: Mapping[str, str]) -> dict[str, str]:
     return done
 
 
-__all__ = ["DelayLine", "FirstOrderLag", "System", "feeding_streams", "python_source"]
+__all__ = ["DelayLine", "FirstOrderLag", "NetworkEquations", "feeding_streams", "python_source"]

@@ -24,7 +24,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from twin.affine import lane_free_call, names_in
-from twin.assembly import System
+from twin.assembly import NetworkEquations
 from twin.delays import NEVER, SLOTS, delay_lines
 from twin.integrators import PAIRS, Integrator
 from twin.kernel_functions import ARRIVED, EXP, PIECES
@@ -44,7 +44,7 @@ MODES: tuple[Mode, ...] = ("cost", "trace")
 
 
 def kernel_source(
-    network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int = LANES, alike: bool = True
+    network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int = LANES, same_flow: bool = True
 ) -> str:
     """Return the source of one kernel.
 
@@ -58,10 +58,10 @@ def kernel_source(
         Ids of the parameters that may differ from particle to particle.
     lanes
         Particles in a block.
-    alike
+    same_flow
         True if the same volume has been pushed through the delay lines of all lanes before the first sample.
     """
-    return KernelGenerator(network, mode, lane_ids, lanes, alike).source()
+    return KernelGenerator(network, mode, lane_ids, lanes, same_flow).source()
 
 
 class KernelGenerator:
@@ -69,9 +69,9 @@ class KernelGenerator:
     substeps.
     """
 
-    def __init__(self, network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int, alike: bool) -> None:
+    def __init__(self, network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int, same_flow: bool) -> None:
         self.network, self.mode, self.lanes = network, mode, lanes
-        self.system = s = System(network, lane_ids)
+        self.system = s = NetworkEquations(network, lane_ids)
         self.k, self.m = len(s.states), len(s.readings)
         self.text = KernelText(lanes)
         self.table: dict[str, int] = {}
@@ -82,12 +82,12 @@ class KernelGenerator:
             self.text.row(f"sse{j}")
         for c in s.driven:
             self.text.row(f"u{c}")
-        alike = lanes == 1 or (alike and self._pushed_alike())
-        self.delays = delay_lines(s, self.text, alike) if s.delays else None
+        same_flow = lanes == 1 or (same_flow and self._pushed_equally())
+        self.delays = delay_lines(s, self.text, same_flow) if s.delays else None
         self.integrator = Integrator(s, self.text, self.delays)
         self._levels()
 
-    def _pushed_alike(self) -> bool:
+    def _pushed_equally(self) -> bool:
         """Return True if no flow or volume of a delay differs between lanes."""
         s = self.system
         texts = [*s.flows, *(d.volume for d in s.delays)]

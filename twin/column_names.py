@@ -72,8 +72,8 @@ def column_hint(name: str, columns: Iterable[str]) -> str:
             return f"{column} is in {written} by its name: {how}, and call it {name}"
         if unit.lower() in _OTHER_UNITS:
             return f"{column} is in another unit by its name: convert it, and call it {name}"
-    alike = [column for column in there if _normalised(column) == _normalised(name)]
-    near = alike or difflib.get_close_matches(name, there, n=1)
+    same = [column for column in there if _normalised(column) == _normalised(name)]
+    near = same or difflib.get_close_matches(name, there, n=1)
     return f"did you mean {near[0]}?" if near else ""
 
 

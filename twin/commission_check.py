@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.commission import CommissionResult
+from twin.commissioning import CommissionResult
 
 ABSURD_SIGMA = 10.0
 """Standard deviations of a sensor's noise below which an error is never absurd, however little the sensor moves."""
@@ -29,9 +29,9 @@ def refusal_reason(result: CommissionResult, measured: ArrayLike) -> str:
     """
     if result.values and len(result.unidentifiable) == len(result.values):
         return (
-            f"the record identifies none of the {len(result.values)} tunables: inputs that never move, readings of "
-            "another rig or a clock at another rate do that; record the rig while its inputs are moved, or give "
-            "--time-scale where its clock is not in seconds"
+            f"the record identifies none of the {len(result.values)} tunables: its inputs may never move, its readings "
+            "may be of another rig, or its clock may run at another rate; record the rig while its inputs are moved, "
+            "or give --time-scale where its clock is not in seconds"
         )
     y = np.asarray(measured, dtype=np.float64)
     absurd, judged = [], 0
@@ -63,12 +63,11 @@ def clock_warning(result: CommissionResult) -> str:
     factors = np.array([result.values[name] / result.start[name] for name in heat])
     if len(factors) < 2 or not (factors > 0.0).all():
         return ""
-    alike = bool((factors > CLOCK_FACTOR).all() or (factors < 1.0 / CLOCK_FACTOR).all())
-    if not alike:
+    if not ((factors > CLOCK_FACTOR).all() or (factors < 1.0 / CLOCK_FACTOR).all()):
         return ""
     middle = float(np.exp(np.median(np.log(factors))))
     return (
-        f"all heat capacities that the record identifies came out about {middle:.2g} times what the twin file says "
-        f"({', '.join(heat)}): a clock at another rate does that; if a second of the record is not one of the rig, "
-        "give --time-scale"
+        f"all heat capacities that the record identifies are about {middle:.2g} times those of the twin file "
+        f"({', '.join(heat)}); a clock at another rate has this effect: if a second of the record is not one of the "
+        "rig, give --time-scale"
     )

@@ -1,19 +1,19 @@
 """Transport delays in the kernel: plug flow, looked up by the volume that has followed the water.
 
 Each flow counts the volume v that it has moved. Each delay stores its water in slots of that volume:
-a + r (m + r b) at the share r of a slot. While one step fills a slot, a, m and b are the water at its start, its slope
-there and the difference to the water at its end; the error is of third order in the step. Where slower flows fill a
-slot in several steps, it has the water at both ends and the mean of the water that has gone in. Jumps lie between
+a + r (m + r b) at the share r of a slot. While one step fills a slot, a and m are the water at its start and its slope
+there. b is the difference to the water at its end. The error is then of third order in the step. Slower flows fill a
+slot in several steps. It then has the water at both ends and the mean of the water that has gone in. Jumps lie between
 slots, or lose their shape.
 
-The outlet at v is the water at v - volume. Where one step moves more than the volume, it is that at v minus the volume
-moved in the step, and only the share `late` of the water is delayed (see `twin.elements.base.PlugFlowDelay`). So a
-look-up never needs the step under way. The outlet over a step runs through parts of slots; the kernel takes the
+The outlet at v is the water at v - volume. If one step moves more than the volume, it is that at v minus the volume
+moved in the step. Only the share `late` of the water is then delayed (see `twin.elements.base.PlugFlowDelay`). So a
+look-up never needs the step under way. The outlet over a step runs through parts of slots. The kernel takes the
 quadratic in time that has the same mean and first two moments. So a jump in the middle of a step acts correctly on
 everything that is slow against the step, and no heat is lost on the way.
 
-Where all lanes share flow and volumes, the volumes are counted once and the weights of a look-up are scalars. Where
-they do not, every lane has its own, and all lanes go through the slots that any of them needs.
+If all lanes share flow and volumes, the volumes are counted once and the weights of a look-up are scalars. If they do
+not, every lane has its own, and all lanes go through the slots that any of them needs.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.assembly import System
+from twin.assembly import NetworkEquations
 from twin.kernel_functions import DELAY_STATE, SEPARATE_FLOW, SHARED_FLOW
 from twin.kernel_text import KernelText, indent
 
@@ -53,7 +53,7 @@ class DelayLayout:
         return [row + e for row in self.volumes for e in range(SLOTS + 1)]
 
 
-def delay_layout(system: System) -> DelayLayout:
+def delay_layout(system: NetworkEquations) -> DelayLayout:
     """Return the layout of a system's delay lines."""
     flows, count = len(system.flows), len(system.delays)
     waters = flows * (SLOTS + 1)
@@ -64,9 +64,9 @@ def delay_layout(system: System) -> DelayLayout:
     )
 
 
-def delay_lines(system: System, text: KernelText, alike: bool) -> DelayLines:
-    """Return the delay lines of a kernel; `alike` says that all lanes share flow and volumes, in the past too."""
-    return SharedDelayLines(system, text) if alike else SeparateDelayLines(system, text)
+def delay_lines(system: NetworkEquations, text: KernelText, same_flow: bool) -> DelayLines:
+    """Return the delay lines of a kernel; `same_flow` says that all lanes share flow and volumes, in the past too."""
+    return SharedDelayLines(system, text) if same_flow else SeparateDelayLines(system, text)
 
 
 class DelayLines(ABC):
@@ -80,7 +80,7 @@ class DelayLines(ABC):
     functions: ClassVar[str]
     lanes: int
 
-    def __init__(self, system: System, text: KernelText) -> None:
+    def __init__(self, system: NetworkEquations, text: KernelText) -> None:
         self.system, self.text = system, text
         self.flows, self.delays = range(len(system.flows)), system.delays
         for p in range(len(self.delays)):
@@ -189,7 +189,7 @@ class SharedDelayLines(DelayLines):
 
     functions = DELAY_STATE + SHARED_FLOW
 
-    def __init__(self, system: System, text: KernelText) -> None:
+    def __init__(self, system: NetworkEquations, text: KernelText) -> None:
         super().__init__(system, text)
         self.lanes = 1
 
@@ -198,7 +198,7 @@ class SharedDelayLines(DelayLines):
 
     def refresh(self) -> list[str]:
         body = [f"q{g} = {flow}" for g, flow in enumerate(self.system.flows)] + self.reaches(range(len(self.delays)))
-        # With one lane, what belongs to it is a row like any other.
+        # With one lane, the flow's quantities are rows like any other.
         out = self.text.loop(body, own=False) if self.text.lanes == 1 else body
         for g in self.flows:
             reaches = ", ".join([*(f"far{p}" for p, d in enumerate(self.delays) if d.line == g), "0.0"])
@@ -227,7 +227,7 @@ class SeparateDelayLines(DelayLines):
 
     functions = DELAY_STATE + SEPARATE_FLOW
 
-    def __init__(self, system: System, text: KernelText) -> None:
+    def __init__(self, system: NetworkEquations, text: KernelText) -> None:
         super().__init__(system, text)
         self.lanes = text.lanes
         for name in (f"{n}{g}" for n in ("v", "q", "share") for g in self.flows):

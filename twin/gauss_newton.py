@@ -2,7 +2,7 @@
 
 Positive parameters whose bounds span a decade or more vary in their logarithm, the others in fractions of their range,
 the initial state in kelvin. Bounds are handled by an active set: a variable that sits on a bound and is pushed outward
-leaves the step, and no parameter goes further at once than is plausible for it. The Gaussian prior holds directions
+leaves the step. No parameter goes further at once than is plausible for it. The Gaussian prior holds directions
 that the data do not identify, and its share in the result names them.
 
 Source: Nocedal & Wright, Numerical Optimization, 2nd ed., secs. 10.3 and 16.7; Nielsen, IMM-REP-1999-05 for

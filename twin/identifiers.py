@@ -1,8 +1,8 @@
 """Names that a twin file may give to elements, inputs, columns and sets: plain identifiers in ASCII letters.
 
-Other scripts are left out on purpose: two of their letters can look alike and differ, and a record from another program
-may write the same name in another normal form. Words of Python and names in double underscores are left out because a
-name may become an identifier of generated code in a later version of any tool that reads the file.
+Other scripts are left out on purpose. Two of their letters can look alike and differ, and a record from another program
+may write the same name in another normal form. Words of Python and names in double underscores are left out. A name may
+become an identifier of generated code in a later version of any tool that reads the file.
 """
 
 from __future__ import annotations

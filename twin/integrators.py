@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from twin.affine import ZERO, Form, add, names_in
-from twin.assembly import FEW_STATES, System
+from twin.affine import ZERO, AffineForm, add, names_in
+from twin.assembly import FEW_STATES, NetworkEquations
 from twin.delays import DelayLines
 from twin.kernel_text import KernelText, renamed
 
@@ -34,7 +34,7 @@ class Integrator:
         True if terms run in a loop.
     """
 
-    def __init__(self, system: System, text: KernelText, delays: DelayLines | None) -> None:
+    def __init__(self, system: NetworkEquations, text: KernelText, delays: DelayLines | None) -> None:
         self.system, self.text, self.delays = system, text, delays
         self.count = len(self.system.states)
         self.paired = self.system.linear and self.count > FEW_STATES
@@ -113,7 +113,7 @@ class Integrator:
             lines.append(f"m{j} = " + " + ".join([f"x{j}", *shares]))
         return lines
 
-    def _three(self, forms: list[Form], suffix: str) -> tuple[list[str], list[tuple[str, str, str]]]:
+    def _three(self, forms: list[AffineForm], suffix: str) -> tuple[list[str], list[tuple[str, str, str]]]:
         """Return lines, and per form its values at the start and the end of the step and its mean."""
         lines: list[str] = []
         found = []
@@ -155,7 +155,7 @@ class Integrator:
         return lines
 
     def _chained(
-        self, y: list[str], outlets: str, suffix: str, forms: Iterable[Form], offsets: bool = True
+        self, y: list[str], outlets: str, suffix: str, forms: Iterable[AffineForm], offsets: bool = True
     ) -> tuple[dict[str, str], list[str]]:
         """Return names of all that the forms need at temperatures `y`, and lines for the locals among it."""
         system = self.system
@@ -172,9 +172,9 @@ class Integrator:
                 lines.append(f"{names[name]} = {self._expression(form, names, offsets)}")
         return names, lines
 
-    def _expression(self, form: Form, names: Mapping[str, str], offsets: bool) -> str:
+    def _expression(self, form: AffineForm, names: Mapping[str, str], offsets: bool) -> str:
         slopes = {v: t for v, t in form.slopes.items() if names[v] != ZERO}
-        return renamed(Form(slopes, form.offset if offsets else ZERO).text(), names)
+        return renamed(AffineForm(slopes, form.offset if offsets else ZERO).text(), names)
 
     def _rates(self, y: list[str], outlets: str, stage: str, offsets: bool = True) -> list[str]:
         """Return the rates k0, k1, .. of a stage at temperatures `y`, with delay outlets named `outlets` + index."""

@@ -56,10 +56,10 @@ class Kernel:
         return self._layout.size
 
     def _variant(self, mode: Mode, call: _Call) -> Callable[..., None]:
-        key = (mode, call.lanes, call.alike)
+        key = (mode, call.lanes, call.same_flow)
         if key not in self._variants:
             self._variants[key] = compile_kernel(
-                kernel_source(self.network, mode, self.lane_ids, call.lanes, call.alike)
+                kernel_source(self.network, mode, self.lane_ids, call.lanes, call.same_flow)
             )
         return self._variants[key]
 
@@ -176,7 +176,7 @@ class _Call:
             raise ValueError("parameters and initial states must be finite")
         self._start = _in_blocks(temperatures, count, lanes)
         self._past = np.empty((0, 0, 0)) if past is None else _in_blocks(past, count, lanes)
-        self.alike = layout.pushed_alike(past)
+        self.same_flow = layout.pushed_equally(past)
         self.history = history
         self.time, self.inputs = layout.with_history(history, time, inputs)
         self.first = len(self.time) - len(time)

@@ -65,8 +65,8 @@ def compile_kernel(source: str) -> Callable[..., None]:
         try:
             kernel = _load(folder, key, source)
         except Exception:
-            # Files of a numba that was replaced in place raise whatever unpickling raises; a rebuild tells a useless
-            # cache from broken source.
+            # Files of a numba that was replaced in place raise any error of unpickling; a rebuild distinguishes a
+            # useless cache from broken source.
             shutil.rmtree(folder, ignore_errors=True)
             kernel = _load(folder, key, source)
         _note(folder)

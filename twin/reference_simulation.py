@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.assembly import System, python_source, stateful_source
+from twin.assembly import NetworkEquations, python_source, stateful_source
 from twin.generated_code import define_functions, evaluate_formula
 from twin.kernel import clean_time, hold_inputs
 from twin.network import Array, Network, TwinFileError
@@ -103,7 +103,7 @@ def simulate_fine_steps(
     Notes ----- Heun's method. Water is followed by the volume that has been pushed in behind it, on a straight line
     between its values at the ends of steps: the error is of second order in the step.
     """
-    system = System(network, ())
+    system = NetworkEquations(network, ())
     if system.drives:
         raise TwinFileError(f"twin {network.name!r} has actuators, which the slow simulation does not know")
     scope = define_functions(stateful_source(system), f"<{network.name}, remembering>")

@@ -71,33 +71,33 @@ def with_elements(
     TwinFileError
         One plain sentence; every check of a twin file holds.
     """
-    what = f"twin {network.name!r}"
+    title = f"twin {network.name!r}"
     network.index(values)
     data = to_tables(dataclasses.replace(network, revision=revision or network.revision))
     elements = data["elements"]
     for column, table in inputs.items():
         plain = _plain(table)
         if column in data["inputs"] and data["inputs"][column] != plain:
-            raise TwinFileError(f"{what} has another input {column!r} already; name the new one otherwise")
+            raise TwinFileError(f"{title} has another input {column!r} already; name the new one otherwise")
         data["inputs"][column] = plain
     for name, value in values.items():
         p = network.parameters[name]
         if p.same_as:
-            raise TwinFileError(f"{name} of {what} is the same as {p.same_as}; change that one")
+            raise TwinFileError(f"{name} of {title} is the same as {p.same_as}; change that one")
         elements[p.element][p.name]["value"] = _plain(value)
     for name, table in replace.items():
         if name not in elements:
-            raise TwinFileError(f"{what} has no element {name!r}{did_you_mean(name, elements)}")
+            raise TwinFileError(f"{title} has no element {name!r}{did_you_mean(name, elements)}")
         for key, entry in table.items():
-            _set(elements[name], key, _plain(entry), f"{what}: {name}")
+            _set(elements[name], key, _plain(entry), f"{title}: {name}")
     for name, table in tables.items():
         if name in elements:
-            raise TwinFileError(f"{what} has an element {name!r} already; name the new one otherwise")
+            raise TwinFileError(f"{title} has an element {name!r} already; name the new one otherwise")
         elements[name] = _plain(table)
-    return from_tables(data, what)
+    return from_tables(data, title)
 
 
-def _set(element: dict[str, Any], key: str, entry: Any, what: str) -> None:
+def _set(element: dict[str, Any], key: str, entry: Any, title: str) -> None:
     old = element.get(key)
     if entry is None:
         element.pop(key, None)
@@ -106,7 +106,7 @@ def _set(element: dict[str, Any], key: str, entry: Any, what: str) -> None:
     else:
         new = entry if isinstance(entry, dict) else {"value": entry}
         if "same_as" in old and not new.keys() & {"value", "same_as"}:
-            raise TwinFileError(f"{what}.{key} is the same as {old['same_as']}; change that one")
+            raise TwinFileError(f"{title}.{key} is the same as {old['same_as']}; change that one")
         shared = "same_as" in old or "same_as" in new  # a value of its own and a shared one exclude each other
         element[key] = new if shared else old | new
 
@@ -171,7 +171,7 @@ def chain(path: str | Path) -> tuple[ChainEntry, ...]:
         if is_edited(read_text(path), network.revision.checksum):
             faults.append(
                 f"{path.name} was edited after it was saved (its checksum no longer matches); its errors and "
-                "evidence belong to what it was then"
+                "evidence belong to the text as it was saved"
             )
         below: Network | None = None
         if parent is not None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.assembly import System
+from twin.assembly import NetworkEquations
 from twin.delays import delay_layout
 from twin.network import Array, Network, TwinFileError
 
@@ -43,7 +43,7 @@ class StateLayout:
 
     def __init__(self, network: Network, free: tuple[str, ...], held: tuple[str, ...] = ()) -> None:
         self._name = network.name
-        own, inner = System(network, held), System(network, free)
+        own, inner = NetworkEquations(network, held), NetworkEquations(network, free)
         self.nodes = len(network.nodes)
         names, wanted = _names(own), _names(inner)
         self._width = len(names)
@@ -84,7 +84,7 @@ class StateLayout:
         commands = state[0, at:] if full and self._commands else None
         return start, past, commands
 
-    def pushed_alike(self, past: Array | None) -> bool:
+    def pushed_equally(self, past: Array | None) -> bool:
         """Return True if the same volumes have been pushed through all delay lines (P, rows)."""
         return past is None or len(past) == 1 or not np.ptp(past[:, self._pushed], axis=0).any()
 
@@ -123,6 +123,6 @@ class StateLayout:
         return rows.ravel()
 
 
-def _names(system: System) -> list[str]:
+def _names(system: NetworkEquations) -> list[str]:
     driven = [f"{name}.arrived" for name, drive in system.drives if drive.lag]
     return [*system.states, *system.lags, *driven]

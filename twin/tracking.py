@@ -6,8 +6,8 @@ calibrated, and continues from the calibrated state. So `tracked` is never fitte
 `Calibration.fitted` is. A calibrator that proposes within windows too (`Proposer`) moves the live twin there as well
 (docs/decisions/0010): the samples that follow are still predicted.
 
-For its first seconds (SETTLE_S) the initial state is found recursively: each sample is predicted, then the state
-moves by 1/n towards the measurement, which makes it the mean of the first n. It goes sample by sample, so that nothing
+For its first seconds (SETTLE_S) the initial state is found recursively. Each sample is predicted, then the state moves
+by 1/n towards the measurement, which makes it the mean of the first n. It goes sample by sample, so that nothing
 depends on how the stream is cut into blocks.
 """
 

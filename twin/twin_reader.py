@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, replace
 from typing import Any, NoReturn
 
-from twin.assembly import System
+from twin.assembly import NetworkEquations
 from twin.column_names import contradicted_unit
 from twin.elements import KINDS, Element, Parameter, ParameterSpec
 from twin.elements.base import STATUSES
@@ -135,7 +135,7 @@ class TwinReader:
             digest=digest(self.text),
         )
         try:
-            assert System(network, network.ids).slopes
+            assert NetworkEquations(network, network.ids).slopes
         except ValueError as error:
             self.fail((), f"the elements do not fit together: {error}")
         return network
@@ -160,7 +160,7 @@ class TwinReader:
         if named is not None:
             self.fail(
                 keys,
-                f"unit {unit!r} contradicts the name, which ends in {named}; convert nominal and bounds to {named}, or "
+                f"unit {unit!r} contradicts the name, which means {named}; convert nominal and bounds to {named}, or "
                 "name the column after its unit",
             )
         return InputSpec(column=column, unit=unit, source=str(table.get("source", "")), **values)

@@ -15,7 +15,7 @@ from hil.cli.options.reading import reading
 
 if TYPE_CHECKING:
     from hil.record.reader import Reading
-    from twin.commission import CommissionOptions, CommissionResult
+    from twin.commissioning import CommissionResult
 
 
 @click.command()
@@ -60,8 +60,8 @@ def command(
     from hil.record.reader import read_record
     from hil.record.values.units import beyond_declared
     from hil.run.session.terminal import console
-    from twin.commission import commission
     from twin.commission_check import clock_warning, refusal_reason
+    from twin.commissioning import CommissionOptions, commission
     from twin.datasheet import from_datasheet
     from twin.network import TwinFileError
     from twin.twinfile import load

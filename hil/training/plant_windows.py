@@ -27,7 +27,7 @@ from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.gaps import damaged
 from twin.calibrators.hiera_unet.parameters import LOSS, SUM
 from twin.calibrators.hiera_unet.series import Series, series
-from twin.commission import CommissionOptions, commission
+from twin.commissioning import CommissionOptions, commission
 from twin.network import Array, Network, TwinFileError
 from twin.twinfile import load
 

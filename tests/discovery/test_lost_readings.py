@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.commission import commission
+from twin.commissioning import commission
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
 from twin.network import Array, mean_of_sensors

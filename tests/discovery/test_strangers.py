@@ -8,7 +8,7 @@ import pytest
 
 from hil.record.reader import Record, read_record
 from tests.twin.conftest import stranger  # noqa: F401
-from twin.commission import commission
+from twin.commissioning import commission
 from twin.datasheet import from_datasheet
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from tests.twin.conftest import START, drive
-from twin.commission import CommissionOptions, commission
+from twin.commissioning import CommissionOptions, commission
 from twin.gauss_newton import FitData, GaussianPrior, Scaling, fit_initial_state, fit_parameters
 from twin.kernel import Kernel, mask_measurements, simulate
 from twin.network import Network, TwinFileError

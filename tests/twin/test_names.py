@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.assembly import System, python_source, stateful_source
+from twin.assembly import NetworkEquations, python_source, stateful_source
 from twin.codegen import MODES, kernel_source
 from twin.elements.symbols import Names, Symbols
 from twin.generated_code import MATH, GeneratedCodeError, check_source, define_functions, evaluate_formula
@@ -78,7 +78,7 @@ def test_no_name_is_part_of_generated_source_even_past_the_reader(loop: Network,
     odd = renamed(loop, loop.input_columns[1], name)
     assert name in odd.input_columns
     assert python_source(odd) == python_source(loop)
-    assert stateful_source(System(odd, odd.ids)) == stateful_source(System(loop, loop.ids))
+    assert stateful_source(NetworkEquations(odd, odd.ids)) == stateful_source(NetworkEquations(loop, loop.ids))
     for mode in MODES:
         assert kernel_source(odd, mode, odd.tunables()) == kernel_source(loop, mode, loop.tunables())
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hil.tracking.twins import TrackingConfig, Twins
 from tests.discovery.conftest import Bench
-from twin.commission import commission
+from twin.commissioning import commission
 from twin.discovery.effects.probe import Probe
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns

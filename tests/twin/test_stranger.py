@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from twin.commission import commission
+from twin.commissioning import commission
 from twin.datasheet import from_datasheet
 from twin.network import Network
 from twin.tracking import TwinTracker

@@ -12,7 +12,7 @@ from tests.twin.two_nodes import TWO
 from twin.calibrators import ANY_TWIN_CALIBRATORS, CALIBRATOR_NAMES, make_calibrator
 from twin.calibrators.base import Calibrator, Window
 from twin.calibrators.least_squares import LeastSquares
-from twin.calibrators.pso import PAPER, TUNED, Swarm
+from twin.calibrators.pso import PAPER, TUNED, ParticleSwarm
 from twin.calibrators.windows import classify_window, initial_mismatch, last_row_of_window, make_window
 from twin.kernel import simulate
 from twin.network import Network, TwinFileError, WindowRules
@@ -91,7 +91,7 @@ def test_same_seed_same_answer_and_a_saved_state_goes_on(loop: Network, name: st
 @pytest.mark.parametrize("settings", [PAPER, replace(PAPER, run_up=False), TUNED])
 def test_never_worse_than_what_it_had(loop: Network, settings) -> None:  # type: ignore[no-untyped-def]
     truth = loop.with_values({"fins.UA_100": 64.0})
-    swarm = Swarm(loop, "paper4", settings, seed=1)
+    swarm = ParticleSwarm(loop, "paper4", settings, seed=1)
     w = window(loop, truth)
     done = swarm.calibrate(w)
     assert w.kind == "calibrated"
@@ -176,6 +176,6 @@ def test_a_twin_without_tunables_is_refused_by_every_calibrator() -> None:
 
 def test_a_set_without_bounds_cannot_be_swarmed_in_the_papers_units(loop: Network) -> None:
     with pytest.raises(TwinFileError, match="has no bounds"):
-        Swarm(loop, "commission", "paper")
+        ParticleSwarm(loop, "commission", "paper")
     with pytest.raises(TwinFileError, match="no swarm preset"):
-        Swarm(loop, "paper4", "best")
+        ParticleSwarm(loop, "paper4", "best")

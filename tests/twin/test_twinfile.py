@@ -18,12 +18,12 @@ BAD = {
     "input in other degrees": (
         '22.0, lower = -40.0, upper = 60.0, unit = "degC"',
         '72.0, unit = "°F"',
-        "says degC; convert",
+        "means degC; convert",
     ),
     "input in other watts": (
         'upper = 5000.0, unit = "W"',
         'upper = 5000.0, unit = "kW"',
-        "says W; convert",
+        "means W; convert",
     ),
     "status": ("value = 3000.0,", 'value = 3000.0, status = "free",', "status 'free' is not one of"),
     "not a number": ("{ value = 3000.0,", '{ value = "big",', "must be a finite number"),

@@ -4,18 +4,36 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from twin.calibrators.base import Calibration, Calibrator, Window, WindowKind
+from twin.calibrators.base import (
+    Calibration,
+    Calibrator,
+    FilteredReadings,
+    Proposer,
+    Restartable,
+    SampleFilter,
+    Window,
+    WindowKind,
+)
+from twin.calibrators.windows import LEAST_ROWS, LEAST_SPAN, make_window
 from twin.network import Network, TwinFileError
 
 __all__ = [
     "ANY_TWIN_CALIBRATORS",
     "CALIBRATOR_NAMES",
+    "LEAST_ROWS",
+    "LEAST_SPAN",
     "UNTRAINED_CALIBRATORS",
     "Calibration",
     "Calibrator",
+    "FilteredReadings",
+    "Proposer",
+    "Restartable",
+    "SampleFilter",
     "Window",
     "WindowKind",
+    "default_tunables",
     "make_calibrator",
+    "make_window",
 ]
 
 UNTRAINED_CALIBRATORS = ("pso", "pso_paper", "least_squares", "kalman")
@@ -53,9 +71,9 @@ def make_calibrator(
         There is no trained network for this twin, or that of `card` does not fit it.
     """
     if name == "pso":
-        from twin.calibrators.pso import Swarm
+        from twin.calibrators.pso import ParticleSwarm
 
-        return Swarm(network, tunables or default_tunables(network), "tuned", seed)
+        return ParticleSwarm(network, tunables or default_tunables(network), "tuned", seed)
     if name == "least_squares":
         from twin.calibrators.least_squares import LeastSquares
 
@@ -67,9 +85,9 @@ def make_calibrator(
     if name in CALIBRATOR_NAMES:
         _require_loop(name, network, tunables)
     if name == "pso_paper":
-        from twin.calibrators.pso import Swarm
+        from twin.calibrators.pso import ParticleSwarm
 
-        return Swarm(network, tunables or "paper4", "paper", seed)
+        return ParticleSwarm(network, tunables or "paper4", "paper", seed)
     if name == "hiera_unet":
         from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
 

@@ -1,7 +1,7 @@
 """Localisation of a disturbance: the constant unknown power, in one volume, that best explains a window's residual.
 
-The residual of the live twin's prediction is compared with the linear response of every volume to a constant heat
-input, from the beginning of the window or of one of its quarters. Initial state and tunables are projected out with
+The residual of the live twin's prediction is compared with every volume's linear response to a constant heat input.
+The input begins with the window or with one of its quarters. Initial state and tunables are projected out with
 their plausible drift since the last window. The volume with the largest gain is named if that one number explains
 nearly all of the mismatch. A scalar cost hides the place (in scenario 2 of Energies 2026, 19, 2452 the tank changes and
 the largest error shows at the heater); the pattern over all sensors does not.
@@ -174,7 +174,7 @@ def with_power_probes(network: Network) -> tuple[Network, tuple[str, ...]]:
         name = f"{element.name}.{spec.name}"
         elements.append(element)
         parameters[name] = Parameter(
-            name, element.name, spec.name, 0.0, spec.unit, spec.lower, spec.upper, "fixed", "asked after a mismatch"
+            name, element.name, spec.name, 0.0, spec.unit, spec.lower, spec.upper, "fixed", "probe of a mismatch"
         )
         ids.append(name)
     return replace(network, elements=tuple(elements), parameters=MappingProxyType(parameters), digest=""), tuple(ids)

@@ -1,9 +1,10 @@
 """Identifiability of parameters in a single window.
 
 The information of the window alone, without earlier windows, is J'J of its residuals with the initial state taken as
-unknown (its Schur complement). Parameters are dropped one by one, always the one with the largest standard error
-against its range of plausible values, until the rest is identifiable together: backward elimination, as in Brun,
-Reichert & Kuensch, Water Resources Research 37 (2001) 1015. The standard errors of a set measure its collinearity.
+unknown (its Schur complement). Parameters are dropped one by one, until the rest is identifiable together. The next is
+always the one with the largest standard error against its range of plausible values. This is backward elimination, as
+in Brun, Reichert & Kuensch, Water Resources Research 37 (2001) 1015. The standard errors of a set measure its
+collinearity.
 """
 
 from __future__ import annotations

@@ -5,9 +5,10 @@ temperatures K]. The model is linear in the temperatures and mildly not in the p
 differences along the predicted trajectory, are renewed every RENEW_S only; in between a sample costs a scalar update
 per sensor.
 
-A naive joint filter diverges with nine tunables. Hence: parameters in units of their plausible range, held inside their
-bounds by a transformation w; the commissioned values as an informative prior; a small random walk; and innovations
-that are larger than expected widen the parameters' covariance again, segment by segment and only as far as needed.
+A naive joint filter diverges with nine tunables. Hence parameters are in units of their plausible range, held inside
+their bounds by a transformation w. The commissioned values are an informative prior, followed by a small random walk.
+Innovations that are larger than expected widen the parameters' covariance again, segment by segment and only as far as
+needed.
 Some windows the filter cannot follow even so: a change is too slow for single innovations, or so large that a
 derivative at the wrong place misleads. They are fitted by least squares, from the filter's estimate before the window,
 and the filter continues from there.
@@ -281,8 +282,8 @@ class KalmanFilter:
         q, scaling = len(self.ids), self._scaling
         w = self._now(self._piece)[0]
         values = self._values(w)
-        told = window_information(fitted.jtj, self._wide)
-        names = [i for i, hit in zip(self.ids, told.unidentifiable, strict=True) if hit]
+        info = window_information(fitted.jtj, self._wide)
+        names = [i for i, hit in zip(self.ids, info.unidentifiable, strict=True) if hit]
         moved = np.zeros(q, dtype=bool)
         lasts = structural_covariance(
             self._problem(window), v, fitted.jtj, moved, window, self._wide, max(cost**2, 1.0)
@@ -292,8 +293,8 @@ class KalmanFilter:
         return CalibrationReport(
             covariance=limit_covariance(known + lasts, self._wide) * np.outer(slope, slope),
             flags=tuple(f"{i} is not identifiable by itself: its value comes from earlier windows" for i in names),
-            window_errors=told.window_errors(scaling, values),
-            condition=told.condition,
+            window_errors=info.window_errors(scaling, values),
+            condition=info.condition,
         )
 
     def _problem(self, window: Window) -> FitProblem:

@@ -48,7 +48,7 @@ class WindowPosterior:
         (q, q) in z; held parameters keep their prior variance, uncorrelated.
     held, loose
         (q,) bool, parameters that stayed, and parameters that moved though they are not identifiable by themselves.
-    told
+    info
         Information of the window alone.
     chi
         Reduced chi-square of the data, at least 1.
@@ -58,7 +58,7 @@ class WindowPosterior:
     covariance: Array
     held: np.ndarray
     loose: np.ndarray
-    told: WindowInformation
+    info: WindowInformation
     chi: float
 
     def report(self, scaling: Scaling) -> CalibrationReport:
@@ -77,8 +77,8 @@ class WindowPosterior:
             covariance=self.covariance * np.outer(slope, slope),
             flags=tuple(flags),
             frozen=frozen,
-            window_errors=self.told.window_errors(scaling, self.fit.values),
-            condition=self.told.condition,
+            window_errors=self.info.window_errors(scaling, self.fit.values),
+            condition=self.info.condition,
         )
 
 
@@ -89,7 +89,7 @@ def fit_window(
     window: Window,
     before: WindowPrior,
     *,
-    told: WindowInformation | None = None,
+    info: WindowInformation | None = None,
     noise: float = 1.0,
     most: int = 25,
 ) -> WindowPosterior:
@@ -105,7 +105,7 @@ def fit_window(
         The window.
     before
         Prior of the parameters and the state.
-    told
+    info
         Information of the window, if it is known already.
     noise
         Share of `sigma` squared that is noise. Identifiability and contradiction are judged by that alone: otherwise a
@@ -122,8 +122,8 @@ def fit_window(
     of_state = np.zeros(k, dtype=bool)
     problem = FitProblem(kernel, scaling, window.parameters, data, state)
     v, at = centre, problem.linearise(centre)
-    told = told or window_information(at.jtj, scaling.prior_sd(), noise)
-    held = told.unidentifiable
+    info = info or window_information(at.jtj, scaling.prior_sd(), noise)
+    held = info.unidentifiable
     for _ in range(ROUNDS):
         inverse = np.asarray(np.linalg.inv(_independent(covariance, held)))
         prior = GaussianPrior(centre, _blocks(inverse, state_precision))
@@ -139,7 +139,7 @@ def fit_window(
     information[:q][held] = 0.0
     information[:, :q][:, held] = 0.0
     posterior = np.asarray(np.linalg.inv(information + prior.precision))[:q, :q]
-    return WindowPosterior(fit, 0.5 * (posterior + posterior.T), held, told.unidentifiable & ~held, told, chi)
+    return WindowPosterior(fit, 0.5 * (posterior + posterior.T), held, info.unidentifiable & ~held, info, chi)
 
 
 def window_data(window: Window, sigma: Array) -> FitData:

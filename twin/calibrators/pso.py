@@ -92,7 +92,7 @@ LEAST_PERTURBATION = 0.02
 """Share of the full perturbation that remains when the live twin's error is noise alone."""
 
 
-class Swarm:
+class ParticleSwarm:
     """Swarm calibrator; satisfies `Calibrator`.
 
     Parameters
@@ -136,12 +136,12 @@ class Swarm:
     def calibrate(self, window: Window) -> Calibration:
         """Run the swarm on a window."""
         settings, space = self.settings, self._space
-        cost, told = _Cost(self, window), self._told(window)
+        cost, info = _Cost(self, window), self._information(window)
         self._start_window(window)
         assert self._positions is not None
         positions, velocities = self._positions, self._velocities
         if settings.polish:
-            positions = np.where(told.unidentifiable, self._best, positions)
+            positions = np.where(info.unidentifiable, self._best, positions)
         everyone = cost(np.vstack([self._best, positions]))
         best, best_cost = self._best, float(everyone[0])
         own, own_cost = positions.copy(), everyone[1:]
@@ -164,7 +164,7 @@ class Swarm:
             )
             velocities = np.clip(velocities, -settings.velocity, settings.velocity)
             if settings.polish:
-                velocities = np.where(told.unidentifiable, 0.0, velocities)
+                velocities = np.where(info.unidentifiable, 0.0, velocities)
             positions = np.clip(positions + velocities, space.lower, space.upper)
             inertia *= settings.damping
             costs = cost(positions)
@@ -177,10 +177,10 @@ class Swarm:
         self.last = (window.time, window.inputs, cost.start(best))
         self._last_number = window.number
         self._best, self._positions, self._velocities = best, positions, velocities
-        return self._conclude(window, cost, best, best_cost, told)
+        return self._conclude(window, cost, best, best_cost, info)
 
     def _conclude(
-        self, window: Window, cost: _Cost, best: Array, best_cost: float, told: WindowInformation
+        self, window: Window, cost: _Cost, best: Array, best_cost: float, info: WindowInformation
     ) -> Calibration:
         """Return the calibration at the swarm's best position; a polished swarm descends from there first."""
         values, start = self._space.values(best), cost.start(best)
@@ -189,7 +189,7 @@ class Swarm:
             mean, prior = scaling.to_z(values), np.diag(scaling.prior_sd() ** 2)
             sigma = self.network.sigma
             done = fit_window(
-                self.kernel, scaling, sigma, window, WindowPrior(mean, prior, start), told=told, most=POLISH
+                self.kernel, scaling, sigma, window, WindowPrior(mean, prior, start), info=info, most=POLISH
             )
             if np.isfinite(done.fit.cost):
                 problem = FitProblem(self.kernel, scaling, window.parameters, window_data(window, sigma), start)
@@ -206,9 +206,9 @@ class Swarm:
                 return fitted_calibration(self.network, window, self.ids, result, report)
         readings, end = self.kernel.trace(cost.full(best[None]), start, window.time, window.inputs)
         result = WindowFit(values, start, readings[0], end[0], best_cost, cost.evaluations + 1)
-        return fitted_calibration(self.network, window, self.ids, result, told.report(self._scaling, values))
+        return fitted_calibration(self.network, window, self.ids, result, info.report(self._scaling, values))
 
-    def _told(self, window: Window) -> WindowInformation:
+    def _information(self, window: Window) -> WindowInformation:
         """Return the window's information, at the live twin's parameters."""
         scaling, data = self._scaling, window_data(window, self.network.sigma)
         problem = FitProblem(self.kernel, scaling, window.parameters, data, window.state)
@@ -264,7 +264,7 @@ class _Cost:
     that the state at the beginning follows from the parameters; or, if the swarm re-aligns, from an estimate.
     """
 
-    def __init__(self, swarm: Swarm, window: Window) -> None:
+    def __init__(self, swarm: ParticleSwarm, window: Window) -> None:
         self.swarm, self.window = swarm, window
         self.threshold = swarm.network.rules.calibrated_K
         self.index = swarm.network.index(swarm.ids)

@@ -3,8 +3,8 @@
 A healthy twin is off by some hundredths of a kelvin, and stays so for minutes. Samples are weighed accordingly: an
 error that is correlated over a minute counts once, whatever the sampling rate. Errors that last longer move parameters
 without showing in the residuals. So the spread that they cause is computed apart, from the twin's error before it saw
-the window (the sandwich of White, Econometrica 50 (1982) 1, with an error of given size and duration in place of the
-residuals).
+the window. This is the sandwich of White, Econometrica 50 (1982) 1, with an error of given size and duration in place
+of the residuals.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ PERSISTENCE_S = 300.0
 
 def sample_sd(sigma: Array, time: Array) -> Array:
     """Return the standard deviation (m,), K, of one of the samples at `time` (n,) s, noise `sigma` (m,) included."""
-    alike = max(CORRELATED_S / _pace(time), 1.0)
-    weighed: Array = np.sqrt(sigma**2 + MODEL_K**2 * alike)
-    return weighed
+    correlated = max(CORRELATED_S / _pace(time), 1.0)
+    found: Array = np.sqrt(sigma**2 + MODEL_K**2 * correlated)
+    return found
 
 
 def error_size(window: Window, sigma: Array) -> Array:

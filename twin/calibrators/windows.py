@@ -1,7 +1,7 @@
 """Ten-minute windows from a stream of samples, and the kind of each window.
 
 Windows lie on a grid from the first sample on. A window is complete with the sample after which the next one,
-at the same pace, would belong to the following window; or, after a gap, with the first sample beyond its end.
+at the same pace, would belong to the following window. After a gap it is complete with the first sample beyond its end.
 So a window of 600 samples at 1 Hz is complete with its 600th. Its size never depends on how the stream is cut
 into blocks.
 """

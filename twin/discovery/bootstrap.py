@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from twin.commission import CommissionOptions, commission
+from twin.commissioning import CommissionOptions, commission
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.healthy.drawn import drawn

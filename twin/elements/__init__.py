@@ -1,4 +1,4 @@
-"""Element kinds, one file each. A new file in this folder is a new kind: nothing else has to know of it."""
+"""Element kinds, one file each. A new file in this folder is a new kind: it is found without registration."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import importlib
 import inspect
 import pkgutil
 
-from twin.elements.base import Element, Fragment, Names, Parameter, ParameterSpec
+from twin.elements.base import Candidate, Element, Fragment, Names, Parameter, ParameterSpec, Sites
 
-__all__ = ["KINDS", "Element", "Fragment", "Names", "Parameter", "ParameterSpec"]
+__all__ = ["KINDS", "Candidate", "Element", "Fragment", "Names", "Parameter", "ParameterSpec", "Sites"]
 
 
 def _discover() -> dict[str, type[Element]]:

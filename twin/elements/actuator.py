@@ -1,4 +1,4 @@
-"""What becomes of a command, or of what a meter tells: elements see an actuator instead of its input column.
+"""Actuator, or the meter of a command: elements see its output instead of its input column.
 
     c(t)  = command(t - dead_time_s)
     lag_s * da/dt = c - a
@@ -20,7 +20,7 @@ from typing import ClassVar
 from twin.elements.base import Candidate, Element, Fragment, InputDrive, Names, ParameterSpec, Sites, place
 
 LUMPED_S = 25.0
-"""What the heat in an element's mass and the water on its way make of a step that is there at once."""
+"""Lag that an element's heat capacity and the transport of water give to an immediate step, s."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Actuator(Element):
         return (*self.parameters, ParameterSpec("full", unit, full, 1.0e-3, 1.0e6, "fixed", "full command"), offset)
 
     @classmethod
-    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         having = {e.column for e in sites.having(cls.kind)}
         found: list[Candidate] = []
         for column in sites.inputs:
@@ -55,7 +55,7 @@ class Actuator(Element):
                 found += [replace(c, adds=table) for c in _faults(column, name, _NEUTRAL)]
         return tuple(found)
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         now = {key: sites.values[f"{self.name}.{key}"] for key in _NEUTRAL}
         changed = {f"{self.name}.{key}" for key, value in now.items() if value != _NEUTRAL[key]}
         faults = _faults(self.column, self.name, now)
@@ -80,20 +80,62 @@ _NEUTRAL = {"gain": 1.0, "droop": 0.0, "lag_s": 0.0, "offset": 0.0}
 
 
 def _faults(column: str, name: str, now: Mapping[str, float]) -> list[Candidate]:
-    """What may happen to an actuator, or to a meter of a temperature, that has these values now."""
+    """Return the possible faults of an actuator, or of a temperature's meter, that has these values now."""
     what, unit = column.rsplit("_", 1)
     if unit == "C":
         return [
-            Candidate("sensor", column, "constant", "new", {f"{name}.offset": -1.0}, "K", 0.5, -20.0, 20.0,
-                "reads {value} too high"),
-        ]  # fmt: skip
+            Candidate(
+                "sensor",
+                column,
+                "constant",
+                "new",
+                {f"{name}.offset": -1.0},
+                "K",
+                0.5,
+                -20.0,
+                20.0,
+                "reads {value} too high",
+            ),
+        ]
     gain, droop = now["gain"], now["droop"]
     return [
-        Candidate("actuator", what, "constant", "new", {f"{name}.gain": 1.0}, "1", 0.03, 0.1 - gain, 3.0 - gain,
-            "delivers {share} more than its command"),
-        Candidate("actuator", what, what, "new", {f"{name}.droop": 1.0}, "1", 0.05, -0.4 - droop, 0.8 - droop,
-            "falls short by {share} at full command"),
+        Candidate(
+            "actuator",
+            what,
+            "constant",
+            "new",
+            {f"{name}.gain": 1.0},
+            "1",
+            0.03,
+            0.1 - gain,
+            3.0 - gain,
+            "delivers {share} more than its command",
+        ),
+        Candidate(
+            "actuator",
+            what,
+            what,
+            "new",
+            {f"{name}.droop": 1.0},
+            "1",
+            0.05,
+            -0.4 - droop,
+            0.8 - droop,
+            "falls short by {share} at full command",
+        ),
         # Bounded at zero: an actuator that would act before its command is not late, and the hypothesis is refused.
-        Candidate("actuator", what, "history", "new", {f"{name}.lag_s": 1.0}, "s", 60.0, 0.0, 3600.0,
-            "follows its command late by {value}", shapes=("step",), lumped=LUMPED_S),
-    ]  # fmt: skip
+        Candidate(
+            "actuator",
+            what,
+            "history",
+            "new",
+            {f"{name}.lag_s": 1.0},
+            "s",
+            60.0,
+            0.0,
+            3600.0,
+            "follows its command late by {value}",
+            shapes=("step",),
+            lumped=LUMPED_S,
+        ),
+    ]

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
 
 
 @dataclass(frozen=True)
@@ -33,22 +33,34 @@ class AmbientLoss(Element):
         return "a node is named twice" if len(set(self.nodes())) != len(self.nodes()) else None
 
     @classmethod
-    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         having = {node for e in sites.having(cls.kind) for node in e.nodes()}
         return tuple(
             Candidate(
-                "heat_loss", sites.places[node], "temperature_difference", "new", {f"{name}.hA": 1.0}, "W/K", 1.0,
-                0.0, 60.0, "loses {value} to the room",
+                "heat_loss",
+                sites.places[node],
+                "temperature_difference",
+                "new",
+                {f"{name}.hA": 1.0},
+                "W/K",
+                1.0,
+                0.0,
+                60.0,
+                "loses {value} to the room",
                 adds={name: {"kind": cls.kind, "node": node, "ambient": sites.room}},
             )
             for node in sites.nodes
             if sites.room and node not in having and (name := f"loss_of_{node}")
-        )  # fmt: skip
+        )
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         where = sites.places[self.node]
         says, now = "loses {value} more to the room than when commissioned", sites.values[f"{self.name}.hA"]
-        return (self.moves("hA", "heat_loss", where, "temperature_difference", "W/K", 1.0, -now, 60.0, says),)
+        return (
+            self.parameter_candidate(
+                "hA", "heat_loss", where, "temperature_difference", EffectSize("W/K", 1.0, -now, 60.0), says
+            ),
+        )
 
     def emit(self, n: Names) -> Fragment:
         hA = n.par("hA")

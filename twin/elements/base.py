@@ -1,9 +1,9 @@
-"""The contract of an element, and the names under which its formulas see the network.
+"""Contract of an element, and the names under which its formulas see the network.
 
 An element turns its parameters, the inputs of the current sample interval and the temperatures of its nodes
 into heat flows. It does so by short arithmetic expressions, which the kernel generator puts into one fused loop over
-lanes. Expressions rather than calls, because only then does one loop hold the whole network. They are written in the
-generated identifiers of `twin.elements.symbols`: no name from a file is ever part of one.
+lanes. They are expressions rather than calls, because only then does one loop hold the whole network. They are written
+in the generated identifiers of `twin.elements.symbols`: no name from a file is ever part of one.
 
 The levels of an expression, cheapest first:
 
@@ -12,13 +12,13 @@ The levels of an expression, cheapest first:
 ``stage``    temperatures too
 ``heat``     the result, W into each node
 
-An element may also remember. A `State` is a temperature of its own that is integrated with those of the nodes; a
-`Lag` follows a temperature without acting on it; a `Delay` hands on water after the flow has pushed it through; a
-`Drive` stands between an input column and what the elements see of it.
+An element may also have memory. An `ElementState` is a temperature of its own that is integrated with those of the
+nodes. A `SensorLag` follows a temperature without acting on it. A `PlugFlowDelay` hands on water after the flow has
+pushed it through. An `InputDrive` stands between an input column and the value that the elements see.
 
-Whatever is affine in the temperatures is taken apart by the kernel generator, so an element need not care how it
-writes it down. Every parameter that switches an effect off should do so at exactly 0 or 1: while such a parameter is
-fixed there, `Names.constant` tells, and the element may leave the effect out.
+The kernel generator takes apart every expression that is affine in the temperatures, so an element need not care how it
+writes it down. Every parameter that switches an effect off should do so at exactly 0 or 1. While such a parameter is
+fixed there, `Names.constant` returns that value, and the element may leave the effect out.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ STATUSES: tuple[Status, ...] = ("fixed", "boundary", "tunable")
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """What a kind says about one of its parameters; a twin file may narrow or replace everything but the unit.
+    """Declaration of a parameter by its kind; a twin file may narrow or replace everything but the unit.
 
     ``default`` None means that the file must give a value. ``lower`` and ``upper`` are the physical bounds
     inside which the kernel is guaranteed to stay finite.
@@ -54,7 +54,7 @@ class ParameterSpec:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of one element as a network holds it: value, bounds, unit, status, one-line source.
+    """A parameter of one element in a network: value, bounds, unit, status, one-line source.
 
     With `same_as`, the id of another parameter, it has no value of its own but that parameter's.
     """
@@ -75,9 +75,16 @@ class Parameter:
 class ElementState:
     """A temperature of the element's own, integrated like a node's; `Names.state` is its identifier.
 
-    Attributes:
-        name: within the element. rate: dT/dt, K/s. start: temperature at rest, in node temperatures.
-        speed: upper bound on how strongly the rate depends on the state itself, 1/s, free of temperatures.
+    Attributes
+    ----------
+    name
+        Name within the element.
+    rate
+        dT/dt, K/s.
+    start
+        Temperature at rest, in node temperatures.
+    speed
+        Upper bound on the dependence of the rate on the state itself, 1/s, free of temperatures.
     """
 
     name: str
@@ -88,11 +95,16 @@ class ElementState:
 
 @dataclass(frozen=True)
 class SensorLag:
-    """A first-order follower, constant * dz/dt = of - z, that nothing but a reading depends on.
+    """A first-order lag, constant * dz/dt = of - z, on which nothing but a reading depends.
 
-    Attributes:
-        name: within the element; `Names.lagged` is the identifier of z.
-        of: weighted mean of temperatures. constant: time constant in s, free of temperatures, 0 allowed.
+    Attributes
+    ----------
+    name
+        Name within the element; `Names.lagged` is the identifier of z.
+    of
+        Weighted mean of temperatures.
+    constant
+        Time constant in s, free of temperatures, 0 allowed.
     """
 
     name: str
@@ -104,14 +116,19 @@ class SensorLag:
 class PlugFlowDelay:
     """Water that comes out when the flow has pushed `volume` through: plug flow.
 
-    The kernel provides two names. ``Names.outlet()`` is the temperature of what comes out after the delay, and
-    ``Names.local("late")`` the share of the water that is delayed: 1, but for a volume that the flow fills in less
-    than one step, where the rest passes at once and the mean delay stays right. So the outlet is
-    ``(1 - late) * water + late * outlet``, which is continuous in the volume down to 0.
+    The kernel provides two names. ``Names.outlet()`` is the temperature of the water that comes out after the delay,
+    and ``Names.local("late")`` the share of the water that is delayed. That is 1, except for a volume that the flow
+    fills in less than one step: there the rest passes at once and the mean delay stays right. So the outlet is ``(1 -
+    late) * water + late * outlet``, which is continuous in the volume down to 0.
 
-    Attributes:
-        water: temperature of the water that enters. flow: L/s. volume: L, free of temperatures.
-        start: what the pipe is filled with at rest, in node temperatures.
+    Attributes
+    ----------
+    water
+        Temperature of the water that enters.
+    flow, volume
+        L/s, and L, free of temperatures.
+    start
+        Temperature of the contents at rest, in node temperatures.
     """
 
     water: str
@@ -122,11 +139,16 @@ class PlugFlowDelay:
 
 @dataclass(frozen=True)
 class InputDrive:
-    """What the elements see of an input column, instead of the column.
+    """The value that the elements see instead of an input column.
 
-    Attributes:
-        column: the input. value: expression of ``Names.arrived()``, the command after dead time and lag.
-        dead_time, lag: s, parameters only, or None.
+    Attributes
+    ----------
+    column
+        The input.
+    value
+        Expression of ``Names.arrived()``, the command after dead time and lag.
+    dead_time, lag
+        s, parameters only, or None.
     """
 
     column: str
@@ -137,17 +159,25 @@ class InputDrive:
 
 @dataclass(frozen=True)
 class Fragment:
-    """What an element adds to the kernel.
+    """An element's part of the kernel.
 
-    Attributes:
-        uniform: (local name, expression) evaluated once per sample interval.
-        sample: (local name, expression) evaluated per interval and lane when an input has changed.
-        stage: (local name, expression) evaluated in every stage of the integrator.
-        heat: node -> expression, W into the node.
-        conductance: node -> expression of `uniform`, `sample` and parameters only: an upper bound on how
-            strongly the heat depends on the node's own temperature, W/K. It sets the substeps.
-        observe: expression of a sensor's reading, degC, or None.
-        states, lags, delay, drive: what the element remembers.
+    Attributes
+    ----------
+    uniform
+        (local name, expression) evaluated once per sample interval.
+    sample
+        (local name, expression) evaluated per interval and lane when an input has changed.
+    stage
+        (local name, expression) evaluated in every stage of the integrator.
+    heat
+        Node -> expression, W into the node.
+    conductance
+        Node -> expression of `uniform`, `sample` and parameters only: an upper bound on the dependence of the heat on
+        the node's own temperature, W/K. It sets the substeps.
+    observe
+        Expression of a sensor's reading, degC, or None.
+    states, lags, delay, drive
+        The element's memory.
     """
 
     uniform: tuple[tuple[str, str], ...] = ()
@@ -162,7 +192,7 @@ class Fragment:
     drive: InputDrive | None = None
 
     def remembered(self, element: str) -> dict[str, tuple[str, ...]]:
-        """Return the names of what the element remembers, by the first letter of their identifiers."""
+        """Return the names in the element's memory, by the first letter of their identifiers."""
         return {
             "x": tuple(f"{element}.{s.name}" for s in self.states),
             "f": tuple(f"{element}.{lag.name}" for lag in self.lags),
@@ -172,28 +202,39 @@ class Fragment:
 
 
 SHAPES = ("step", "ramp", "saturating")
-"""How an effect may come in: at once, growing in proportion to time, or growing to a final size."""
+"""Time courses of an effect: at once, growing in proportion to time, or growing to a final size."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect that a twin may lack, or a parameter of it that may have moved.
+    """An effect that a twin may lack, or a parameter of it that may have changed.
 
-    Attributes:
-        kind, where, driver, change: in the vocabulary of a diagnosis.
-        changes: parameter id -> weight. At size s a parameter is its neutral (or present) value plus weight times s;
-            with `inverse`, weight over s.
-        unit, typical, lower, upper: of the size. typical: a size of interest; bounds hold its possible signs.
-        says: the effect in words, with ``{value}`` for the size and its unit, or ``{share}`` for it in percent, and
-            ``{slow}`` for how slow it is; "more" and "too high" right after it turn into their opposites where it is
-            negative.
-        adds: name -> table of the elements that are added.
-        replaces: element -> keys of its table that differ.
-        shapes: time shapes in which it may come in.
-        lumped: size that a twin of mixed volumes may seem to lack, more without pipes, without anything being wrong.
-        near: makes other forms of the same, which are looked at where this one scores.
-        begins: input column whose temperature what is added begins at when it comes in, or "" for that of its place.
-        slow_s: time constant of a temperature of its own, s, or 0. slower: makes the same with another one.
+    Attributes
+    ----------
+    kind, where, driver, change
+        Labels in the vocabulary of a diagnosis.
+    changes
+        Parameter id -> weight. At size s a parameter is its neutral (or present) value plus weight times s; with
+        `inverse`, weight over s.
+    unit, typical, lower, upper
+        Unit of the size, a size of interest, and bounds, which contain its possible signs.
+    says
+        The effect in words, with ``{value}`` for the size and its unit, ``{share}`` for it in percent, and ``{slow}``
+        for the time constant. "more" and "too high" right after it turn into their opposites where it is negative.
+    adds
+        Name -> table of the elements that are added.
+    replaces
+        Element -> keys of its table that differ.
+    shapes
+        Possible time courses.
+    lumped
+        Size that a twin of mixed volumes may seem to lack, more without pipes, without any fault.
+    near
+        Function that makes similar forms, which are tested where this one scores.
+    begins
+        Input column whose temperature an added mass has at its onset, or "" for that of its place.
+    slow_s, slower
+        Time constant of a temperature of its own, s, or 0, and a function that makes the same with another one.
     """
 
     kind: str
@@ -218,7 +259,7 @@ class Candidate:
 
     @property
     def id(self) -> str:
-        """Unique within a catalogue."""
+        """Return a text that is unique within a catalogue."""
         weights = ",".join(f"{name}*{weight:.4g}" for name, weight in self.changes.items())
         others = "".join(f"|{key}={value}" for keys in self.replaces.values() for key, value in keys.items())
         others += f"|from {self.begins}" if self.begins else ""
@@ -226,15 +267,37 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Sites:
-    """What a network offers to an element that it may lack.
+class EffectSize:
+    """Size of an effect: its unit, a size of interest, and bounds."""
 
-    Attributes:
-        nodes, inputs: names. room, clock: input columns of the room temperature and the time of day, or "".
-        before: node -> the node before it on a flow path. places: node -> what an operator calls the place.
-        groups: place -> nodes that are alike and are named together.
-        elements: every element. values: id -> present value. litres_per_s: of the largest nominal flow.
-        scales: input column -> how far it goes, as declared.
+    unit: str
+    typical: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Sites:
+    """The places of a network at which an element may be missing.
+
+    Attributes
+    ----------
+    nodes, inputs
+        Names.
+    room, clock
+        Input columns of the room temperature and the time of day, or "".
+    before
+        Node -> the node before it on a flow path.
+    places
+        Node -> the operator's name of the place.
+    groups
+        Place -> nodes that are alike and are named together.
+    elements, values
+        Every element, and id -> present value.
+    litres_per_s
+        Largest nominal flow, L/s.
+    scales
+        Input column -> its declared range.
     """
 
     nodes: tuple[str, ...]
@@ -250,19 +313,23 @@ class Sites:
     scales: Mapping[str, float] = field(default_factory=dict)
 
     def having(self, kind: str) -> tuple[Any, ...]:
-        """The network's elements of a kind."""
+        """Return the network's elements of a kind."""
         return tuple(e for e in self.elements if e.kind == kind)
 
 
 def place(role: Literal["node", "nodes", "input", "columns", "choice"], about: str, **extra: Any) -> Any:
-    """A dataclass field that a twin file fills: where the element stands, or what drives it.
+    """Return a dataclass field that a twin file fills: a place of the element, or its driver.
 
-    Args:
-        role: ``node`` one node; ``nodes`` a list of nodes; ``input`` an input column; ``columns`` measured
-            columns; ``choice`` one of ``choices``.
-        about: one line for the error message and the documentation.
-        extra: ``default`` makes the key optional; ``choices`` lists what a choice may be; ``key`` is the key
-            in the file where it cannot be a Python name (``from``).
+    Parameters
+    ----------
+    role
+        ``node`` one node; ``nodes`` a list of nodes; ``input`` an input column; ``columns`` measured columns;
+        ``choice`` one of ``choices``.
+    about
+        One line for the error message and the documentation.
+    extra
+        ``default`` makes the key optional; ``choices`` lists the possible values of a choice; ``key`` is the key in the
+        file where it cannot be a Python name (``from``).
     """
     metadata = {"role": role, "about": about, **{k: v for k, v in extra.items() if k != "default"}}
     if "default" in extra:
@@ -272,54 +339,47 @@ def place(role: Literal["node", "nodes", "input", "columns", "choice"], about: s
 
 @dataclass(frozen=True)
 class Element(ABC):
-    """One piece of physics between nodes. Subclasses are frozen dataclasses of their places."""
+    """A piece of physics between nodes. Subclasses are frozen dataclasses of their places."""
 
     kind: ClassVar[str]
     parameters: ClassVar[tuple[ParameterSpec, ...]] = ()
     linear: ClassVar[bool] = True
-    """Whether the heat is affine in the temperatures; decides how the kernel integrates."""
+    """True if the heat is affine in the temperatures; selects the kernel's integrator."""
 
     name: str
 
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:
-        """Parameters of this very element; a kind with one parameter per station overrides it."""
+        """Return the parameters of this very element; a kind with one parameter per station overrides it."""
         return self.parameters
 
     @abstractmethod
     def emit(self, n: Names) -> Fragment:
-        """Formulas of this element, written with the names `n`."""
+        """Return the formulas of this element, written with the names `n`."""
 
     def problem(self, values: Mapping[str, float]) -> str | None:
-        """A plain sentence if these parameter values make no sense together, else None."""
+        """Return a plain sentence if these parameter values are inconsistent, else None."""
         return None
 
     @classmethod
-    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
-        """Elements of this kind that a twin may lack, at every place where one may stand."""
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
+        """Return elements of this kind that a twin may lack, at every possible place."""
         return ()
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
-        """Parameters of this element that may have changed since it was commissioned."""
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
+        """Return parameters of this element that may have changed since it was commissioned."""
         return ()
 
-    def moves(
-        self,
-        name: str,
-        kind: str,
-        where: str,
-        driver: str,
-        unit: str,
-        typical: float,
-        low: float,
-        high: float,
-        says: str,
+    def parameter_candidate(
+        self, name: str, kind: str, where: str, driver: str, size: EffectSize, says: str
     ) -> Candidate:
-        """Candidate of one parameter of this element, its size in the parameter's own unit."""
-        return Candidate(kind, where, driver, "existing", {f"{self.name}.{name}": 1.0}, unit, typical, low, high, says)
+        """Return the candidate of one parameter of this element, its size in the parameter's own unit."""
+        changes = {f"{self.name}.{name}": 1.0}
+        limits = (size.unit, size.typical, size.lower, size.upper)
+        return Candidate(kind, where, driver, "existing", changes, *limits, says)
 
     @classmethod
     def places(cls) -> dict[str, dataclasses.Field[Any]]:
-        """Key in the twin file -> dataclass field, for everything but the name."""
+        """Return key in the twin file -> dataclass field, for everything but the name."""
         return {f.metadata.get("key", f.name): f for f in dataclasses.fields(cls) if f.name != "name"}
 
     def _of_role(self, *roles: str) -> tuple[str, ...]:
@@ -331,17 +391,17 @@ class Element(ABC):
         return tuple(found)
 
     def feeds(self) -> Mapping[str, str]:
-        """Node -> node before it on the element's flow path ("" at an inlet); flows only."""
+        """Return node -> node before it on the element's flow path ("" at an inlet); flows only."""
         return {}
 
     def nodes(self) -> tuple[str, ...]:
-        """Nodes that the element touches."""
+        """Return the nodes that the element touches."""
         return self._of_role("node", "nodes")
 
     def inputs(self) -> tuple[str, ...]:
-        """Input columns that drive the element."""
+        """Return the input columns that drive the element."""
         return self._of_role("input")
 
     def columns(self) -> tuple[str, ...]:
-        """Measured columns that the element reads (sensors only)."""
+        """Return the measured columns that the element reads (sensors only)."""
         return self._of_role("columns")

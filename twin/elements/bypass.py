@@ -1,12 +1,12 @@
-"""Water that takes a short cut past nodes of a flow path.
+"""Bypass: water that takes a short cut past nodes of a flow path.
 
     fraction * m cp * (w_in - T_j)  no longer goes into each skipped node j;
     their sum goes into the node where the streams meet again
 
 Source: heat balance of a mixing tee (Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., eq. 1.12e), exact
 for nodes that the water leaves well mixed (flow effectiveness 1, the default). Written as a correction of the flow path
-that the nodes stand on. Its parts add up to zero: heat is only rearranged. Past a single node it is the same as a flow
-effectiveness of 1 - fraction there. Past the last node of an open path what is skipped is gone with the water.
+on which the nodes stand. Its parts add up to zero: heat is only rearranged. Past a single node it is the same as a flow
+effectiveness of 1 - fraction there. Past the last node of an open path the skipped heat leaves with the water.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
 
 
 @dataclass(frozen=True)
 class Bypass(Element):
-    """A share of a loop's flow that skips one node or several in a row; fraction 0 is none at all."""
+    """A share of a loop's flow that skips one node or several in a row; there is none at fraction 0."""
 
     kind: ClassVar[str] = "bypass"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
@@ -33,26 +33,36 @@ class Bypass(Element):
         return "a node is named twice" if len(set(self.around)) != len(self.around) else None
 
     @classmethod
-    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         having = {e.around for e in sites.having(cls.kind)}
         around: list[tuple[str, tuple[str, ...]]] = [(sites.places[node], (node,)) for node in sites.before]
         around += [(place, group) for place, group in sites.groups.items() if all(n in sites.before for n in group)]
         return tuple(
             Candidate(
-                "flow", place, "constant", "new", {f"{name}.fraction": 1.0}, "of the flow", 0.05, 0.0, 0.9,
+                "flow",
+                place,
+                "constant",
+                "new",
+                {f"{name}.fraction": 1.0},
+                "of the flow",
+                0.05,
+                0.0,
+                0.9,
                 "is passed by {value}",
                 adds={name: {"kind": cls.kind, "around": list(nodes)}},
             )
             for place, nodes in around
             if nodes not in having and (name := f"bypass_of_{nodes[0]}" if len(nodes) == 1 else f"bypass_of_{place}")
-        )  # fmt: skip
+        )
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         places = {nodes: place for place, nodes in sites.groups.items()}
         where = places.get(self.around, sites.places[self.around[0]])
         now = sites.values[f"{self.name}.fraction"]
         says = "is passed by another share of the flow: a change by {value}" if now else "is passed by {value}"
-        fraction = self.moves("fraction", "flow", where, "constant", "of the flow", 0.05, -now, 0.9 - now, says)
+        fraction = self.parameter_candidate(
+            "fraction", "flow", where, "constant", EffectSize("of the flow", 0.05, -now, 0.9 - now), says
+        )
         return (fraction if now else replace(fraction, change="new"),)
 
     def emit(self, n: Names) -> Fragment:

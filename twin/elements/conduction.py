@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
 
 
 @dataclass(frozen=True)
@@ -29,28 +29,41 @@ class Conduction(Element):
         return "both ends are the same node" if self.a == self.b else None
 
     @classmethod
-    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         having = {frozenset((e.a, e.b)) for e in sites.having(cls.kind)}
         return tuple(
             Candidate(
-                "coupling", sites.places[b], "temperature_difference", "new", {f"{name}.resistance": 1.0}, "W/K", 1.0,
-                0.0, 60.0, f"exchanges heat with {a}, {{value}}",
-                adds={name: {"kind": cls.kind, "from": a, "to": b}}, inverse=True,
+                "coupling",
+                sites.places[b],
+                "temperature_difference",
+                "new",
+                {f"{name}.resistance": 1.0},
+                "W/K",
+                1.0,
+                0.0,
+                60.0,
+                f"exchanges heat with {a}, {{value}}",
+                adds={name: {"kind": cls.kind, "from": a, "to": b}},
+                inverse=True,
             )
             for i, a in enumerate(sites.nodes)
             for b in sites.nodes[i + 1 :]
             if frozenset((a, b)) not in having and (name := f"bridge_from_{a}_to_{b}")
-        )  # fmt: skip
+        )
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         now = sites.values[f"{self.name}.resistance"]
         says = f"has {{value}} more resistance to {self.a} than when commissioned"
         return (
-            self.moves(
-                "resistance", "coupling", sites.places[self.b], "temperature_difference", "K/W", 0.1 * now,
-                -0.9 * now, 20.0 * now, says,
+            self.parameter_candidate(
+                "resistance",
+                "coupling",
+                sites.places[self.b],
+                "temperature_difference",
+                EffectSize("K/W", 0.1 * now, -0.9 * now, 20.0 * now),
+                says,
             ),
-        )  # fmt: skip
+        )
 
     def emit(self, n: Names) -> Fragment:
         g, q = n.local("g"), n.local("q")

@@ -1,9 +1,9 @@
-"""Heat of unknown origin as a curve of something that is known: straight lines between five knots.
+"""Heat of unknown origin as a curve of a known quantity: straight lines between five knots.
 
     Q = q_1 + sum_k (q_(k+1) - q_k) (clip(u, x_k, x_(k+1)) - x_k) / (x_(k+1) - x_k)
 
 u is an input column, or the temperature of a node. Outside the knots the curve keeps its last value. It names no cause:
-a diagnosis offers it where no known effect explains what enters at a place, and an operator adopts it, or does not.
+a diagnosis offers it where no known effect explains the heat at a place, and an operator adopts it, or does not.
 
 Source: piecewise-linear regression function; de Boor, A Practical Guide to Splines, rev. ed., ch. III.
 """

@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
 
 _BOUND_PA_K = 1950.0
 """Slope of p_sat at 80 degC; the integrator's margin holds to boiling, where it is twice as steep."""
@@ -24,7 +24,7 @@ _BOUND_PA_K = 1950.0
 
 @dataclass(frozen=True)
 class Evaporation(Element):
-    """Evaporation from an open tank or a leak; area 0 is none at all."""
+    """Evaporation from an open tank or a leak; there is none at area 0."""
 
     kind: ClassVar[str] = "evaporation"
     linear: ClassVar[bool] = False
@@ -47,26 +47,34 @@ class Evaporation(Element):
         return (*self.parameters, spec)
 
     @classmethod
-    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         having = {e.node for e in sites.having(cls.kind)}
         humidity = [c for c in sites.inputs if "humidity" in c]
         driver = "humidity" if humidity else "temperature"
         extra = {"humidity": humidity[0]} if humidity else {}
         return tuple(
             Candidate(
-                "heat_loss", sites.places[node], driver, "new", {f"{name}.area": 1.0}, "m2", 0.02, 0.0, 2.0,
+                "heat_loss",
+                sites.places[node],
+                driver,
+                "new",
+                {f"{name}.area": 1.0},
+                "m2",
+                0.02,
+                0.0,
+                2.0,
                 "loses heat by evaporation from {value} of open water",
                 adds={name: {"kind": cls.kind, "node": node, "ambient": sites.room, **extra}},
             )
             for node in sites.before
             if sites.room and node not in having and (name := f"evaporation_of_{node}")
-        )  # fmt: skip
+        )
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         where, now = sites.places[self.node], sites.values[f"{self.name}.area"]
         driver = "humidity" if self.humidity else "temperature"
         says = "loses heat by evaporation from {value} more of open water than when commissioned"
-        return (self.moves("area", "heat_loss", where, driver, "m2", 0.02, -now, 2.0, says),)
+        return (self.parameter_candidate("area", "heat_loss", where, driver, EffectSize("m2", 0.02, -now, 2.0), says),)
 
     def emit(self, n: Names) -> Fragment:
         room, air, water, pressure = (n.local(name) for name in ("room", "air", "water", "pressure"))
@@ -82,7 +90,7 @@ class Evaporation(Element):
 
 
 def saturation_pressure(celsius: str) -> str:
-    """Expression of the saturation pressure of water, Pa (Buck 1996)."""
+    """Return the expression of the saturation pressure of water, Pa (Buck 1996)."""
     return f"611.21 * exp((18.678 - {celsius} / 234.5) * {celsius} / (257.14 + {celsius}))"
 
 

@@ -1,4 +1,4 @@
-"""Coolant pumped along a path of nodes, which closes by itself unless an inlet is given.
+"""Coolant flow along a path of nodes, which closes by itself unless an inlet is given.
 
     q = nominal * pump/100 * factor / 60             L/s
     m cp = q * density * cp                          W/K
@@ -6,27 +6,26 @@
     water leaving j:  w_j = w_in - a_j * (w_in - T_j)        (outlet = "exchanged")
                       w_j = T_j                              (outlet = "volume")
 
-``a_j`` is the share of the way to equilibrium that the water makes in node j, the same at every flow, but for the
-nodes in `film`: there it is the share at full speed, and a film between water and solid makes it follow the flow,
+``a_j`` is the share of the way to equilibrium that the water makes in node j. It is the same at every flow, except in
+the nodes of `film`. There it is the share at full speed, and a film between water and solid makes it follow the flow,
 
     a_j = 1 - exp(-NTU_j),   NTU_j = -log(1 - effectiveness_j) (pump/100)^(film_exponent - 1)
 
-as a wall of one temperature has it (Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., eqs. 8.41b, 11.35a). At
-a_j = 1 (well mixed) both
-outlets are the advective term of eq. 1 of Energies 2026, 19, 2452. Its Table 1 multiplies that term by a flow
-factor at the modules and keeps T_j as the inlet of the next volume ("volume"): for a_j other than 1 that
-creates heat from nothing, m cp (a_j - 1)(w_in - T_j). "exchanged" hands on what is left, so that the heat is
+as for a wall of one temperature (Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., eqs. 8.41b, 11.35a). At
+a_j = 1 (well mixed) both outlets are the advective term of eq. 1 of Energies 2026, 19, 2452. Its Table 1 multiplies
+that term by a flow factor at the modules and keeps T_j as the inlet of the next volume ("volume"). For a_j other than 1
+this creates heat from nothing, m cp (a_j - 1)(w_in - T_j). "exchanged" hands on the remainder, so that the heat is
 conserved for every a_j, and it is the default.
 
-Between 0 and 2 each node passes on at most what it gets, |w_j / w_in| <= 1 at every frequency, so the ring is
-stable; beyond 2 it is not, hence the bounds.
+Between 0 and 2 each node passes on at most the change that it receives, |w_j / w_in| <= 1 at every frequency. So the
+ring is stable; beyond 2 it is not, hence the bounds.
 
-A closed path in which no node is well mixed is solved for the water that comes round, w_0 = P w_0 + r with P the
-product of what the stations let through. With an inlet (a column with the temperature of the water that comes in)
-the path is open and what leaves the last node is gone.
+A closed path in which no node is well mixed is solved for the returning water, w_0 = P w_0 + r with P the product of
+the stations' transmission. With an inlet (a column with the temperature of the incoming water) the path is open and
+the water that leaves the last node is gone.
 
-A pipe before a node takes the water leaving the node before (`to_<node>`) and gives back
-``through * water + rest``; see `pipe`.
+A pipe before a node takes the water leaving the node before (`to_<node>`) and returns ``through * water + rest``; see
+`pipe`.
 """
 
 from __future__ import annotations
@@ -35,12 +34,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
 
 WATER_DENSITY = 0.997
 """kg/L at 25 degC (IAPWS-95)."""
 LEAST_PERCENT = 0.1
-"""A film at a lower pump speed counts as at this one, so that the power of a pump at rest is finite."""
+"""Pump speed below which a film stays as at this one, %: the power of a pump at rest is finite."""
 FILM_EXPONENT = ParameterSpec(
     "film_exponent", "1", 0.4, 0.0, 1.0, "fixed", "of hA in the flow: 0 laminar, 0.8 turbulent (Incropera 8.4, 8.5)"
 )
@@ -48,7 +47,7 @@ FILM_EXPONENT = ParameterSpec(
 
 @dataclass(frozen=True)
 class Flow(Element):
-    """An advective path with a pump law proportional to speed."""
+    """Advective path with a pump law proportional to speed."""
 
     kind: ClassVar[str] = "flow"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
@@ -60,7 +59,7 @@ class Flow(Element):
     path: tuple[str, ...] = place("nodes", "nodes in the order in which the water meets them; it closes by itself")
     pump: str = place("input", "input column with the pump speed in %")
     film: tuple[str, ...] = place("nodes", "nodes of the path whose share follows the flow", default=())
-    outlet: str = place("choice", "what leaves a node", choices=("exchanged", "volume"), default="exchanged")
+    outlet: str = place("choice", "water that leaves a node", choices=("exchanged", "volume"), default="exchanged")
     inlet: str = place("input", "input column with the temperature of the water that comes in", default="")
 
     def nodes(self) -> tuple[str, ...]:
@@ -96,14 +95,18 @@ class Flow(Element):
             return f"node {strangers[0]!r} has a film but is not on the path"
         return None
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         now = sites.values[f"{self.name}.factor"]
         return (
-            self.moves(
-                "factor", "flow", "loop", "constant", "of the nominal flow", 0.03, -0.8 * now, 1.0,
+            self.parameter_candidate(
+                "factor",
+                "flow",
+                "loop",
+                "constant",
+                EffectSize("of the nominal flow", 0.03, -0.8 * now, 1.0),
                 "carries {value} more than when commissioned",
             ),
-        )  # fmt: skip
+        )
 
     def emit(self, n: Names) -> Fragment:
         flow, mcp = n.local("q"), n.local("mcp")
@@ -161,14 +164,14 @@ def _arriving(n: Names, pipe: str, water: str) -> str:
 
 
 def _let_through(n: Names, share: Mapping[str, str]) -> str:
-    """How much of a change of the water comes round again; the bounds keep it well below 1."""
+    """Return the share of a change of the water that comes round again; the bounds keep it well below 1."""
     factors = [f"(1.0 - {a})" for a in share.values()]
     factors += [n.local("through", s.pipe) for s in (n.streams.get(node) for node in share) if s and s.pipe]
     return " * ".join(factors)
 
 
 def _once_around(n: Names, share: Mapping[str, str]) -> str:
-    """Water temperature after one turn that began at 0."""
+    """Return the water temperature after one turn that began at 0."""
     turn = "0.0"
     for node, a in share.items():
         stream = n.streams.get(node)

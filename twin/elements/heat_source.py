@@ -10,9 +10,9 @@
 Sources: Q_j of eq. 1 of Energies 2026, 19, 2452: the heater's is its measured electrical power times the "effective
 heat input" of Table 2, the modules' the constant Q_pm of Table 1, zero in a healthy loop. Cubed: a pump's shaft
 power by the affinity laws (Karassik et al., Pump Handbook, 4th ed., sec. 2.3), which ends as heat in the water;
-squared: what goes with its head.
+squared: heat in proportion to its head.
 Daily: first harmonic of a day, of amplitude sqrt(c^2 + s^2) with its peak at 24/(2 pi) atan2(s, c) o'clock;
-`daylight` is the sun on a surface, for which the night counts nothing: it lasts 24/pi acos(n / sqrt(c^2 + s^2)) h.
+`daylight` is the sun on a surface, without an effect at night: it lasts 24/pi acos(n / sqrt(c^2 + s^2)) h.
 
 A clock is an input column like any other: hours since midnight, named with the ending `_h`, e.g. `time_of_day_h`.
 """
@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
 
 LAWS = ("proportional", "linear", "squared", "cubed", "daily", "daylight")
 POWERS = ("squared", "cubed")
@@ -35,9 +35,11 @@ CLOSER = (
     ((-0.25, 0.0, 0.25), (-1.0, 0.0, 1.0)),
     ((-0.1, 0.0, 0.1), (-0.5, 0.0, 0.5)),
 )
-"""Hours by which the peak, and the length of the day, of a source that follows the hour move, ever more closely."""
+"""Hours by which the peak, and the length of the day, of a source that follows the hour are varied, ever more
+closely.
+"""
 SHORTEST_H, LONGEST_H = 3.0, 20.0
-"""Lengths of day that are tried, h."""
+"""Shortest and longest length of day that is tried, h."""
 CUBED = "with its cube"
 _UNITS = {
     "pct": "%",
@@ -48,10 +50,10 @@ _UNITS = {
     "W_m2": "(W/m2)",
     "m_s": "(m/s)",
 }
-_TOLD_OTHERWISE = ("_C", "_pct", "_h")
+_OTHER_LAWS = ("_C", "_pct", "_h")
 """Endings of inputs that nothing uses and that have laws of their own, or no heat: temperatures, speeds, a clock."""
 TYPICAL_W, MUCH = 20.0, 1.0e4
-"""Heat of interest that an input may bring in over its range, and the most, in times of it."""
+"""Heat of interest that an input may bring in over its range, W, and the largest, in multiples of it."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +94,11 @@ class HeatSource(Element):
         )
 
     def unit(self) -> str:
-        """Unit of the driver as its name ends, K for a temperature."""
+        """Return the unit of the driver by its name's suffix, K for a temperature."""
         return self.named()[1]
 
     def named(self) -> tuple[str, str]:
-        """The driver without its unit, and that."""
+        """Return the driver's name without its unit, and the unit."""
         known = [(suffix, unit) for suffix, unit in _UNITS.items() if self.driver.endswith(f"_{suffix}")]
         suffix, unit = known[0] if known else (self.driver.rsplit("_", 1)[-1],) * 2
         return self.driver.removesuffix(f"_{suffix}"), unit
@@ -111,15 +113,15 @@ class HeatSource(Element):
         if self.law in ("daily", "daylight") and not self.driver.endswith("_h"):
             return f"driver {self.driver!r} is not a time of day in hours: its name does not end in _h"
         if "_" not in self.driver:
-            return f"driver {self.driver!r} does not tell its unit; end its name with one, for example _W, _pct or _C"
+            return f"driver {self.driver!r} has no unit in its name; end it with one, for example _W, _pct or _C"
         return None
 
     @classmethod
-    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         found: list[Candidate] = []
         known = {e.node for e in sites.having(cls.kind) if not e.driver}
         stands = [(sites.places[node], (node,)) for node in sites.nodes] + list(sites.groups.items())
-        others = _others(sites)
+        others = _unused_inputs(sites)
         for where, nodes in stands:
             for driver, table, sizes, unit, typical, says in _laws(sites):
                 if driver == "constant" and set(nodes) <= known:
@@ -134,49 +136,68 @@ class HeatSource(Element):
                 }
                 adds = {name: {"kind": cls.kind, "node": node, **table} for node, name in names.items()}
                 source = Candidate(
-                    "heat_source", where, driver, "new", changes, unit, typical, 0.0, 2000.0 * typical / 20.0, says,
+                    "heat_source",
+                    where,
+                    driver,
+                    "new",
+                    changes,
+                    unit,
+                    typical,
+                    0.0,
+                    2000.0 * typical / 20.0,
+                    says,
                     adds=adds,
-                )  # fmt: skip
+                )
                 if table.get("driver") in others:
-                    # Nobody says how much of it a rig may catch.
+                    # The share of it that a rig may catch is unknown.
                     source = replace(source, upper=MUCH * typical)
                 if table.get("law") == "cubed":
                     source = replace(source, near=partial(_other_powers, source))
                 if table.get("law") == "daylight":
                     peak_h = 12.0 / math.pi * math.atan2(sizes["sine"], sizes["cosine"])
-                    # A day that itself grows would pass for whatever else grows.
+                    # A day that itself grows would imitate any other growing effect.
                     source = replace(source, shapes=("step",))
                     source = replace(source, near=partial(_other_days, source, peak_h, 12.0, share))
                 found.append(source)
         return tuple(found)
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         where = sites.places[self.node]
         if not self.driver:
             now = sites.values[f"{self.name}.power"]
             says = "gives off {value} more than the twin has there" if now else _UNKNOWN
-            power = self.moves("power", "heat_source", where, "constant", "W", 20.0, -now if now else 0.0, 2000.0, says)
+            power = self.parameter_candidate(
+                "power", "heat_source", where, "constant", EffectSize("W", 20.0, -now if now else 0.0, 2000.0), says
+            )
             return (power if now else replace(power, change="new"),)
         if self.law == "proportional":
             now, where = sites.values[f"{self.name}.factor"], self.driver.rsplit("_", 1)[0]
             says = "gives {value} more heat than its reading says"
-            return (self.moves("factor", "actuator", where, "constant", "W/W", 0.03, -now, 3.0, says),)
+            return (
+                self.parameter_candidate(
+                    "factor", "actuator", where, "constant", EffectSize("W/W", 0.03, -now, 3.0), says
+                ),
+            )
         if self.law in ("daily", "daylight"):
             return self._other_day(where, sites)
         column, unit = self.driver.rsplit("_", 1)
         if self.law == "linear" and unit == "W":
             now, says = sites.values[f"{self.name}.gain"], f"takes up {{value}} more of {column} than when commissioned"
-            return (self.moves("gain", "heat_source", where, column, "W/W", 0.03, -now, 3.0, says),)
+            return (
+                self.parameter_candidate(
+                    "gain", "heat_source", where, column, EffectSize("W/W", 0.03, -now, 3.0), says
+                ),
+            )
         if unit != "pct":
             return ()
         size, full = ("power_100", 1.0) if self.law in POWERS else ("gain", 100.0)
         now = full * sites.values[f"{self.name}.{size}"]
         says = f"gives off {{value}} more at full {column.replace('_', ' ')} than when commissioned"
-        power = self.moves(size, "heat_source", where, column, "W", 20.0, -now, 2000.0, says)
+        power = self.parameter_candidate(size, "heat_source", where, column, EffectSize("W", 20.0, -now, 2000.0), says)
         return (replace(power, changes={name: w / full for name, w in power.changes.items()}),)
 
     def _other_day(self, where: str, sites: Sites) -> tuple[Candidate, ...]:
-        """The same hours with another peak."""
+        """Return the candidate of the same hours with another peak."""
         now = {s.name: sites.values[f"{self.name}.{s.name}"] for s in self.parameter_specs()}
         peak = math.hypot(now["cosine"], now["sine"]) - now.get("night", 0.0)
         if peak <= 0.0:
@@ -184,9 +205,20 @@ class HeatSource(Element):
         changes = {f"{self.name}.{size}": value / peak for size, value in now.items() if value}
         says = "gives off up to {value} more in the course of the day than when commissioned"
         return (
-            Candidate("heat_source", where, "time_of_day", "existing", changes, "W", 20.0, -peak, 2000.0, says,
-                shapes=("step",)),
-        )  # fmt: skip
+            Candidate(
+                "heat_source",
+                where,
+                "time_of_day",
+                "existing",
+                changes,
+                "W",
+                20.0,
+                -peak,
+                2000.0,
+                says,
+                shapes=("step",),
+            ),
+        )
 
     def emit(self, n: Names) -> Fragment:
         if not self.driver:
@@ -218,20 +250,22 @@ _UNKNOWN = "gives off {value} that the twin does not know of"
 
 
 def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], str, float, str]]:
-    """Sources that may be missing: driver, keys of the table, size parameters with weights, unit of the size, a typical
-    one, wording."""
+    """Return sources that may be missing, a tuple each.
+
+    Driver, keys of the table, size parameters with weights, unit of the size, a typical size, wording.
+    """
     laws: list[tuple[str, dict[str, str], dict[str, float], str, float, str]] = [
         ("constant", {}, {"power": 1.0}, "W", 20.0, _UNKNOWN)
     ]
     sources = sites.having(HeatSource.kind)
-    # A speed moves air or water, whatever heat goes along with it.
+    # A speed moves air or water, in addition to its heat.
     speeds = {column for e in sites.elements if e.kind != HeatSource.kind for column in e.inputs()}
     heaters = {e.driver for e in sources if e.law == "linear" and e.driver.endswith("_pct")} - speeds
-    others = _others(sites)
+    others = _unused_inputs(sites)
     for column in sites.inputs:
         straight = {"driver": column, "law": "linear"}
         if column in others:
-            laws.append(_of_another(column, sites.scales.get(column, 1.0)))
+            laws.append(_of_unused_input(column, sites.scales.get(column, 1.0)))
         elif column.endswith("_W"):
             laws.append(
                 ("heater_power", straight, {"gain": 1.0}, "W/W", 0.03, "takes up {value} of the heater's power")
@@ -248,18 +282,18 @@ def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], str
     if sites.clock:
         for peak in range(0, 24, 2):
             table = {"driver": sites.clock, "law": "daylight"}
-            laws.append(("time_of_day", table, daylight_parameters(peak, 12.0), "W", 20.0, _told(peak)))
+            laws.append(("time_of_day", table, daylight_parameters(peak, 12.0), "W", 20.0, _daylight_text(peak)))
     return laws
 
 
-def _others(sites: Sites) -> set[str]:
-    """Inputs that no element of the twin uses, and that no law of its own tells."""
+def _unused_inputs(sites: Sites) -> set[str]:
+    """Return inputs that no element of the twin uses and for which there is no other law."""
     used = {column for e in sites.elements for column in e.inputs()}
-    return {c for c in sites.inputs if c not in used and "_" in c and not c.endswith(_TOLD_OTHERWISE)}
+    return {c for c in sites.inputs if c not in used and "_" in c and not c.endswith(_OTHER_LAWS)}
 
 
-def _of_another(column: str, scale: float) -> tuple[str, dict[str, str], dict[str, float], str, float, str]:
-    """A source in proportion to an input that no element of the twin uses: sun, wind, another machine."""
+def _of_unused_input(column: str, scale: float) -> tuple[str, dict[str, str], dict[str, float], str, float, str]:
+    """Return a source in proportion to an input that no element of the twin uses: sun, wind, another machine."""
     driver, unit = HeatSource("", "", column, "linear").named()
     says = f"takes up {{value}} of {driver.replace('_', ' ')}"
     size = f"W/{unit}"
@@ -267,8 +301,10 @@ def _of_another(column: str, scale: float) -> tuple[str, dict[str, str], dict[st
 
 
 def _other_powers(cubed: Candidate) -> tuple[Candidate, ...]:
-    """A source that follows a speed with its cube as one with its square, or in proportion to it: what a fan's head or
-    a belt makes warm is no shaft."""
+    """Return a source that follows a speed with its cube as one with its square, and as one in proportion to it.
+
+    The heat of a fan's pressure or of a belt does not follow the cubic law of a shaft.
+    """
 
     def other(suffix: str, law: str, size: str, full: float, words: str) -> Candidate:
         changes = {name.replace(".power_100", f"_{suffix}.{size}"): w / full for name, w in cubed.changes.items()}
@@ -282,22 +318,20 @@ def _other_powers(cubed: Candidate) -> tuple[Candidate, ...]:
 
 
 def daylight_parameters(peak_h: float, hours: float) -> dict[str, float]:
-    """Parameters of a day of so many hours, 1 W at its peak."""
+    """Return the parameters of a day of so many hours, 1 W at its peak."""
     turn, edge = math.pi * peak_h / 12.0, math.cos(math.pi * hours / 24.0) if hours != 12.0 else 0.0
     return {n: v / (1.0 - edge) for n, v in (("cosine", math.cos(turn)), ("sine", math.sin(turn)), ("night", edge))}
 
 
-def _told(peak_h: float) -> str:
+def _daylight_text(peak_h: float) -> str:
     return f"gives off up to {{value}} in the course of the day, most at about {peak_h:g} h"
 
 
 def _other_days(source: Candidate, peak_h: float, hours: float, share: float, level: int = 0) -> tuple[Candidate, ...]:
-    """A source by daylight with other peaks, and longer or shorter days, each with closer ones about it.
+    """Return sources by daylight with other peaks, and longer or shorter days, each with closer ones around it.
 
-    The shortest and the longest of the first ones have others as far away about them: the best may lie beyond.
-
-    Args:
-        peak_h, hours: of the day that it has. share: of the heat that enters each of its nodes.
+    The shortest and the longest of the first ones have others as far away around them, because the best may lie beyond.
+    `peak_h` and `hours` describe the present day; `share` is that of the heat in each of its nodes.
     """
     found = []
     shifts, lengths = CLOSER[level]
@@ -309,12 +343,12 @@ def _other_days(source: Candidate, peak_h: float, hours: float, share: float, le
         changes = {name: weights[name.rsplit(".", 1)[1]] * share for name in source.changes}
         after = 0 if level == 0 and longer in (lengths[0], lengths[-1]) else level + 1
         near = partial(_other_days, source, other_h, length, share, after) if after < len(CLOSER) else None
-        found.append(replace(source, changes=changes, says=_told(round(other_h, 1)), near=near))
+        found.append(replace(source, changes=changes, says=_daylight_text(round(other_h, 1)), near=near))
     return tuple(found)
 
 
 def _series(square: str, odd: int) -> str:
-    """Taylor series of cos x (odd = 0) or sin x / x (odd = 1) in x^2, right to 1e-9 for |x| up to pi."""
+    """Return the Taylor series of cos x (odd = 0) or sin x / x (odd = 1) in x^2, right to 1e-9 for |x| up to pi."""
     text = "0.0"
     for k in range(11, -1, -1):
         text = f"{(-1.0) ** k / math.factorial(2 * k + odd)!r} + {square} * ({text})"

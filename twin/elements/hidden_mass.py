@@ -1,11 +1,11 @@
-"""A mass that the model does not show, behind a conductance at a node.
+"""Thermal mass without a sensor, behind a conductance at a node.
 
     C dT_h/dt = g (T - T_h),      heat into the node = -g (T - T_h)
     g = G C / (C + G LEAST_S)
 
 It takes no part in a steady state and slows every change. With G = `conductance`, g is G in series with the mass's own
-resistance LEAST_S / C, which keeps the time constant C / g above LEAST_S; with no capacity or no conductance there
-is nothing. Source: the two-node lumped model (Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., sec. 5.1).
+resistance LEAST_S / C, which keeps the time constant C / g above LEAST_S. With no capacity or no conductance there
+is no effect. Source: the two-node lumped model (Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., sec. 5.1).
 """
 
 from __future__ import annotations
@@ -14,19 +14,29 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, ElementState, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import (
+    Candidate,
+    EffectSize,
+    Element,
+    ElementState,
+    Fragment,
+    Names,
+    ParameterSpec,
+    Sites,
+    place,
+)
 
 LEAST_S = 1.0
 MOST_CAPACITY = 1.0e9
 """J/K."""
 TIME_CONSTANTS_S = tuple(120.0 * 3.0 ** (k / 2.0) for k in range(10))
-"""Capacity over conductance of masses that are looked for, s."""
+"""Capacity over conductance of candidate masses, s."""
 PUT_IN_S = TIME_CONSTANTS_S[1::2]
-"""The same of masses that are put in at the temperature of the room."""
+"""Capacity over conductance of candidate masses that are inserted at the temperature of the room, s."""
 MOST, SLOWEST_S, QUICKEST_S = 500.0, 200.0, 5.0
-"""Conductance, W/K, of such a mass at most, and the times in which the node beside it follows it at most, s."""
+"""Largest conductance of such a mass, W/K, and the longest and shortest response time of the node beside it, s."""
 LEAST_PUT_IN = 5.0
-"""Conductance, W/K, of such a mass at least: that of a hand's breadth of metal in stirred water."""
+"""Least conductance of such a mass, W/K: that of a hand's breadth of metal in stirred water."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +52,7 @@ class HiddenMass(Element):
     node: str = place("node", "node that the mass exchanges heat with")
 
     @classmethod
-    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         having = {e.node for e in sites.having(cls.kind)}
         bare = [(sites.places[node], node) for node in sites.nodes if node not in having]
         most = {node: _most(sites.values.get(f"{node}.capacitance", 0.0)) for _, node in bare}
@@ -51,7 +61,7 @@ class HiddenMass(Element):
             found += [_mass(where, node, sites.room, most[node], tau) for where, node in bare for tau in PUT_IN_S]
         return tuple(found)
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         where = sites.places[self.node]
         capacity, conductance = (sites.values[f"{self.name}.{k}"] for k in ("capacity", "conductance"))
         if not capacity or not conductance:
@@ -59,11 +69,23 @@ class HiddenMass(Element):
         takes = "has a mass beside it that is {value} more than when commissioned"
         passes = "exchanges {value} more with the mass beside it than when commissioned"
         masses = (
-            self.moves("capacity", "thermal_mass", where, "history", "J/K", 0.1 * capacity, -0.9 * capacity,
-                10.0 * capacity, takes),
-            self.moves("conductance", "thermal_mass", where, "history", "W/K", 0.1 * conductance, -0.9 * conductance,
-                10.0 * conductance, passes),
-        )  # fmt: skip
+            self.parameter_candidate(
+                "capacity",
+                "thermal_mass",
+                where,
+                "history",
+                EffectSize("J/K", 0.1 * capacity, -0.9 * capacity, 10.0 * capacity),
+                takes,
+            ),
+            self.parameter_candidate(
+                "conductance",
+                "thermal_mass",
+                where,
+                "history",
+                EffectSize("W/K", 0.1 * conductance, -0.9 * conductance, 10.0 * conductance),
+                passes,
+            ),
+        )
         return tuple(replace(mass, shapes=("step",)) for mass in masses)
 
     def emit(self, n: Names) -> Fragment:
@@ -84,20 +106,32 @@ class HiddenMass(Element):
 
 
 def _most(capacitance: float) -> float:
-    """The most that a mass may exchange, W/K, with a node of this capacitance: more than the node could pass on in the
-    time that it takes to warm through is stiff, and tells nothing."""
+    """Return the largest exchange of a mass, W/K, with a node of this capacitance.
+
+    An exchange beyond the node's own transfer in its warm-up time is stiff and not identifiable.
+    """
     return min(max(MOST, capacitance / SLOWEST_S), capacitance / QUICKEST_S) if capacitance else MOST
 
 
 def _mass(where: str, node: str, room: str, most: float, tau: float) -> Candidate:
-    """A mass with a time constant, as warm as its place when it comes in, or as the `room` where that is named."""
+    """Return a mass with a time constant, at its onset as warm as its place, or as the `room` where that is named."""
     name = f"mass_beside_{node}"
     says = "has had a mass put in at the temperature of the room, which" if room else "has a mass beside it that"
     says += " follows through {value} with a time constant {slow}"
     return Candidate(
-        "thermal_mass", where, "history", "new", {f"{name}.conductance": 1.0, f"{name}.capacity": tau}, "W/K", 2.0,
-        LEAST_PUT_IN if room else 0.0, min(most, MOST_CAPACITY / tau), says,
+        "thermal_mass",
+        where,
+        "history",
+        "new",
+        {f"{name}.conductance": 1.0, f"{name}.capacity": tau},
+        "W/K",
+        2.0,
+        LEAST_PUT_IN if room else 0.0,
+        min(most, MOST_CAPACITY / tau),
+        says,
         adds={name: {"kind": HiddenMass.kind, "node": node}},
-        shapes=("put in",) if room else ("step",), begins=room, slow_s=tau,
+        shapes=("put in",) if room else ("step",),
+        begins=room,
+        slow_s=tau,
         slower=partial(_mass, where, node, room, most),
-    )  # fmt: skip
+    )

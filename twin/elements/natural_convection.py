@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
 
 SMOOTH_K2 = 1.0e-4
 LARGEST_K = 1000.0
@@ -25,7 +25,7 @@ _BOUND_K = 200.0
 
 @dataclass(frozen=True)
 class NaturalConvection(Element):
-    """A loss that grows faster than the temperature difference; coefficient 0 is none at all."""
+    """A loss that grows faster than the temperature difference; there is none at coefficient 0."""
 
     kind: ClassVar[str] = "natural_convection"
     linear: ClassVar[bool] = False
@@ -38,22 +38,34 @@ class NaturalConvection(Element):
     ambient: str = place("input", "input column with the room temperature in degC", default="T_ambient_C")
 
     @classmethod
-    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         having = {e.node for e in sites.having(cls.kind)}
         return tuple(
             Candidate(
-                "heat_loss", sites.places[node], "temperature", "new", {f"{name}.coefficient": 1.0}, "W/K^1.25", 0.5,
-                0.0, 40.0, "loses heat to the room by natural convection, {value}",
+                "heat_loss",
+                sites.places[node],
+                "temperature",
+                "new",
+                {f"{name}.coefficient": 1.0},
+                "W/K^1.25",
+                0.5,
+                0.0,
+                40.0,
+                "loses heat to the room by natural convection, {value}",
                 adds={name: {"kind": cls.kind, "node": node, "ambient": sites.room}},
             )
             for node in sites.nodes
             if sites.room and node not in having and (name := f"convection_of_{node}")
-        )  # fmt: skip
+        )
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         where, now = sites.places[self.node], sites.values[f"{self.name}.coefficient"]
         says = "loses heat to the room by natural convection, {value} more than when commissioned"
-        return (self.moves("coefficient", "heat_loss", where, "temperature", "W/K^1.25", 0.5, -now, 40.0, says),)
+        return (
+            self.parameter_candidate(
+                "coefficient", "heat_loss", where, "temperature", EffectSize("W/K^1.25", 0.5, -now, 40.0), says
+            ),
+        )
 
     def emit(self, n: Names) -> Fragment:
         d, q, g = n.local("d"), n.local("q"), n.local("g")

@@ -1,4 +1,4 @@
-"""A lumped mass: the only kind that stores heat.
+"""Lumped mass: the only kind that stores heat.
 
     C dT/dt = sum of the heat flows into the node
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,19 @@ class Node(Element):
     def nodes(self) -> tuple[str, ...]:
         return (self.name,)
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         now = sites.values[f"{self.name}.capacitance"]
         says = "has {value} more thermal mass than when commissioned"
         return (
-            self.moves(
-                "capacitance", "thermal_mass", sites.places[self.name], "history", "J/K",
-                0.1 * now, -0.8 * now, 5.0 * now, says,
+            self.parameter_candidate(
+                "capacitance",
+                "thermal_mass",
+                sites.places[self.name],
+                "history",
+                EffectSize("J/K", 0.1 * now, -0.8 * now, 5.0 * now),
+                says,
             ),
-        )  # fmt: skip
+        )
 
     def emit(self, n: Names) -> Fragment:
         return Fragment()

@@ -1,4 +1,4 @@
-"""A pipe before a node: plug flow, a wall that takes part, a loss to the room.
+"""Pipe before a node: plug flow, a wall with heat capacity, a loss to the room.
 
     w_d(t)  = w(t - t'),  t' such that the flow from t - t' to t is the volume           plug flow
     w_e     = w_d - e (w_d - T_w),     e = 1 - exp(-wall_hA / m cp)                      wall
@@ -6,15 +6,15 @@
     w_out   = T_amb + (w_e - T_amb) exp(-loss_hA / m cp)                                 loss
 
 with w the water leaving the node before it on the flow path. The wall stands at the outlet, as one capacity
-that exchanges with what passes: heat is conserved and the mean delay is (volume + C_w / density cp) / q, as in a
-pipe whose wall is heated along its length. Every term is nothing at all at 0: no volume, no wall, no loss.
+that exchanges with the passing water. Heat is conserved and the mean delay is (volume + C_w / density cp) / q, as in a
+pipe whose wall is heated along its length. Every term vanishes at 0: no volume, no wall, no loss.
 
 Sources: van der Heijde et al., Dynamic equation-based thermo-hydraulic pipe model for district heating and cooling
 systems, Energy Conversion and Management 151 (2017) 158-169 (plug flow, wall capacity lumped at the outlet, loss by
 residence); Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., sec. 8.3 (exponentials in UA / m cp).
 
-A wall that follows the water faster than LEAST_S counts as slower: e is reduced by C_w / (C_w + m cp e LEAST_S), which
-ends at no exchange with no capacity and keeps the time constants of the network finite. With no capacity it stands.
+A wall that follows the water faster than LEAST_S counts as slower: e is reduced by C_w / (C_w + m cp e LEAST_S). This
+ends at no exchange with no capacity and keeps the time constants of the network finite. With no capacity it is still.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from typing import ClassVar
 
 from twin.elements.base import (
     Candidate,
+    EffectSize,
     Element,
     ElementState,
     Fragment,
@@ -38,11 +39,11 @@ from twin.elements.flow import WATER_DENSITY
 
 LEAST_S = 1.0
 LUMPED_S, PIPED_S = 20.0, 6.0
-"""Water on its way that a twin of mixed volumes may hide, and one that knows its pipes, but not what mixes there."""
+"""Transport time that a twin of mixed volumes may hide, s, and one with pipes, which does not model mixing in them."""
 WALL_CONSTANTS_S = (3.0, 10.0, 30.0, 100.0, 300.0)
-"""Capacity over film of walls that are looked for, s."""
+"""Capacity over film of candidate walls, s."""
 NONE = 1.0e-9
-"""Capacity, J/K, of a wall that is none: it stands still, instead of making every step as short as LEAST_S."""
+"""Capacity of an absent wall, J/K: its state stands still, instead of making every step as short as LEAST_S."""
 _STILL = "1e-9"
 
 
@@ -65,38 +66,58 @@ class Pipe(Element):
         return None
 
     @classmethod
-    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         piped = {e.to for e in sites.having(cls.kind)}
         plugs = tuple(_plug(sites, node) for node, before in sites.before.items() if not before and node not in piped)
         return plugs + tuple(
             Candidate(
-                "delay", sites.places[node], "history", "new", {f"{name}.volume": 1.0}, "L", 0.5, 0.0, 50.0,
+                "delay",
+                sites.places[node],
+                "history",
+                "new",
+                {f"{name}.volume": 1.0},
+                "L",
+                0.5,
+                0.0,
+                50.0,
                 "gets its water later, as through a further {value} of pipe",
-                adds={name: {"kind": cls.kind, "to": node, "ambient": sites.room}}, shapes=("step",),
+                adds={name: {"kind": cls.kind, "to": node, "ambient": sites.room}},
+                shapes=("step",),
                 lumped=(PIPED_S if piped else LUMPED_S) * sites.litres_per_s,
             )
             for node in sites.before
             if node not in piped and sites.room and (name := f"pipe_to_{node}")
-        )  # fmt: skip
+        )
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         says = "gets its water later, as through a further {value} of pipe"
         # A delay, bounded at zero: a fit that asks for less of the pipe refuses it.
-        volume = self.moves("volume", "delay", sites.places[self.to], "history", "L", 0.2, 0.0, 50.0, says)
+        volume = self.parameter_candidate(
+            "volume", "delay", sites.places[self.to], "history", EffectSize("L", 0.2, 0.0, 50.0), says
+        )
         return (replace(volume, shapes=("step",), lumped=PIPED_S * sites.litres_per_s), *self._walls(sites))
 
     def _walls(self, sites: Sites) -> tuple[Candidate, ...]:
-        """The wall of a pipe that brings water from outside; in a loop the volumes' capacities hold the metal."""
+        """Return candidates for the wall of a pipe from outside; in a loop the volumes' capacities hold the metal."""
         if sites.before.get(self.to) != "" or sites.values[f"{self.name}.wall_capacity"]:
             return ()
         capacity, rate = f"{self.name}.wall_capacity", f"{self.name}.wall_hA"
         return tuple(
             Candidate(
-                "thermal_mass", sites.places[self.to], "history", "new", {capacity: 1.0, rate: 1.0 / tau}, "J/K",
-                1000.0, 0.0, 1.0e7, "passes a wall that takes up heat, {value}", shapes=("step",),
+                "thermal_mass",
+                sites.places[self.to],
+                "history",
+                "new",
+                {capacity: 1.0, rate: 1.0 / tau},
+                "J/K",
+                1000.0,
+                0.0,
+                1.0e7,
+                "passes a wall that takes up heat, {value}",
+                shapes=("step",),
             )
             for tau in WALL_CONSTANTS_S
-        )  # fmt: skip
+        )
 
     def emit(self, n: Names) -> Fragment:
         stream = n.streams[self.to]
@@ -136,13 +157,24 @@ class Pipe(Element):
 
 
 def _plug(sites: Sites, node: str) -> Candidate:
-    """Water that comes in from outside and passes as a plug, where the twin has it mixed in the node's volume."""
+    """Return the candidate of incoming water that passes as a plug, where the twin has it mixed in the node's
+    volume.
+    """
     name = f"pipe_to_{node}"
     flow = next(e for e in sites.having("flow") if node in e.path)
     per_litre = WATER_DENSITY * sites.values[f"{flow.name}.cp"]
     volume = sites.values[f"{node}.capacitance"] / per_litre
     return Candidate(
-        "delay", sites.places[node], "history", "new", {f"{name}.volume": 1.0, f"{node}.capacitance": -per_litre}, "L",
-        0.1 * volume, 0.0, volume, "holds {value} that pass one after the other, unmixed",
-        adds={name: {"kind": Pipe.kind, "to": node, "ambient": sites.room}}, shapes=("step",),
-    )  # fmt: skip
+        "delay",
+        sites.places[node],
+        "history",
+        "new",
+        {f"{name}.volume": 1.0, f"{node}.capacitance": -per_litre},
+        "L",
+        0.1 * volume,
+        0.0,
+        volume,
+        "holds {value} that pass one after the other, unmixed",
+        adds={name: {"kind": Pipe.kind, "to": node, "ambient": sites.room}},
+        shapes=("step",),
+    )

@@ -7,8 +7,8 @@ Mass Transfer, 7th ed., eq. 1.7); between two nodes `emissivity` is the grey-bod
 which holds the view factor (ibid., eq. 13.18). The fourth powers are written as (a - b)(a + b)(a^2 + b^2), which
 keeps the digits of a small difference.
 
-A temperature counts as at most 727 degC: far above any liquid loop, and what keeps a runaway finite. The step
-is chosen for 200 degC; the integrator's margin covers the rest.
+A temperature counts as at most 727 degC: far above any liquid loop, and finite in a runaway. The step is chosen for
+200 degC; the integrator's margin covers the rest.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
 
 STEFAN_BOLTZMANN = 5.670374419e-8
 """W/(m2 K4), CODATA 2018."""
@@ -28,7 +28,7 @@ _BOUND = 4.0 * STEFAN_BOLTZMANN * 473.15**3
 
 @dataclass(frozen=True)
 class Radiation(Element):
-    """Fourth-power exchange with the room (`ambient`) or with another node (`to`); area 0 is none at all."""
+    """Fourth-power exchange with the room (`ambient`) or with another node (`to`); there is none at area 0."""
 
     kind: ClassVar[str] = "radiation"
     linear: ClassVar[bool] = False
@@ -53,23 +53,31 @@ class Radiation(Element):
         return "both sides are the same node" if self.to == self.node else None
 
     @classmethod
-    def missing(cls, sites: Sites) -> tuple[Candidate, ...]:
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         having = {e.node for e in sites.having(cls.kind)}
         return tuple(
             Candidate(
-                "heat_loss", sites.places[node], "temperature", "new", {f"{name}.area": 1.0}, "m2", 0.1, 0.0, 5.0,
+                "heat_loss",
+                sites.places[node],
+                "temperature",
+                "new",
+                {f"{name}.area": 1.0},
+                "m2",
+                0.1,
+                0.0,
+                5.0,
                 "radiates to the room from {value}",
                 adds={name: {"kind": cls.kind, "node": node, "ambient": sites.room}},
             )
             for node in sites.nodes
             if sites.room and node not in having and (name := f"radiation_of_{node}")
-        )  # fmt: skip
+        )
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         where, now = sites.places[self.node], sites.values[f"{self.name}.area"]
         kind, other = ("coupling", self.to) if self.to else ("heat_loss", "the room")
         says = f"radiates to {other} from {{value}} more than when commissioned"
-        return (self.moves("area", kind, where, "temperature", "m2", 0.1, -now, 5.0, says),)
+        return (self.parameter_candidate("area", kind, where, "temperature", EffectSize("m2", 0.1, -now, 5.0), says),)
 
     def emit(self, n: Names) -> Fragment:
         a, b, q, g = n.local("a"), n.local("b"), n.local("q"), n.local("g")

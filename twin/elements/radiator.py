@@ -1,4 +1,4 @@
-"""A fan-blown radiator, as a conductance or by its effectiveness.
+"""Fan-blown radiator, as a conductance or by its effectiveness.
 
     UA = UA_100 * fan^fan_exponent * flow^flow_exponent                fan and flow as shares of full
 
@@ -15,11 +15,11 @@ UA and eps C_min are then divided by 1 + recirculation * themselves.
 The share of the full flow is that of the pump's speed, times the factor of the flow path that the node stands on.
 
 T is the temperature of the node, which the water leaves with. "outlet" is the (hA)_r of Energies 2026, 19, 2452 when
-UA_still = flow_exponent = 0 and the fan is constant; `flow_exponent` then also holds what the lumped outlet
-temperature hides of the drop along the core. The other two take the water as it arrives, T_in, and C_w = m cp
-from the flow path that the node stands on, and an air flow of air_0 + (air_100 - air_0) * fan, C_a its m cp; the share
-of the full air flow then stands for the fan in UA. "effectiveness" is for a core of several rows; its slope
-has a kink where C_w = C_a, which a fit may hang on. "one_row" is smooth.
+UA_still = flow_exponent = 0 and the fan is constant; `flow_exponent` then also contains the drop along the core, which
+the lumped outlet temperature hides. The other two take the water as it arrives, T_in, and C_w = m cp from the node's
+flow path. Their air flow is air_0 + (air_100 - air_0) * fan, with C_a its m cp; the share of the full air flow then
+stands for the fan in UA. "effectiveness" is for a core of several rows; its slope has a kink at C_w = C_a, at which a
+fit may stop. "one_row" is smooth.
 
 Sources: fan affinity laws with a power law of the air-side film (Incropera, Fundamentals of Heat and Mass Transfer,
 7th ed., sec. 7.6: exponents 0.5 to 0.8); effectiveness of a single-pass cross-flow core, both sides unmixed (ibid.,
@@ -33,10 +33,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
 
 LEAST_PERCENT = 0.1
-"""Speeds below this count as this much, so that a logarithm of a fan at rest is finite."""
+"""Speed below which the radiator stays as at this one, %: the logarithm of a fan at rest is finite."""
 CP_AIR = 1007.0
 """J/(kg K), dry air at 25 degC (Incropera table A.4)."""
 LEAST_AIR = 1.0e-5
@@ -47,7 +47,7 @@ LEAST_RATE = 1.0e-3
 
 @dataclass(frozen=True)
 class Radiator(Element):
-    """Heat rejection to the room that follows fan and, if told so, pump."""
+    """Heat rejection to the room that follows fan and, with a flow exponent, pump."""
 
     kind: ClassVar[str] = "radiator"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
@@ -80,35 +80,55 @@ class Radiator(Element):
             return "UA_100 and UA_still are both 0, so the radiator rejects nothing; remove it or give it a UA"
         return None
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         where, now = sites.places[self.node], {k: sites.values[f"{self.name}.{k}"] for k in ("UA_100", "fan_exponent")}
         full, law = now["UA_100"], "with the fan's speed by a power that differs by {value}"
         rejects = ("heat_rejection", where)
         own = sites.values[f"{self.name}.recirculation"]
         water = sites.values[f"{self.name}.flow_exponent"]
-        # An "outlet" hides the drop along the core, and with it what the flow does.
-        flows = () if self.form == "outlet" else (
-            self.moves("flow_exponent", *rejects, "pump_speed", "1", 0.1, -1.0 - water, 1.0 - water,
-                "rejects heat with the flow by a power that differs by {value}"),
-        )  # fmt: skip
+        # An "outlet" hides the drop along the core, and with it the effect of the flow.
+        of_flow = self.parameter_candidate(
+            "flow_exponent",
+            *rejects,
+            "pump_speed",
+            EffectSize("1", 0.1, -1.0 - water, 1.0 - water),
+            "rejects heat with the flow by a power that differs by {value}",
+        )
+        flows = () if self.form == "outlet" else (of_flow,)
         return (
             *flows,
-            self.moves(
-                "UA_100", *rejects, "constant", "W/K", 0.05 * full, -0.95 * full, 3.0 * full,
+            self.parameter_candidate(
+                "UA_100",
+                *rejects,
+                "constant",
+                EffectSize("W/K", 0.05 * full, -0.95 * full, 3.0 * full),
                 "rejects heat with {value} more at full fan speed than when commissioned",
             ),
-            self.moves(
-                "fan_exponent", *rejects, "fan_speed", "1", 0.1, -now["fan_exponent"], 2.0 - now["fan_exponent"],
+            self.parameter_candidate(
+                "fan_exponent",
+                *rejects,
+                "fan_speed",
+                EffectSize("1", 0.1, -now["fan_exponent"], 2.0 - now["fan_exponent"]),
                 f"rejects heat {law}",
             ),
-            self.moves("UA_still", *rejects, "constant", "W/K", 1.0, -sites.values[f"{self.name}.UA_still"], 200.0,
-                "rejects {value} more than when commissioned whatever the fan does"),
+            self.parameter_candidate(
+                "UA_still",
+                *rejects,
+                "constant",
+                EffectSize("W/K", 1.0, -sites.values[f"{self.name}.UA_still"], 200.0),
+                "rejects {value} more than when commissioned whatever the fan does",
+            ),
             replace(
-                self.moves("recirculation", *rejects, "rejected_heat", "K/W", 0.001, -own, 0.1 - own,
-                    "draws in its own warm air: {value}"),
+                self.parameter_candidate(
+                    "recirculation",
+                    *rejects,
+                    "rejected_heat",
+                    EffectSize("K/W", 0.001, -own, 0.1 - own),
+                    "draws in its own warm air: {value}",
+                ),
                 change="existing" if own else "new",
             ),
-        )  # fmt: skip
+        )
 
     def emit(self, n: Names) -> Fragment:
         fan, pump, ua, still = n.local("log_fan"), n.local("log_pump"), n.local("UA"), n.par("UA_still")
@@ -157,7 +177,7 @@ class Radiator(Element):
 
 
 def _effective_rate(n: Names, ua: str, air: str, water: str, rate: str) -> list[tuple[str, str]]:
-    """Expressions of eps * C_min, W/K, into the local name `rate`, for two heat capacity rates in W/K."""
+    """Return expressions of eps * C_min, W/K, into the local name `rate`, for two heat capacity rates in W/K."""
     least, most, ratio, size = (n.local(name) for name in ("least", "most", "ratio", "log_NTU"))
     both = f"exp(0.22 * {size}) / {ratio} * (exp(-{ratio} * exp(0.78 * {size})) - 1.0)"
     return [
@@ -170,7 +190,9 @@ def _effective_rate(n: Names, ua: str, air: str, water: str, rate: str) -> list[
 
 
 def _one_row_rate(n: Names, ua: str, air: str, water: str, rate: str) -> list[tuple[str, str]]:
-    """Expressions of C_w (1 - exp(-K / C_w)), W/K, into the local name `rate`, for two heat capacity rates in W/K."""
+    """Return expressions of C_w (1 - exp(-K / C_w)), W/K, into the local name `rate`, for two heat capacity rates in
+    W/K.
+    """
     least, taken = n.local("least"), n.local("taken")
     return [
         (least, f"max({water}, {LEAST_RATE})"),

@@ -1,4 +1,4 @@
-"""A thermometer, or several whose mean is read as one.
+"""Thermometer, or several whose mean is read as one.
 
     seen    = (1 - cross_talk) * T(node) + cross_talk * T(other)
     lag_s * dz/dt = seen - z
@@ -18,20 +18,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, SensorLag, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, SensorLag, Sites, place
 
 LUMPED_S, PIPED_S = 25.0, 6.0
-"""What water needs through a small loop's hoses and cold plates; without pipes a twin takes it for a late reading. And
-with them, what it mixes there."""
+"""Time that water needs through a small loop's hoses and cold plates, s; a twin without pipes sees it as a sensor lag.
+The second is the time that remains with pipes, from mixing in them.
+"""
 ADJUSTED_C = 25.0
-"""Temperature of a room in which thermometers are adjusted."""
+"""Temperature of a room in which thermometers are adjusted, degC."""
 LAGS_S = (15.0, 60.0, 240.0)
-"""Lags about which an unknown one is looked for, s: a late reading is not proportional to how late it is."""
+"""Lags around which an unknown one is sought, s: a late reading is not proportional to its lag."""
 
 
 @dataclass(frozen=True)
 class Sensor(Element):
-    """What the record measures at a node; the element's name is the name of the sensor in every table."""
+    """Sensor at a node; the element's name is the name of the sensor in every table."""
 
     kind: ClassVar[str] = "sensor"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
@@ -63,50 +64,74 @@ class Sensor(Element):
             return "the other node is the node itself"
         return None
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         where = self.measured[0] if len(self.measured) == 1 else self.name
         sensor, now = ("sensor", where), {k: sites.values[f"{self.name}.{k}"] for k in ("gain", "lag_s")}
         # A delay, bounded at zero: a fit that asks for less of one refuses the hypothesis.
         later = [
             replace(
-                self.moves(
-                    "lag_s", *sensor, "rate_of_change", "s", lag, 0.0, 3600.0, "reads late by {value}"
+                self.parameter_candidate(
+                    "lag_s", *sensor, "rate_of_change", EffectSize("s", lag, 0.0, 3600.0), "reads late by {value}"
                 ),
-                change="new" if now["lag_s"] == 0.0 else "existing", shapes=("step",),
+                change="new" if now["lag_s"] == 0.0 else "existing",
+                shapes=("step",),
                 lumped=PIPED_S if sites.having("pipe") else LUMPED_S,
             )
             for lag in LAGS_S
-        ]  # fmt: skip
+        ]
         found = [
             replace(
-                self.moves("bias_K", *sensor, "constant", "K", 0.2, -20.0, 20.0, "reads {value} too high"), change="new"
+                self.parameter_candidate(
+                    "bias_K", *sensor, "constant", EffectSize("K", 0.2, -20.0, 20.0), "reads {value} too high"
+                ),
+                change="new",
             ),
             replace(
-                self.moves("gain", *sensor, "temperature", "1", 0.01, 0.5 - now["gain"], 1.5 - now["gain"],
-                    "reads by a factor that is {share} too high"),
+                self.parameter_candidate(
+                    "gain",
+                    *sensor,
+                    "temperature",
+                    EffectSize("1", 0.01, 0.5 - now["gain"], 1.5 - now["gain"]),
+                    "reads by a factor that is {share} too high",
+                ),
                 change="new",
             ),
             *later,
-        ]  # fmt: skip
+        ]
         # A thermometer is right where it was adjusted: at the ice point, or in the room.
-        slope = self.moves("gain", *sensor, "temperature", "1", 0.01, 0.5 - now["gain"], 1.5 - now["gain"],
-            f"reads {{share}} too high of what is above {ADJUSTED_C:.0f} degC")  # fmt: skip
+        slope = self.parameter_candidate(
+            "gain",
+            *sensor,
+            "temperature",
+            EffectSize("1", 0.01, 0.5 - now["gain"], 1.5 - now["gain"]),
+            f"reads {{share}} too high of what is above {ADJUSTED_C:.0f} degC",
+        )
         about = {f"{self.name}.gain": 1.0, f"{self.name}.bias_K": -ADJUSTED_C}
         found.insert(2, replace(slope, change="new", changes=about))
         if self.other:
             now_c = sites.values[f"{self.name}.cross_talk"]
             says = f"picks up another share of the temperature of {self.other}: a change by {{value}}"
-            share = self.moves("cross_talk", *sensor, "temperature_difference", "1", 0.02, -now_c, 0.9 - now_c, says)
+            share = self.parameter_candidate(
+                "cross_talk", *sensor, "temperature_difference", EffectSize("1", 0.02, -now_c, 0.9 - now_c), says
+            )
             return (*found, share)
         for other in sites.nodes:
             if other != self.node:
                 says = f"picks up {{value}} of the temperature of {other}"
                 found.append(
                     Candidate(
-                        *sensor, "temperature_difference", "new", {f"{self.name}.cross_talk": 1.0}, "1", 0.02, 0.0, 0.9,
-                        says, replaces={self.name: {"other": other}},
+                        *sensor,
+                        "temperature_difference",
+                        "new",
+                        {f"{self.name}.cross_talk": 1.0},
+                        "1",
+                        0.02,
+                        0.0,
+                        0.9,
+                        says,
+                        replaces={self.name: {"other": other}},
                     )
-                )  # fmt: skip
+                )
         return tuple(found)
 
     def emit(self, n: Names) -> Fragment:

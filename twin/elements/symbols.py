@@ -1,4 +1,4 @@
-"""Generated identifiers for everything that an element's formulas may refer to.
+"""Generated identifiers for everything to which an element's formulas may refer.
 
 A formula is text of this project's own: arithmetic between identifiers. Names of elements, nodes, inputs and parameters
 come from twin files, which are data. They are keys of the tables here and never part of a formula. The identifiers are
@@ -13,17 +13,23 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 REMEMBERED = ("x", "f", "D", "a")
-"""First letters of what elements remember: states, lags, delays, drives."""
+"""First letters of the elements' memory: states, lags, delays, drives."""
 
 
 class Symbols:
     """Identifiers of one network, handed out element by element.
 
-    Args:
-        parameters: id -> index in the full parameter vector. inputs, nodes: names in their order.
+    Parameters
+    ----------
+    parameters
+        Id -> index in the full parameter vector.
+    inputs, nodes
+        Names in their order.
 
-    Attributes:
-        names: first letter -> names of what is remembered, in the order of the index. Nodes are the first states.
+    Attributes
+    ----------
+    names
+        First letter -> names in memory, in the order of the index. Nodes are the first states.
     """
 
     def __init__(
@@ -39,29 +45,31 @@ class Symbols:
         self._taken: set[str] = set()
 
     def parameter(self, name: str) -> str:
-        """Identifier of a parameter, by its id."""
+        """Return the identifier of a parameter, by its id."""
         return f"p{self._parameters[name]}"
 
     def input(self, column: str) -> str:
-        """Identifier of an input column."""
+        """Return the identifier of an input column."""
         return f"u{self._inputs[column]}"
 
     def node(self, name: str) -> str:
-        """Identifier of a node's temperature."""
+        """Return the identifier of a node's temperature."""
         return f"x{self._nodes[name]}"
 
     def remembered(self, letter: str, name: str) -> str:
-        """Identifier of something that the element under way remembers; `settle` confirms the index."""
+        """Return the identifier of an entry in the memory of the present element; `settle` confirms the index."""
         used = self._used[letter]
         if name not in used:
             used.append(name)
         return f"{letter}{len(self.names[letter]) + used.index(name)}"
 
     def settle(self, declared: Mapping[str, Sequence[str]]) -> None:
-        """Give the indices used by the latest element to what it declares to remember, or free them for the next.
+        """Assign the indices used by the latest element to its declared memory, or free them for the next.
 
-        Raises:
-            ValueError: the element uses something that is not among what it declares, or in another order.
+        Raises
+        ------
+        ValueError
+            The element uses something that is not among its declared memory, or in another order.
         """
         for letter in REMEMBERED:
             own, used = list(declared.get(letter, ())), self._used[letter]
@@ -71,7 +79,9 @@ class Symbols:
             self._used[letter] = []
 
     def local(self, element: str, name: str) -> str:
-        """Identifier of a local: readable where the names are identifiers, and never the same for two locals."""
+        """Return the identifier of a local: readable where the names are identifiers, and never the same for two
+        locals.
+        """
         key = (element, name)
         if key not in self._locals:
             stem = f"L_{_plain(element)}__{_plain(name)}"
@@ -90,7 +100,7 @@ def _plain(name: str) -> str:
 
 @dataclass(frozen=True)
 class Stream:
-    """Which flow feeds a node: the flow's name, the node before it ("" at an inlet) and the pipe between ("")."""
+    """The flow that feeds a node: the flow's name, the node before it ("" at an inlet) and the pipe between ("")."""
 
     flow: str
     before: str
@@ -107,45 +117,45 @@ class Names:
     symbols: Symbols = field(default_factory=Symbols)
 
     def of(self, element: str) -> Names:
-        """Identifiers of another element, for its parameters and locals."""
+        """Return the identifiers of another element, for its parameters and locals."""
         return Names(element, symbols=self.symbols)
 
     def constant(self, name: str) -> float | None:
-        """Value of an own parameter that this kernel may take for granted (exactly 0 or 1), or None."""
+        """Return the value of an own parameter that this kernel may assume (exactly 0 or 1), or None."""
         return self.constants.get(name)
 
     def par(self, name: str) -> str:
-        """The element's own parameter `name`."""
+        """Return the element's own parameter `name`."""
         return self.symbols.parameter(f"{self.element}.{name}")
 
     def temperature(self, node: str) -> str:
-        """Temperature of a node in the current stage, degC."""
+        """Return the temperature of a node in the current stage, degC."""
         return self.symbols.node(node)
 
     def input(self, column: str) -> str:
-        """Input column, held from one sample to the next (zero-order hold)."""
+        """Return an input column, held from one sample to the next (zero-order hold)."""
         return self.symbols.input(column)
 
     def local(self, name: str, element: str = "") -> str:
-        """A local of the element's own (or of another's) for a `uniform`, `sample` or `stage` expression."""
+        """Return a local of the element's own (or of another's) for a `uniform`, `sample` or `stage` expression."""
         return self.symbols.local(element or self.element, name)
 
     def state(self, name: str) -> str:
-        """Temperature of the element's own `State`, degC."""
+        """Return the temperature of the element's own `ElementState`, degC."""
         return self.symbols.remembered("x", f"{self.element}.{name}")
 
     def lagged(self, name: str) -> str:
-        """Value of the element's own `Lag`, degC."""
+        """Return the value of the element's own `SensorLag`, degC."""
         return self.symbols.remembered("f", f"{self.element}.{name}")
 
     def outlet(self) -> str:
-        """Temperature of the water that the element's own `Delay` lets out, degC."""
+        """Return the temperature of the water that the element's own `PlugFlowDelay` lets out, degC."""
         return self.symbols.remembered("D", self.element)
 
     def arrived(self) -> str:
-        """The command that has come through the element's own `Drive`, in the column's unit."""
+        """Return the command that has come through the element's own `InputDrive`, in the column's unit."""
         return self.symbols.remembered("a", self.element)
 
     def time(self) -> str:
-        """Stamp of the sample, s; for readings only."""
+        """Return the stamp of the sample, s; for readings only."""
         return "now"

@@ -1,21 +1,21 @@
-"""A wet cooling tower by Merkel's method, effectiveness and NTU.
+"""Wet cooling tower by Merkel's method, effectiveness and NTU.
 
     Me  = Me_100 * flow^flow_exponent * air^fan_exponent               flow and air as shares of full
     NTU = Me m_w / m_a,   m* = m_a C_s / (m_w cp)
     eps = (1 - exp(-NTU (1 - m*))) / (1 - m* exp(-NTU (1 - m*)))
     Q   = eps m_a (h_s(T_in) - h_in)
 
-T_in is the water as it arrives, h_s the enthalpy of saturated air, h_in that of the air outside; C_s = dh_s/dT halfway
-between the water that comes and the node, which is the water that leaves (for a range of 15 K within 3 % of the
-chord). Merkel's own law of the fill,
-Me = c (m_w / m_a)^-n, is flow_exponent = -n and fan_exponent = n. The air flow is air_0 + air_1 f + air_2 f^2 with f
-the fan's speed as a share of full. The water that evaporates is not taken off the flow, as Merkel has it.
+T_in is the water as it arrives, h_s the enthalpy of saturated air, h_in that of the air outside. C_s = dh_s/dT halfway
+between the incoming water and the node, which is the water that leaves (for a range of 15 K within 3 % of the chord).
+Merkel's own law of the fill, Me = c (m_w / m_a)^-n, is flow_exponent = -n and fan_exponent = n. The air flow is
+air_0 + air_1 f + air_2 f^2 with f the fan's speed as a share of full. Evaporated water stays in the flow, as in
+Merkel's method.
 
 Sources: Braun, Klein & Mitchell, ASHRAE Trans. 95 (1989) 164 (effectiveness with a saturation slope); Merkel, VDI
 Forschungsarbeiten 275 (1925); Kloppers & Kroeger, Int. J. Heat Mass Transfer 48 (2005) 765 (the law of the fill);
 Magnus formula with the coefficients of WMO-No. 8.
 
-Saturated air is taken at 0 to 80 degC; the bound on how Q depends on the node's own temperature is that of C_s.
+Saturated air is taken at 0 to 80 degC; the bound on the dependence of Q on the node's own temperature is that of C_s.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
 from twin.elements.flow import LEAST_PERCENT, WATER_DENSITY
 
 CP_DRY, CP_STEAM, LATENT = 1006.0, 1860.0, 2.501e6
@@ -63,26 +63,41 @@ class Tower(Element):
         full = values["air_0"] + values["air_1"] + values["air_2"]
         return None if full > 0.0 else f"the air flow at full fan speed is {full:g} kg/s; it must be above 0"
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         rejects = ("heat_rejection", sites.places[self.node])
         now = {k: sites.values[f"{self.name}.{k}"] for k in ("Me_100", "flow_exponent", "fan_exponent")}
         says = "rejects heat with {driver} by a power that differs by {{value}}"
-        number = self.moves(
-            "Me_100", *rejects, "constant", "1", 0.05 * now["Me_100"], -0.9 * now["Me_100"], 3.0 * now["Me_100"],
+        number = self.parameter_candidate(
+            "Me_100",
+            *rejects,
+            "constant",
+            EffectSize("1", 0.05 * now["Me_100"], -0.9 * now["Me_100"], 3.0 * now["Me_100"]),
             "has another Merkel number: a change by {value}",
-        )  # fmt: skip
+        )
         powers = (
-            self.moves(name, *rejects, driver, "1", 0.1, -2.0 - now[name], 2.0 - now[name], says.format(driver=words))
+            self.parameter_candidate(
+                name,
+                *rejects,
+                driver,
+                EffectSize("1", 0.1, -2.0 - now[name], 2.0 - now[name]),
+                says.format(driver=words),
+            )
             for name, driver, words in (
                 ("fan_exponent", "fan_speed", "the air"),
                 ("flow_exponent", "pump_speed", "the water's flow"),
             )
         )
         ratio = Candidate(
-            *rejects, "flow_ratio", "existing",
-            {f"{self.name}.flow_exponent": -1.0, f"{self.name}.fan_exponent": 1.0}, "1", 0.1, 0.0, 1.5,
+            *rejects,
+            "flow_ratio",
+            "existing",
+            {f"{self.name}.flow_exponent": -1.0, f"{self.name}.fan_exponent": 1.0},
+            "1",
+            0.1,
+            0.0,
+            1.5,
             "rejects heat with the ratio of air to water by a power that differs by {value}",
-        )  # fmt: skip
+        )
         return (number, ratio, *powers)
 
     def emit(self, n: Names) -> Fragment:
@@ -135,17 +150,20 @@ class Tower(Element):
             ),
         )
         return Fragment(
-            uniform=uniform, sample=sample, stage=stage, heat={self.node: f"-{q}"},
+            uniform=uniform,
+            sample=sample,
+            stage=stage,
+            heat={self.node: f"-{q}"},
             conductance={self.node: f"{_STEEP} * {air}"},
-        )  # fmt: skip
+        )
 
 
 def _saturated(celsius: str) -> str:
-    """Pressure of saturated steam over water, Pa, between 0 and 80 degC."""
+    """Return the pressure of saturated steam over water, Pa, between 0 and 80 degC."""
     t = f"min(max({celsius}, 0.0), {HOTTEST_C})"
     return f"611.2 * exp(17.62 * ({t}) / (({t}) + 243.12))"
 
 
 def _enthalpy(celsius: str, moisture: str) -> str:
-    """Of moist air, J/kg of dry air."""
+    """Return the enthalpy of moist air, J/kg of dry air."""
     return f"({CP_DRY} * ({celsius}) + ({moisture}) * ({LATENT} + {CP_STEAM} * ({celsius})))"

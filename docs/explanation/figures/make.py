@@ -32,9 +32,9 @@ HOURS = 8.0
 
 def integrator() -> plt.Figure:
     """Draw the kernel's error against the matrix exponential, and water that leaves a pipe against a mixed volume."""
-    from twin.exact import simulate_exact
     from twin.kernel import simulate
     from twin.network import Network
+    from twin.reference_simulation import simulate_exact
     from twin.twinfile import load
 
     network: Network = load(PROJECT / "profiles" / "twins" / "loop.toml")

@@ -182,7 +182,7 @@ def commissioned(folder: Path, unit: int, twin: str) -> tuple[Path, Path]:
         write_record(made, good)
     if not own.is_file():
         from hil.record.reader import read_record
-        from twin.commission import commission
+        from twin.commissioning import commission
         from twin.twinfile import load, save
 
         network = load(PROJECT / "profiles" / "twins" / f"{twin}.toml")

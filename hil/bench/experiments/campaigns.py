@@ -20,7 +20,7 @@ from hil.bench.kernel.windows import steady_start
 from hil.bench.peers import Absent
 from hil.profile.load_profile import read_profile
 from hil.record.reader import read_record
-from twin.commission import commission
+from twin.commissioning import commission
 from twin.datasheet import from_datasheet
 from twin.kernel import simulate
 from twin.network import Array, Network

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.record.public import PIPE_TESTS, WATER_DENSITY, Columns, dry_cooler, heated_pipe, held_steady, tclab
-from twin.commission import INITIAL_SD_K, CommissionOptions, CommissionResult, commission
+from twin.commissioning import INITIAL_SD_K, CommissionOptions, CommissionResult, commission
 from twin.kernel import Kernel, simulate
 from twin.network import Network
 from twin.reference_simulation import right_hand_side

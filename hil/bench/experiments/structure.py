@@ -18,7 +18,7 @@ from hil.bench.experiments.campaigns import PROFILES
 from hil.bench.measure.report import Cell, Table
 from hil.record.reader import read_record
 from hil.run.session.terminal import Steps
-from twin.commission import CommissionOptions, commission
+from twin.commissioning import CommissionOptions, commission
 from twin.datasheet import from_datasheet
 from twin.kernel import Kernel, simulate
 from twin.network import Array

@@ -27,7 +27,7 @@ from twin.calibrators.hiera_unet.loads import drive
 from twin.calibrators.hiera_unet.plants import Family
 from twin.calibrators.hiera_unet.series import series
 from twin.calibrators.hiera_unet.windows import TARGET
-from twin.commission import commission
+from twin.commissioning import commission
 from twin.datasheet import from_datasheet
 from twin.network import Array
 

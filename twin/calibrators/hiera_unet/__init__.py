@@ -1,4 +1,80 @@
-"""The Hiera-UNet calibrator: a network that reads two hours of a record and corrects the twin's parameters and outputs.
+"""Hiera-UNet calibrator: a network that reads two hours of a record and corrects the twin's parameters and outputs.
 
+The names below are the package's interface; they are loaded on first use, because most of them need the extra ``ml``.
 Modules without torch: `windows`, `channels`, `features`, `regimes`, `evidence`, `campaigns`.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin.calibrators.hiera_unet.campaigns import Campaign
+    from twin.calibrators.hiera_unet.checkpoint import Identity, Member
+    from twin.calibrators.hiera_unet.config import HieraError
+    from twin.calibrators.hiera_unet.evidence import Belief, Evidence
+    from twin.calibrators.hiera_unet.features import Features, Frame
+    from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble
+    from twin.calibrators.hiera_unet.parameters import Deviations
+    from twin.calibrators.hiera_unet.plan import Plan
+    from twin.calibrators.hiera_unet.plants import Family
+    from twin.calibrators.hiera_unet.refined import RefinedCalibrator
+    from twin.calibrators.hiera_unet.series import Series
+    from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
+    from twin.calibrators.hiera_unet.store import Store
+    from twin.calibrators.hiera_unet.train import Trainer
+    from twin.calibrators.hiera_unet.windows import Windows
+
+_MODULES = {
+    "campaigns": ("Campaign",),
+    "checkpoint": ("Identity", "Member"),
+    "config": ("HieraError",),
+    "evidence": ("Belief", "Evidence"),
+    "features": ("Features", "Frame"),
+    "members": ("Ensemble", "load_ensemble"),
+    "parameters": ("Deviations",),
+    "plan": ("Plan",),
+    "plants": ("Family",),
+    "refined": ("RefinedCalibrator",),
+    "series": ("Series",),
+    "service": ("HieraUNetCalibrator",),
+    "store": ("Store",),
+    "train": ("Trainer",),
+    "windows": ("Windows",),
+}
+_HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
+
+__all__ = [
+    "Belief",
+    "Campaign",
+    "Deviations",
+    "Ensemble",
+    "Evidence",
+    "Family",
+    "Features",
+    "Frame",
+    "HieraError",
+    "HieraUNetCalibrator",
+    "Identity",
+    "Member",
+    "Plan",
+    "RefinedCalibrator",
+    "Series",
+    "Store",
+    "Trainer",
+    "Windows",
+    "load_ensemble",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module on first use."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return __all__

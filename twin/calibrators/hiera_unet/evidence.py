@@ -24,7 +24,7 @@ from twin.calibrators.hiera_unet.sparse import Likelihood, Posterior, Usual, pos
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.calibrators.identifiability import condition_number, window_information
 from twin.calibrators.structural_error import CORRELATED_S, MODEL_K
-from twin.commission import variance_inflation
+from twin.commissioning import variance_inflation
 from twin.gauss_newton import FitData, FitProblem, GaussianPrior, GaussNewtonFit
 from twin.network import Array
 

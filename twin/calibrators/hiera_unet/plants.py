@@ -18,7 +18,7 @@ import numpy as np
 from twin.calibrators.hiera_unet.loads import drive
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.series import STEP_S
-from twin.commission import CommissionOptions, commission
+from twin.commissioning import CommissionOptions, commission
 from twin.discovery.effects.catalogue import sites_of
 from twin.kernel import Kernel
 from twin.network import Array, Network, TwinFileError

@@ -30,10 +30,10 @@ def catalogue(network: Network) -> tuple[Candidate, ...]:
     sites = sites_of(network)
     found: dict[str, Candidate] = {}
     for kind in KINDS.values():
-        for candidate in kind.missing(sites):
+        for candidate in kind.missing_candidates(sites):
             found.setdefault(candidate.id, candidate)
     for element in network.elements:
-        for candidate in element.moved(sites):
+        for candidate in element.changed_candidates(sites):
             free = {name for name in candidate.changes if not _bound_to_another(network, name)}
             if len(free) == len(candidate.changes):
                 found.setdefault(candidate.id, candidate)

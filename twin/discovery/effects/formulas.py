@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.assembly import System, python_source
+from twin.assembly import NetworkEquations, python_source
 from twin.generated_code import define_functions, evaluate_formula
 from twin.network import Array, Network
 
@@ -27,7 +27,7 @@ class Formulas:
         remembering = tuple(
             p.id for p in network.parameters.values() if p.status != "fixed" or p.value not in (0.0, 1.0)
         )
-        self.system = System(network, remembering)
+        self.system = NetworkEquations(network, remembering)
         names = {name for name, f in self.system.parts if f.states}
         self._states = sum(len(f.states) for name, f in self.system.parts if name in names)
 

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from twin.commission import weak_prior
+from twin.commissioning import weak_prior
 from twin.discovery.effects.laws import Book
 from twin.discovery.effects.probe import Probe
 from twin.discovery.kept import store, stored

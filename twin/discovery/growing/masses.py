@@ -37,7 +37,7 @@ def masses(sites: Sites, period_s: float, record_s: float) -> tuple[tuple[Candid
     after: dict[str, str] = {}
     for node in sites.nodes:
         alone = replace(sites, nodes=(node,), elements=())
-        first = next(c for c in HiddenMass.missing(alone) if not c.begins)
+        first = next(c for c in HiddenMass.missing_candidates(alone) if not c.begins)
         before = ""
         for _ in range(TO_A_NODE - sum(e.node == node for e in sites.having(HiddenMass.kind))):
             (usual,) = first.adds

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.commission import weak_prior
+from twin.commissioning import weak_prior
 from twin.discovery.effects.laws import Book, Law
 from twin.discovery.effects.operating import offsets
 from twin.discovery.effects.probe import Probe, Run, free_run

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.commission import variance_inflation
+from twin.commissioning import variance_inflation
 from twin.discovery.effects.laws import Book, Law
 from twin.discovery.effects.operating import offsets
 from twin.discovery.effects.probe import Probe, Run, free_run, posterior

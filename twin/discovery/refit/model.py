@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.assembly import System
+from twin.assembly import NetworkEquations
 from twin.codegen import FEW_LANES
 from twin.discovery.effects.catalogue import extended
 from twin.discovery.effects.probe import Probe
@@ -74,7 +74,7 @@ class Model:
     def _masses(self) -> list[tuple[int, int, int, str]]:
         """Effects that bring a temperature of their own: effect, its place in a full state, the node beside it, and the
         input that it begins at instead, if any."""
-        names = System(self.network, self.kernel.lane_ids).states
+        names = NetworkEquations(self.network, self.kernel.lane_ids).states
         found = []
         for i, entry in enumerate(self.entries):
             for element in self.network.elements:
