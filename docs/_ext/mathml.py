@@ -1,7 +1,7 @@
 """Sphinx maths renderer that writes MathML, so that the pages need no script and no network.
 
-The conversion is docutils' own (`docutils.utils.math.latex2mathml`). A formula that it cannot convert is a warning with
-its place, and so fails `make docs`.
+The conversion is that of the package latex2mathml. A formula that it cannot convert is a warning with its place, and so
+fails `make docs`.
 """
 
 from __future__ import annotations
@@ -11,36 +11,37 @@ import re
 from typing import Any
 
 from docutils import nodes
-from docutils.utils.math import MathError, latex2mathml
+from latex2mathml.converter import convert
 from sphinx.application import Sphinx
 from sphinx.util import logging
-
-_ALIASES = ((re.compile(r"\\dots[bcmio]?(?![A-Za-z])"), r"\\ldots"), (re.compile(r"\\[bB]igg?[lrm]?(?![A-Za-z])"), ""))
-"""Commands that docutils lacks, and their nearest equals: dots, and delimiters that stretch by themselves."""
 
 log = logging.getLogger(__name__)
 
 
-def _convert(node: nodes.Element, block: bool) -> str:
-    text = node.astext()
-    for pattern, instead in _ALIASES:
-        text = pattern.sub(instead, text)
+def _converted(node: nodes.Element, display: str) -> str:
+    text = node.astext().strip()
+    if display == "block" and re.search(r"\\\\|&", text) and r"\begin{" not in text:
+        text = rf"\begin{{aligned}}{text}\end{{aligned}}"
     try:
-        return str(latex2mathml.tex2mathml(text, as_block=block))
-    except MathError as error:
-        log.warning("formula cannot be shown as MathML: %s", error, location=node)
+        made = convert(text, display=display)
+    except Exception as error:  # whatever its parser raises, the author needs the place
+        log.warning("formula cannot be shown as MathML: %r", error, location=node)
         return f"<code>{html.escape(text)}</code>"
+    unknown = re.search(r"\\\w+", re.sub(r"<[^>]*>", "", made))
+    if unknown:
+        log.warning("formula cannot be shown as MathML: unknown command %s", unknown[0], location=node)
+    return made
 
 
 def _inline(self: Any, node: nodes.math) -> None:
-    self.body.append(_convert(node, block=False))
+    self.body.append(_converted(node, "inline"))
     raise nodes.SkipNode
 
 
 def _block(self: Any, node: nodes.math_block) -> None:
     number = node.get("number")
     identity = f' id="{node["ids"][0]}"' if node.get("ids") else ""
-    self.body.append(f'<div class="math-block"{identity}>{_convert(node, block=True)}')
+    self.body.append(f'<div class="math-block"{identity}>{_converted(node, "block")}')
     if number:
         self.body.append(f'<span class="eqno">({number})</span>')
     self.body.append("</div>\n")

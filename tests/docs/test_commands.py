@@ -6,7 +6,10 @@ all pages together take about a minute of processor time.
 
 from __future__ import annotations
 
+import contextlib
 import glob
+import io
+import json
 import os
 import re
 import shlex
@@ -28,7 +31,7 @@ SHORTENED_S = 1200.0
 FINDS = {"diagnose", "twin"}
 """Commands whose exit code 1 reports a finding, not a failure."""
 START_S = 60.0
-"""Within this a run in the background must answer `hil ctl status`."""
+"""Within this a run in the background must begin, and after its abort end."""
 LANGUAGES = {"sh", "python", "toml", "csv", "text", "json", ""}
 
 PAGES = {str(page.relative_to(PROJECT)): page for page in pages()}
@@ -36,13 +39,17 @@ ALL = [fence for page in PAGES.values() for fence in fences(page)]
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder that looks like a checkout: links to the project's data, and load profiles cut short."""
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> Path:
+    """A folder that looks like a checkout: links to the project's data, and load profiles cut short.
+
+    Profiles keep their length where a page steers a run in the background, since its commands end that run.
+    """
+    is_steered = any("background" in fence.words for fence in fences(PAGES[name]))
     for source in (PROJECT / "profiles").rglob("*"):
         target = tmp_path / "profiles" / source.relative_to(PROJECT / "profiles")
         if source.is_dir():
             target.mkdir(parents=True, exist_ok=True)
-        elif source.parent.name == "loads" and source.suffix == ".csv":
+        elif source.parent.name == "loads" and source.suffix == ".csv" and not is_steered:
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_text(_shortened(source.read_text(encoding="utf-8")), encoding="utf-8")
         else:
@@ -68,12 +75,12 @@ class Background:
         self.process: subprocess.Popen[bytes] | None = None
 
     def start(self, arguments: list[str]) -> None:
-        """Start `hil` with `arguments`, and wait until it answers."""
+        """Start `hil` with `arguments`, and wait until its profile runs."""
         self.process = subprocess.Popen([sys.executable, "-m", "hil", *arguments], stdout=subprocess.DEVNULL)
         end = time.monotonic() + START_S
-        while _hil(["ctl", "status"]) != 0:
+        while _state() != "running":
             assert self.process.poll() is None, f"hil {shlex.join(arguments)} ended before it could be asked"
-            assert time.monotonic() < end, f"hil {shlex.join(arguments)} does not answer"
+            assert time.monotonic() < end, f"hil {shlex.join(arguments)} does not run"
             time.sleep(0.5)
 
 
@@ -86,7 +93,9 @@ def background() -> Iterator[Background]:
         try:
             assert running.process.wait(timeout=START_S) in (0, 1)
         finally:
-            running.process.kill()
+            if running.process.poll() is None:  # ends by itself, with its virtual rig
+                running.process.terminate()
+                running.process.wait(timeout=START_S)
 
 
 def _hil(arguments: list[str]) -> int:
@@ -99,6 +108,14 @@ def _hil(arguments: list[str]) -> int:
     finally:
         sys.argv = before
     return 0
+
+
+def _state() -> str | None:
+    """Return the state of the one live run, or None where none answers yet."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()):
+        code = _hil(["ctl", "status", "--json"])
+    return str(json.loads(printed.getvalue())["status"]["state"]) if code == 0 else None
 
 
 def _arguments(command: str) -> list[str]:

@@ -42,10 +42,8 @@ EXCEPTIONS: tuple[str, ...] = (
     "hil/synthetic",
     "hil/tracking",
     "hil/training",
-    "twin/__init__.py",
     "twin/calibrators",
     "twin/discovery",
-    "twin/elements",
 )
 """Files and folders that are not cleaned yet. This list may only become shorter: a test fails for an entry without
 findings. `python -m tests.language --exceptions` prints the entries that are needed."""

@@ -24,7 +24,7 @@ class Sentence:
 
 
 def text_lines(page: str) -> list[tuple[int, str]]:
-    """Return number and text of the lines that are no code and no maths."""
+    """Return number and text of the lines that are no code and no maths; an empty line stands for each of these."""
     found: list[tuple[int, str]] = []
     fence = ""
     in_maths = False
@@ -36,8 +36,10 @@ def text_lines(page: str) -> list[tuple[int, str]]:
             continue
         if opened:
             fence = opened[1]
+            found.append((number, ""))
             continue
         if line.strip().startswith("$$"):
+            found.append((number, ""))
             in_maths = not in_maths and line.strip().count("$$") == 1
             continue
         if not in_maths:

@@ -54,6 +54,11 @@ def test_sentences_of_a_page_leave_out_code_tables_and_headings() -> None:
     assert [s.text for s in sentences(page)] == ["One two.", "Three four five, e_g_ six.", "seven eight", "nine"]
 
 
+def test_a_formula_between_two_paragraphs_ends_the_first() -> None:
+    page = "The sum is\n```{math}\na + b\n```\nof both\n$$\nc\n$$\nand more.\n"
+    assert [s.text for s in sentences(page)] == ["The sum is", "of both", "and more."]
+
+
 def test_a_file_name_in_code_is_one_word_and_ends_no_sentence() -> None:
     (found,) = sentences("See `a b.c Which` and [the page](x.md#Why.) here.")
     assert found.length == 6
