@@ -73,9 +73,9 @@ class Features:
         Args:
             values: full vector (p,) of the commissioned twin.
         """
-        if self._last is not None and self._last[0] is series and self._last[1] == end:
-            if np.array_equal(self._last[2], values):
-                return self._last[3]
+        last = self._last
+        if last is not None and last[0] is series and last[1] == end and np.array_equal(last[2], values):
+            return last[3]
         made = self._made(series, end, values)
         self._last = series, end, values, made
         return made
