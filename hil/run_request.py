@@ -33,9 +33,9 @@ class RunRequest:
     network calibrators ask, None for the shipped one. `network_mode`: see `hil.adoption`. `control` is the control
     port of a virtual rig in lockstep that runs already, at the rig file's addresses. `rearm`: whether a trip that the
     rig brings along is acknowledged. `diagnose_s`: seconds of profile time between diagnoses of the record so far
-    (infinity: of the whole run alone), against the record `healthy`; `adopt` saves what they find. `guardian` False does
-    without the process that makes the rig safe when this one is killed or hangs. `no_lock`: run although a second run
-    is not kept off the rig.
+    (infinity: of the whole run alone), against the record `healthy`; `adopt` saves what they find. `guardian` False
+    does without the process that makes the rig safe when this one is killed or hangs. `no_lock`: run although a second
+    run is not kept off the rig.
     """
 
     profile: Path

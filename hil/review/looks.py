@@ -160,6 +160,13 @@ def twin_colours(twins: tuple[str, ...]) -> dict[str, Colour]:
     return {"static": ORANGE} | dict(zip(tracked, itertools.cycle(TRACKED.values()), strict=False))
 
 
+def twin_words(twins: tuple[str, ...]) -> dict[str, str]:
+    """Return the names of the colours of `twin_colours`."""
+    tracked = [twin for twin in twins if twin != "static"]
+    static = {"static": "orange"} if "static" in twins else {}
+    return static | dict(zip(tracked, itertools.cycle(TRACKED), strict=False))
+
+
 def told_apart(names: Iterable[str]) -> str:
     """Return `one (red), another (blue)`: names with the colours of `MANY` that they have in this order."""
     return ", ".join(f"{name} ({word})" for name, word in zip(names, itertools.cycle(MANY), strict=False))

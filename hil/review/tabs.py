@@ -6,7 +6,7 @@ import itertools
 from dataclasses import replace
 
 from hil.journal_rows import Header
-from hil.review.looks import ACTUATOR_WORDS, Panel, Stack, path, titled
+from hil.review.looks import ACTUATOR_WORDS, Panel, Stack, path, titled, twin_words
 
 MARGIN = 0.13
 PARAMETERS_KEY, ESTIMATES_KEY = path("key", "parameters"), path("key", "estimates")
@@ -14,6 +14,8 @@ _MOST_BESIDE = 4
 _LANE_PX, _LANES_PX, _WINDOW_PX = 40.0, 60.0, 900.0
 """Height of a lane and of the title and time axis above the lanes, in pictures of the viewer (0.41); height that the
 panels of a tab share in a window of a usual 1000 points."""
+_MOST_LANES = 5
+"""Lanes that a sensor's tab has room for; the others are there to be scrolled to."""
 _LEAST_REACH_K = 0.25
 
 
@@ -43,10 +45,21 @@ def _told_by_title(panel: Panel, colours: dict[str, str]) -> Panel:
     return replace(panel, title=f"{told}{bracket}{unit}" if bracket else told, legend=False)
 
 
-def _temperature(sensor: str, *, share: float, columns: bool, legend: bool) -> Panel:
+def _temperature(sensor: str, *, share: float) -> Panel:
     root = path("sensors", sensor)
-    contents = (f"{root}/measured", f"{root}/twin/**", *((f"{root}/columns",) if columns else ()))
-    return Panel("lines", titled(sensor.removesuffix("_C"), "degC"), contents, share, legend)
+    title = titled(sensor.removesuffix("_C"), "degC")
+    return Panel("lines", title, (f"{root}/measured", f"{root}/twin/**"), share, legend=False)
+
+
+def _temperature_with_key(sensor: str, columns: tuple[str, ...], header: Header, *, share: float) -> Panel:
+    """The same with its columns where there are several, and with a title that has the colours of all curves: a legend
+    of so many would be cut."""
+    panel = _temperature(sensor, share=share)
+    several = len(columns) > 1
+    measured = f"measured grey ({len(columns)} columns dim)" if several else "measured grey"
+    key = ", ".join([measured, *(f"{twin} {word}" for twin, word in twin_words(header.twin_names).items())])
+    more = (path("sensors", sensor) + "/columns",) if several else ()
+    return replace(panel, title=f"{panel.title}: {key}", contents=(*panel.contents, *more))
 
 
 def _residual(sensor: str, *, share: float, told: bool) -> Panel:
@@ -80,7 +93,7 @@ def overview(
         Stack(
             "rows",
             (
-                _temperature(sensor, share=5.0, columns=False, legend=False),
+                _temperature(sensor, share=5.0),
                 _bands(sensor, header, share=4.0, told=False)
                 if len(header.twin_names) > 1
                 else _residual(sensor, share=4.0, told=False),
@@ -107,20 +120,25 @@ def overview(
     return Stack("rows", tuple(rows), title="Overview")
 
 
+def _lanes_share(lanes: int, others: float) -> float:
+    """Return the share of a panel with so many lanes, beside panels with the sum of shares `others`."""
+    height = _LANES_PX + _LANE_PX * lanes
+    return others * height / (_WINDOW_PX - height)
+
+
 def sensor_tab(sensor: str, columns: tuple[str, ...], header: Header) -> Stack:
     calibrators = sum(twin != "static" for twin in header.twin_names)
     lanes = ("/windows/**", *(path("quality", column) for column in columns))
-    height = _LANES_PX + _LANE_PX * (min(len(columns), 4) + calibrators)
-    above = 9.0 + 4.0 * bool(calibrators)
+    others = 9.0 + 4.0 * bool(calibrators)
     panels = (
-        _temperature(sensor, share=5.0, columns=True, legend=True),
+        _temperature_with_key(sensor, columns, header, share=5.0),
         _residual(sensor, share=4.0, told=True),
         *((_bands(sensor, header, share=4.0, told=True),) if calibrators else ()),
         Panel(
             "lanes",
             "Calibration windows and quality",
             lanes,
-            above * height / (_WINDOW_PX - height),
+            _lanes_share(min(len(columns) + calibrators, _MOST_LANES), others),
         ),
     )
     return Stack("rows", panels, title=sensor.removesuffix("_C"), margin=MARGIN)
@@ -135,7 +153,7 @@ def calibration_tab(
         "lanes",
         "Windows: kind, and whether the fit was accepted" + (", gates of the network" if proposers else ""),
         ("/windows/**", "/calibrated/**", *(path("gates", name) for name in proposers)),
-        3.2 if commissioned else 0.8,
+        _lanes_share(2 * len(calibrators) + len(proposers), 7.4 if commissioned else 3.3),
     )
     fit = Panel("lines", "RMSE within the window, dim: before the fit [K]", ("/fit/**",), 1.5, legend=False)
     relative = tuple(
