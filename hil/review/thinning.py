@@ -44,5 +44,4 @@ def _on_a_line(
     with np.errstate(invalid="ignore", divide="ignore"):
         share = (own_s - own_s[:, :1]) / (time_s[ends] - time_s[begins])[:, None]
         line = values[begins][:, None] + share[:, :, None] * (values[ends] - values[begins])[:, None]
-        near: NDArray[np.bool_] = (np.abs(own - line) <= tolerance).all(axis=(1, 2))
-    return near
+        return np.asarray((np.abs(own - line) <= tolerance).all(axis=(1, 2)))

@@ -86,12 +86,11 @@ class Ensemble:
         sd, scale = self.calibrated(np.sqrt(theta_variance), windows.meta), np.sqrt(variance / 2.0)
         distance, seen = np.mean(distances, axis=0), np.mean(attention, axis=0)
         none = np.zeros((0, *delta.shape[2:]))
-        return tuple(
-            Said(
-                theta[k], sd[k], *((delta[k], scale[k]) if k < wanted else (none, none)), float(distance[k]), seen[k]
-            )
-            for k in range(count)
-        )  # fmt: skip
+        said = []
+        for k in range(count):
+            own, spread = (delta[k], scale[k]) if k < wanted else (none, none)
+            said.append(Said(theta[k], sd[k], own, spread, float(distance[k]), seen[k]))
+        return tuple(said)
 
     def calibrated(self, sd: Array, meta: np.ndarray) -> Array:
         """Standard deviations (N, P) of deviations, `NORMAL90` of which hold 90 % on windows that no training saw.
