@@ -89,6 +89,7 @@ class _Screen:
         if self._recording is None:
             return
         if self._recording.plan is not collector.plan:
+            self._recording.extend(collector.plan)
             self._recording.layout(collector.plan, collector.plan.header.duration_s)
         if not self._recording.flush(_VIEWER_TIMEOUT_S):
             _log.warning("the viewer is gone; `hil review RUN --follow` opens another one")
@@ -183,6 +184,7 @@ def follow(
         finally:
             if recording is not None and file is not None:
                 plan = collector.plan
+                recording.extend(plan)
                 found = findings_beside(journal)
                 if found is not None:
                     plan = with_findings(plan, found)

@@ -22,10 +22,12 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
     /gates/<calibrator>, /proposals/..   lane: whether its gates are open; text: what it takes on, what holds the rest
     /relative/<calibrator>/<parameter>   per cent off the commissioned value, (n, 1)
     /events, /writes                     text
-    /key                                 which colour is what
+    /key, /key/..                        which colour is what
 """
 
 from __future__ import annotations
+
+import itertools
 
 from drivers.signals.points import Quality
 from hil.journal.rows import Header
@@ -36,6 +38,7 @@ from hil.review.styles import (
     FAINT,
     FLAG_COLOURS,
     GATE_COLOURS,
+    MANY,
     NEUTRAL,
     QUALITY_COLOURS,
     QUALITY_NAMES,
@@ -47,10 +50,22 @@ from hil.review.styles import (
     Lines,
     Plan,
     Stack,
+    colour_key,
+    estimates_key,
     path,
+    told_apart,
     twin_colours,
 )
-from hil.review.tabs import MARGIN, calibration_tab, overview, quality_tab, sensor_tab, unit_panels
+from hil.review.tabs import (
+    ESTIMATES_KEY,
+    MARGIN,
+    PARAMETERS_KEY,
+    calibration_tab,
+    overview,
+    quality_tab,
+    sensor_tab,
+    unit_panels,
+)
 
 
 def _dimmed(colour: Colour, to: float = 0.5) -> Colour:
@@ -79,8 +94,8 @@ def _sensor_lines(header: Header) -> list[Lines]:
             )
             tracked = [name for name in drawn if name != "static"]
             # Bands of twins that know equally much lie on one another: those drawn first are wider, so all are seen.
-            wide = 1.0 + 3.0 * (len(tracked) - 1 - tracked.index(twin)) if twin in tracked else 1.0
-            dim, names = _dimmed(colours[twin], 0.65), (f"{twin}, 90 % band", f"-{twin}, 90 % band")
+            wide = 1.5 + 3.0 * (len(tracked) - 1 - tracked.index(twin)) if twin in tracked else 1.5
+            dim, names = _dimmed(colours[twin], 1.0 - 0.06 * wide), (f"{twin}, 90 % band", f"-{twin}, 90 % band")
             lines.append(Lines(path("sensors", sensor, "band", twin), names, (dim, dim), (wide,), steps=True))
         if header.twin_names:
             drawn_in = tuple(colours[twin] for twin in header.twin_names)
@@ -125,7 +140,8 @@ def make_plan(
             others[entity] = (signal.name, signal.unit)
     status = tuple(signal.column for signal in header.signals if signal.kind == "status")
     if status:
-        lines.append(Lines("/status", status, steps=True))
+        several = tuple(itertools.islice(itertools.cycle(MANY.values()), len(status)))
+        lines.append(Lines("/status", status, several, steps=True))
         columns_of["/status"] = status
     for sensor, columns in header.twin_sensors.items():
         if len(columns) > 1:
@@ -135,7 +151,10 @@ def make_plan(
     colours = twin_colours(header.twin_names)
     for name in calibrators:
         names = (f"{name}, before the fit", f"{name}, after")
-        lines.append(Lines(path("fit", name), names, (FAINT, colours[name]), steps=True))
+        lines.append(Lines(path("fit", name), names, (_dimmed(colours[name]), colours[name]), steps=True))
+    for name in calibrators:
+        for parameter, colour in zip(units or {}, itertools.cycle(MANY.values()), strict=False):
+            lines.append(Lines(path("relative", name, parameter), (parameter,), (colour,)))
     lanes = [Lane(path("quality", signal.column), _quality_colours()) for signal in header.signals]
     lanes.append(Lane("/quality", _worst_colours(header)))
     lanes.append(Lane("/state", {state.value: colour for state, colour in STATE_COLOURS.items()}))
@@ -150,11 +169,11 @@ def make_plan(
         quality_tab(bool(status)),
     ]
     labels = {line.entity: line.names for line in lines}
-    labels |= {path("relative", name): tuple(units or {}) for name in calibrators}
-    labels |= {path("parameters", name): calibrators for name in units or {}}
-    return Plan(
-        header, tuple(lines), tuple(lanes), tuple(with_room_for_legends(tab, labels) for tab in tabs), columns_of
-    )
+    notes = {"/key": colour_key(header.twin_names)}
+    if units:
+        notes |= {PARAMETERS_KEY: told_apart(units), ESTIMATES_KEY: estimates_key(header.twin_names, proposers)}
+    roomy = tuple(with_room_for_legends(tab, labels) for tab in tabs)
+    return Plan(header, tuple(lines), tuple(lanes), roomy, columns_of, notes=notes)
 
 
 def _quality_colours() -> dict[str, Colour]:

@@ -17,7 +17,7 @@ from rerun.experimental import ViewerClient
 
 from hil.files.names import printable, utf8_path
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
-from hil.review.styles import NEUTRAL, Colour, Panel, Plan, Stack, colour_key, symbol, twin_colours
+from hil.review.styles import NEUTRAL, Colour, Panel, Plan, Stack, symbol, twin_colours
 
 TIMELINE = "test_time"
 _SETTLED = 3
@@ -39,7 +39,6 @@ class Recording:
         self._live = url is not None
         self._colours: dict[str, Colour] = {}
         self._looks(plan)
-        self._stream.log("/key", rr.TextDocument(colour_key(plan.header.twin_names)), static=True)
         self._plan: Plan | None = None
         self._units: set[str] = set()
 
@@ -72,6 +71,8 @@ class Recording:
                 interpolation_mode="StepAfter" if lines.steps else "Linear",
             )
             self._stream.log(lines.entity, looks, static=True)
+        for entity, text in plan.notes.items():
+            self._stream.log(entity, rr.TextDocument(printable(text)), static=True)
         for lane in plan.lanes:
             states = list(lane.colours)
             colours = rr.StateConfiguration(values=states, labels=states, colors=list(lane.colours.values()))

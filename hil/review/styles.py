@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -24,6 +25,15 @@ TRACKED: dict[str, Colour] = {
 ACTUATORS: tuple[Colour, ...] = ((240, 110, 90), (90, 170, 250), (110, 210, 140), (220, 180, 90), (190, 140, 240))
 ACTUATOR_WORDS = ("red", "blue", "green", "yellow", "violet")
 """Names of `ACTUATORS`, for titles of panels without a legend."""
+MANY: dict[str, Colour] = {
+    **dict(zip(ACTUATOR_WORDS, ACTUATORS, strict=True)),
+    "cyan": (20, 200, 210),
+    "orange": ORANGE,
+    "pink": (250, 130, 190),
+    "brown": (165, 115, 75),
+    "grey": NEUTRAL,
+}
+"""Colours by their names, for curves that a line of text tells apart."""
 RED: Colour = (235, 70, 70)
 GREEN: Colour = (60, 140, 90)
 YELLOW: Colour = (230, 200, 60)
@@ -118,7 +128,7 @@ class Stack:
 @dataclass(frozen=True, slots=True)
 class Plan:
     """All looks and the tabs; `columns_of` says which columns of a sample row go to which entity, `colours` how
-    estimates that belong to no twin are drawn."""
+    estimates that belong to no twin are drawn, `notes` are texts by entity that hold at all times."""
 
     header: Header
     lines: tuple[Lines, ...]
@@ -126,6 +136,7 @@ class Plan:
     tabs: tuple[Stack, ...]
     columns_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
     colours: dict[str, Colour] = field(default_factory=dict)
+    notes: dict[str, str] = field(default_factory=dict)
 
 
 def path(*parts: str) -> str:
@@ -149,6 +160,18 @@ def twin_colours(twins: tuple[str, ...]) -> dict[str, Colour]:
     return {"static": ORANGE} | dict(zip(tracked, itertools.cycle(TRACKED.values()), strict=False))
 
 
+def twin_words(twins: tuple[str, ...]) -> dict[str, str]:
+    """Return the names of the colours of `twin_colours`."""
+    tracked = [twin for twin in twins if twin != "static"]
+    static = {"static": "orange"} if "static" in twins else {}
+    return static | dict(zip(tracked, itertools.cycle(TRACKED), strict=False))
+
+
+def told_apart(names: Iterable[str]) -> str:
+    """Return `one (red), another (blue)`: names with the colours of `MANY` that they have in this order."""
+    return ", ".join(f"{name} ({word})" for name, word in zip(names, itertools.cycle(MANY), strict=False))
+
+
 def colour_key(twins: tuple[str, ...]) -> str:
     """Return in one line which colour stands for what."""
     tracked = [twin for twin in twins if twin != "static"]
@@ -156,3 +179,11 @@ def colour_key(twins: tuple[str, ...]) -> str:
     parts += [f"{name}: tracked by {twin}" for twin, name in zip(tracked, itertools.cycle(TRACKED), strict=False)]
     parts += ["thin lines: 90 % band, or ±2σ of the sensor's noise", "gap: no good value"]
     return " · ".join([*parts, "set-points: dim, read back: bright"])
+
+
+def estimates_key(twins: tuple[str, ...], proposers: tuple[str, ...]) -> str:
+    """Return in one line which colour stands for whose estimate of a parameter."""
+    tracked = [twin for twin in twins if twin != "static"]
+    parts = [f"{name}: {twin}" for twin, name in zip(tracked, itertools.cycle(TRACKED), strict=False)]
+    parts += [f"grey: {name} proposes, as far as no gate holds it" for name in proposers]
+    return " · ".join([*parts, "bands: 90 % intervals"])

@@ -6,10 +6,16 @@ import itertools
 from dataclasses import replace
 
 from hil.journal.rows import Header
-from hil.review.styles import ACTUATOR_WORDS, Panel, Stack, path, titled
+from hil.review.styles import ACTUATOR_WORDS, Panel, Stack, path, titled, twin_words
 
 MARGIN = 0.13
+PARAMETERS_KEY, ESTIMATES_KEY = path("key", "parameters"), path("key", "estimates")
 _MOST_BESIDE = 4
+_LANE_PX, _LANES_PX, _WINDOW_PX = 40.0, 60.0, 900.0
+"""Height of a lane and of the title and time axis above the lanes, in pictures of the viewer (0.41); height that the
+panels of a tab share in a window of a usual 1000 points."""
+_MOST_LANES = 5
+"""Lanes that a sensor's tab has room for; the others are there to be scrolled to."""
 _LEAST_REACH_K = 0.25
 
 
@@ -39,28 +45,40 @@ def _told_by_title(panel: Panel, colours: dict[str, str]) -> Panel:
     return replace(panel, title=f"{told}{bracket}{unit}" if bracket else told, legend=False)
 
 
-def _temperature(sensor: str, *, share: float, columns: bool, legend: bool) -> Panel:
+def _temperature(sensor: str, *, share: float) -> Panel:
     root = path("sensors", sensor)
-    contents = (f"{root}/measured", f"{root}/twin/**", *((f"{root}/columns",) if columns else ()))
-    return Panel("lines", titled(sensor.removesuffix("_C"), "degC"), contents, share, legend)
+    title = titled(sensor.removesuffix("_C"), "degC")
+    return Panel("lines", title, (f"{root}/measured", f"{root}/twin/**"), share, legend=False)
 
 
-def _residual(sensor: str, *, share: float, legend: bool) -> Panel:
+def _temperature_with_key(sensor: str, columns: tuple[str, ...], header: Header, *, share: float) -> Panel:
+    """The same with its columns where there are several, and with a title that has the colours of all curves: a legend
+    of so many would be cut."""
+    panel = _temperature(sensor, share=share)
+    several = len(columns) > 1
+    measured = f"measured grey ({len(columns)} columns dim)" if several else "measured grey"
+    key = ", ".join([measured, *(f"{twin} {word}" for twin, word in twin_words(header.twin_names).items())])
+    more = (path("sensors", sensor) + "/columns",) if several else ()
+    return replace(panel, title=f"{panel.title}: {key}", contents=(*panel.contents, *more))
+
+
+def _residual(sensor: str, *, share: float, told: bool) -> Panel:
     root = path("sensors", sensor)
-    title = titled(f"{sensor.removesuffix('_C')}: measured - twin", "K")
-    return Panel("lines", title, (f"{root}/residual", f"{root}/noise"), share, legend)
+    noise = " (dim lines: 0 and ±2σ of the sensor's noise)" if told else ""
+    title = titled(f"{sensor.removesuffix('_C')}: measured - twin{noise}", "K")
+    # A legend would be cut: noise and twins are more than fit into it. The plot above tells the twins' colours.
+    return Panel("lines", title, (f"{root}/residual", f"{root}/noise"), share, legend=False)
 
 
-def _bands(sensor: str, header: Header, *, share: float, legend: bool) -> Panel:
+def _bands(sensor: str, header: Header, *, share: float, told: bool) -> Panel:
     """The tracked twins alone: beside the static one's error theirs would be a flat line."""
     root = path("sensors", sensor)
     tracked = [twin for twin in header.twin_names if twin != "static"]
     contents = [f"{root}/{what}{path(twin)}" for what in ("band", "miss") for twin in tracked]
-    what = "means of 10 min with the bands foretold for them" if legend else ""
-    title = titled(f"{sensor.removesuffix('_C')}: measured - tracked{', ' * bool(what)}{what}", "K")
-    return Panel(
-        "lines", title, tuple(contents), share, legend, max(_LEAST_REACH_K, 6.0 * header.noise_K.get(sensor, 0))
-    )
+    what = ", means of 10 min between their 90 % bands, predicted before" if told else ""
+    title = titled(f"{sensor.removesuffix('_C')}: measured - tracked{what}", "K")
+    reach_K = max(_LEAST_REACH_K, 6.0 * header.noise_K.get(sensor, 0))
+    return Panel("lines", title, tuple(contents), share, legend=False, reach=reach_K)
 
 
 def overview(
@@ -75,10 +93,10 @@ def overview(
         Stack(
             "rows",
             (
-                _temperature(sensor, share=5.0, columns=False, legend=False),
-                _bands(sensor, header, share=4.0, legend=False)
+                _temperature(sensor, share=5.0),
+                _bands(sensor, header, share=4.0, told=False)
                 if len(header.twin_names) > 1
-                else _residual(sensor, share=4.0, legend=False),
+                else _residual(sensor, share=4.0, told=False),
             ),
         )
         for sensor in header.twin_sensors
@@ -102,19 +120,25 @@ def overview(
     return Stack("rows", tuple(rows), title="Overview")
 
 
+def _lanes_share(lanes: int, others: float) -> float:
+    """Return the share of a panel with so many lanes, beside panels with the sum of shares `others`."""
+    height = _LANES_PX + _LANE_PX * lanes
+    return others * height / (_WINDOW_PX - height)
+
+
 def sensor_tab(sensor: str, columns: tuple[str, ...], header: Header) -> Stack:
     calibrators = sum(twin != "static" for twin in header.twin_names)
     lanes = ("/windows/**", *(path("quality", column) for column in columns))
-    height = 50.0 + 30.0 * (min(len(columns), 6) + calibrators)  # of the lanes, in a window of a usual 800 points
+    others = 9.0 + 4.0 * bool(calibrators)
     panels = (
-        _temperature(sensor, share=5.0, columns=True, legend=True),
-        _residual(sensor, share=4.0, legend=True),
-        *((_bands(sensor, header, share=4.0, legend=True),) if calibrators else ()),
+        _temperature_with_key(sensor, columns, header, share=5.0),
+        _residual(sensor, share=4.0, told=True),
+        *((_bands(sensor, header, share=4.0, told=True),) if calibrators else ()),
         Panel(
             "lanes",
             "Calibration windows and quality",
             lanes,
-            8.0 * height / (800.0 - height),
+            _lanes_share(min(len(columns) + calibrators, _MOST_LANES), others),
         ),
     )
     return Stack("rows", panels, title=sensor.removesuffix("_C"), margin=MARGIN)
@@ -129,14 +153,21 @@ def calibration_tab(
         "lanes",
         "Windows: kind, and whether the fit was accepted" + (", gates of the network" if proposers else ""),
         ("/windows/**", "/calibrated/**", *(path("gates", name) for name in proposers)),
-        3.2 if commissioned else 0.8,
+        _lanes_share(2 * len(calibrators) + len(proposers), 7.4 if commissioned else 3.3),
     )
-    fit = Panel("lines", "RMSE within the window [K]", ("/fit/**",), 1.5)
+    fit = Panel("lines", "RMSE within the window, dim: before the fit [K]", ("/fit/**",), 1.5, legend=False)
     relative = tuple(
-        Panel("lines", f"{name}: parameters against commissioning [%]", (path("relative", name) + "/**",), reach=100.0)
+        Panel(
+            "lines",
+            f"{name}: parameters against commissioning [%]",
+            (path("relative", name) + "/**",),
+            legend=False,
+            reach=100.0,
+        )
         for name in calibrators
     )
-    shifts = (Stack("columns", relative, share=3.5, margin=0.7),) if commissioned else ()
+    key = Panel("note", "Colours of parameters", (PARAMETERS_KEY,), 0.6)
+    shifts = (key, Stack("columns", relative, share=3.5)) if commissioned else ()
     told = tuple(
         Panel("texts", f"What {name} proposes, where that changes", (path("proposals", name),), 1.8)
         for name in proposers
@@ -145,10 +176,16 @@ def calibration_tab(
     if not units:
         return (tracking,)
     each = tuple(
-        Panel("lines", titled(name, unit), (path("parameters", name) + "/**", path("proposed", name) + "/**"))
+        Panel(
+            "lines",
+            titled(name, unit),
+            (path("parameters", name) + "/**", path("proposed", name) + "/**"),
+            legend=False,
+        )
         for name, unit in units.items()
     )
-    return (tracking, Stack("grid", each, title="Parameters", margin=2 * MARGIN))
+    key = Panel("note", "Colours of estimates", (ESTIMATES_KEY,), 0.3)
+    return (tracking, Stack("rows", (key, Stack("grid", each, share=10.0)), title="Parameters"))
 
 
 def quality_tab(status: bool) -> Stack:

@@ -27,7 +27,10 @@ from hil.diagnosis.live import (
 )
 from hil.diagnosis.store import has_diagnosis
 from hil.journal.writer import Header, JournalReader, JournalWriter
-from hil.run_folder.folder import RunFolder
+from hil.run.session.interrupted_run import request_of
+from hil.run.session.manifest import settings_of
+from hil.run.session.request import RunRequest
+from hil.run_folder.folder import RunFolder, create_run_folder, new_manifest
 from tests.hil.made_diagnosis import SAYS, effect, made
 from twin.discovery.diagnosis import SensorError
 from twin.network import Network
@@ -231,3 +234,18 @@ def test_healthy_without_diagnose_is_a_usage_error(tmp_path):
         capture_output=True, text=True, cwd=PROJECT, timeout=60,
     )  # fmt: skip
     assert done.returncode == 2 and "--diagnose" in done.stderr
+
+
+@pytest.mark.parametrize(("asked", "written"), [(None, None), (1800.0, 1800.0), (math.inf, "end")])
+def test_a_run_goes_on_with_the_diagnosis_that_it_was_asked_for(tmp_path, asked, written):
+    profile = tmp_path / "load.csv"
+    profile.write_text(LOAD.format(end=9000), encoding="utf-8")
+    rig = PROJECT / "profiles" / "rigs" / "virtual.toml"
+    request = RunRequest(profile, rig, None, tmp_path, virtual=True, mode="lockstep", diagnose_s=asked)
+    folder = create_run_folder(tmp_path, "load", 100)
+    settings = settings_of(request, None)
+    folder.write_manifest(new_manifest({"rig": rig, "profile": profile}, **settings))
+    JournalWriter(folder.journal, Header((SIGNAL,), {}, (), "load", 9000.0, 1.0, {})).close()
+    manifest = folder.read_manifest()
+    assert manifest["settings"]["diagnose_s"] == written
+    assert request_of(folder, manifest, {}).diagnose_s == asked

@@ -60,7 +60,7 @@ def test_a_run_that_was_diagnosed_ends_with_verdict_errors_and_files(tmp_path, c
     LiveRun().show_result(RunResult(folder, Outcome("done", "", safe=True), None, 1.0, 1.0, False, told))
     out = capsys.readouterr().out
     end = out[out.index(f"effect found: {SAYS}.") :]
-    for words in ("free run from 7.50 h to 10.00 h", "as it was", "re-tuned", "with the effect", "noise", *SENSORS):
+    for words in ("free run from 7 h 30 min to 10 h, ", "as it was", "re-tuned", "with the effect", "noise", *SENSORS):
         assert words in end
     assert end.splitlines()[-2:] == [f"diagnosis with pictures: {page}", f"run in Rerun: {review}"]
 
