@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from twin.discovery.selection.held_out import WORSE
-
 RARE = 1e-6
 """Probability below which no figure is given: the tail that it is read from is drawn, not observed."""
 
@@ -65,6 +63,8 @@ def chance(document: dict[str, Any]) -> str:
 
 def worse(document: dict[str, Any]) -> str:
     """By how much an answer is worse than re-tuning where no fit saw the record, as half a sentence, or ""."""
+    from twin.discovery.selection.held_out import WORSE  # it brings the whole search along, which no run needs
+
     sensors = {k: e for k, e in document["error"]["sensors"].items() if None not in (e["before"], e["after"])}
     before, after = (sum((e[k] / e["noise"]) ** 2 for e in sensors.values()) for k in ("before", "after"))
     if not after > WORSE * max(before, len(sensors)):

@@ -13,9 +13,9 @@ import pytest
 from click.testing import CliRunner, Result
 from hil.cli.group import group
 
-from hil.errors import explained
 from hil.record.reader import Record, read_record, write_record
 from hil.rig.element_kinds import parameters_of
+from tests.hil.command_line import typed
 from twin.elements import KINDS
 from twin.twinfile import load as read_twin
 
@@ -26,20 +26,9 @@ GOOD_LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,100,70\n9
 
 
 def hil(*arguments: object) -> tuple[int, str]:
-    """Exit code and everything printed, through the same door as the console script."""
-
-    def call() -> None:
-        with explained():
-            group.main([str(item) for item in arguments], standalone_mode=True)
-
-    import contextlib
-    import io
-
-    captured = io.StringIO()
-    with contextlib.redirect_stdout(captured), contextlib.redirect_stderr(captured), pytest.raises(SystemExit) as ended:
-        call()
-    code = ended.value.code
-    return (code if isinstance(code, int) else 1), captured.getvalue()
+    """Exit code and everything printed."""
+    done = typed(*arguments)
+    return done.returncode, done.stdout + done.stderr
 
 
 def load(tmp_path: Path, text: str) -> Path:

@@ -236,7 +236,7 @@ def test_a_worker_reports_errors_and_goes_on(tmp_path: Path) -> None:
 
 
 def test_two_cases_from_end_to_end(tmp_path: Path) -> None:
-    options = ["bench", "discovery", "--blind", "--case", "3", "--case", "5", "--hours", "4", "--no-ablations"]
+    options = ["bench", "discovery", "--blind", "--case", "3", "--case", "5", "--hours", "2", "--no-ablations"]
     work = ["--work", str(tmp_path / "work"), "--json"]
     first = CliRunner().invoke(group, [*options, *work])
     assert first.exit_code == 0, first.output

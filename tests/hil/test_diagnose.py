@@ -1,4 +1,7 @@
-"""`hil diagnose` as a user types it, on a rig of separate processes over real Modbus and CAN."""
+"""`hil diagnose` as a user types it, on a rig of separate processes over real Modbus and CAN.
+
+Runs, commissioning and the first diagnosis are processes of their own; what is asked of them after that is not.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ import numpy as np
 import pytest
 
 from hil.record.reader import read_record, write_record
+from tests.hil.command_line import typed
 from twin.kernel import simulate
 from twin.twinfile import load
 
@@ -31,8 +35,8 @@ def beginning(load: Path, hours: float) -> str:
 
 
 def hil(*arguments: object) -> subprocess.CompletedProcess[str]:
-    typed = [sys.executable, "-m", "hil", *map(str, arguments)]
-    return subprocess.run(typed, capture_output=True, text=True, cwd=PROJECT, timeout=280)
+    command = [sys.executable, "-m", "hil", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=PROJECT, timeout=280)
 
 
 @pytest.fixture(scope="module")
@@ -86,20 +90,20 @@ def test_undeclared_heat_is_found_added_and_the_twin_is_right_again(runs: dict[s
     off = np.sqrt(np.nanmean((run - measured[begin:])[1800:] ** 2, axis=0))
     assert (off < 2.0 * revised.sigma).all()
     # It may be asked again, with the same healthy record: the rig was not as it is now before the heat came.
-    again = hil("diagnose", record, "--twin", twin.with_name("rig.r2.toml"), "--dry", "--json")
+    again = typed("diagnose", record, "--twin", twin.with_name("rig.r2.toml"), "--dry", "--json")
     assert again.returncode == 1, again.stderr
     (effect,) = json.loads(again.stdout)["effects"]
     assert (effect["kind"], effect["where"], effect["onset_s"]) == ("unknown", "modules", 0.0)
     assert effect["value"] == pytest.approx(-150.0, rel=0.08)
     # And it can be undone.
-    assert hil("twin", "revert", twin.with_name("rig.r2.toml")).returncode == 0
+    assert typed("twin", "revert", twin.with_name("rig.r2.toml")).returncode == 0
     assert load(twin.with_name("rig.r3.toml")).parameters["modules_power.power"].value == 0.0
 
 
 def test_dry_writes_nothing(runs: dict[str, Path], tmp_path: Path) -> None:
     twin = tmp_path / "rig.toml"
     twin.write_bytes(runs["twin"].read_bytes())
-    done = hil(
+    done = typed(
         "diagnose", runs["heated"], "--twin", twin, "--healthy", runs["healthy"] / "record.parquet", "--dry",
         "--out", tmp_path / "out",
     )  # fmt: skip
@@ -109,7 +113,7 @@ def test_dry_writes_nothing(runs: dict[str, Path], tmp_path: Path) -> None:
 
 def test_the_healthy_rig_is_adequate(runs: dict[str, Path], tmp_path: Path) -> None:
     record = runs["healthy"] / "record.parquet"
-    done = hil("diagnose", record, "--twin", runs["twin"], "--healthy", record, "--dry")
+    done = typed("diagnose", record, "--twin", runs["twin"], "--healthy", record, "--dry")
     assert done.returncode == 0 and "adequate" in done.stdout
 
 
@@ -119,12 +123,12 @@ def test_what_cannot_be_diagnosed_is_said_in_a_sentence(runs: dict[str, Path], t
 
     short = tmp_path / "short.parquet"
     write_record(Record(data.time_s[:600], {k: v[:600] for k, v in data.columns.items()}), short)
-    done = hil("diagnose", short, "--twin", runs["twin"], "--dry")
+    done = typed("diagnose", short, "--twin", runs["twin"], "--dry")
     assert done.returncode == 2 and "two windows" in done.stderr and "short.parquet" in done.stderr
     poor = tmp_path / "poor.parquet"
     few = ("T_heater_C", "T_radiator_C", "T_tank_C")
     write_record(Record(data.time_s, {k: v for k, v in data.columns.items() if k not in few}), poor)
-    done = hil("diagnose", poor, "--twin", runs["twin"], "--dry")
+    done = typed("diagnose", poor, "--twin", runs["twin"], "--dry")
     assert done.returncode == 2 and "T_tank_C" in done.stderr
-    done = hil("diagnose", runs["heated"] / "record.parquet")
+    done = typed("diagnose", runs["heated"] / "record.parquet")
     assert done.returncode == 2 and "--twin" in done.stderr

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Mapping
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from hil.record.reader import Record, write_record
 from hil.run.session.request import setpoint_limits
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
+from tests.hil.command_line import typed
 from tests.hil.made_record import written
 from tests.twin.conftest import LOOP
 from twin.discovery.healthy.basis import Columns
@@ -25,11 +25,6 @@ from twin.twinfile import load
 
 PROJECT = Path(__file__).resolve().parents[2]
 RIG = PROJECT / "profiles/rigs/virtual.toml"
-
-
-def hil(*arguments: object) -> subprocess.CompletedProcess[str]:
-    typed = [sys.executable, "-m", "hil", *map(str, arguments)]
-    return subprocess.run(typed, capture_output=True, text=True, cwd=PROJECT, timeout=280)
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +42,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     }
 
 
-def diagnosed(place: Mapping[str, Path], record: Path, *more: object) -> subprocess.CompletedProcess[str]:
-    return hil("diagnose", record, "--twin", place["twin"], "--healthy", place["healthy"], *more)
+def diagnosed(place: Mapping[str, Path], record: Path, *more: object) -> CompletedProcess[str]:
+    return typed("diagnose", record, "--twin", place["twin"], "--healthy", place["healthy"], *more)
 
 
 def test_two_causes_one_experiment_one_answer(place: Mapping[str, Path], tmp_path: Path) -> None:
@@ -66,7 +61,7 @@ def test_two_causes_one_experiment_one_answer(place: Mapping[str, Path], tmp_pat
     validate(profile, setpoint_limits(rig), period_s=rig.period_s)
     assert profile.duration_s == 3600.0 * first["next_experiment"]["hours"]
     assert first["next_experiment"]["hottest_C"] < limits_of(RIG).hottest_C
-    assert hil("run", plan, "--virtual", "--lockstep", "--no-twin", "--check-only").returncode == 0
+    assert typed("run", plan, "--virtual", "--lockstep", "--no-twin", "--check-only").returncode == 0
     # The record of it says which of the two it is.
     network = load(LOOP)
     gained = network.with_values({"heater_power.factor": 1.0 + 40.0 / 700.0})
@@ -93,14 +88,14 @@ def test_a_curve_is_offered_and_adopted_only_when_asked(place: Mapping[str, Path
     record = written(bench.network, made, tmp_path / "odd.parquet")
     twin = tmp_path / "twin.toml"
     twin.write_bytes(place["twin"].read_bytes())
-    typed = ("diagnose", record, "--twin", twin, "--healthy", place["healthy"], "--out", tmp_path / "out")
-    done = hil(*typed)
+    asked = ("diagnose", record, "--twin", twin, "--healthy", place["healthy"], "--out", tmp_path / "out")
+    done = typed(*asked)
     assert done.returncode == 1 and "unexplained" in done.stdout and "offered, not adopted" in done.stdout
     assert not (tmp_path / "twin.r1.toml").exists() and len(list(tmp_path.glob("twin*.toml"))) == 1
     proposal = load(tmp_path / "out/empirical.toml")
     assert proposal.parameters["unexplained_at_tank.q_3"].value > 50.0
     assert "A curve instead of a cause" in (tmp_path / "out/diagnosis.html").read_text(encoding="utf-8")
-    done = hil(*typed, "--empirical")
+    done = typed(*asked, "--empirical")
     assert done.returncode == 1 and "adopted: as a curve of fan_speed_pct" in done.stdout
     (revision,) = list(tmp_path.glob("twin.r*.toml"))
     adopted = load(revision)
@@ -123,7 +118,7 @@ def test_what_cannot_be_used_is_said_in_one_sentence_each(place: Mapping[str, Pa
     bench = Bench(load(LOOP))
     sick = bench.record(6.0, changed=bench.with_values(modules_power__power=300.0), onset_h=2.0)
     record = written(bench.network, sick, tmp_path / "sick.parquet")
-    done = hil("diagnose", place["steady"], "--twin", place["twin"], "--healthy", record, "--dry")
+    done = typed("diagnose", place["steady"], "--twin", place["twin"], "--healthy", record, "--dry")
     assert done.returncode == 2 and "the healthy record does not fit the twin" in done.stderr
     brief = written(bench.network, bench.record(0.3), tmp_path / "brief.parquet")
     done = diagnosed(place, brief, "--dry")
@@ -153,14 +148,14 @@ def test_a_plan_is_forecast_before_it_is_run(place: Mapping[str, Path], tmp_path
     }
     assert least["steps"] < 0.2 * least.get("flat", np.inf)
     assert len(found["steps"]["confused"]) < len(found["flat"]["confused"])
-    bare = hil("diagnose", tmp_path / "flat.csv", "--forecast", "--twin", place["twin"])
+    bare = typed("diagnose", tmp_path / "flat.csv", "--forecast", "--twin", place["twin"])
     assert bare.returncode == 2 and "--healthy" in bare.stderr
 
 
 def test_a_catalogue_is_checked(place: Mapping[str, Path]) -> None:
-    done = hil("check", place["twin"], "--catalogue")
+    done = typed("check", place["twin"], "--catalogue")
     assert done.returncode == 0, done.stderr
     groups = [line for line in done.stdout.splitlines() if line.startswith("no input separates: ")]
     assert any("actuator at pump_speed (constant)" in x and "flow at loop (constant)" in x for x in groups)
-    refused = hil("check", RIG, "--catalogue")
+    refused = typed("check", RIG, "--catalogue")
     assert refused.returncode == 2 and "--catalogue" in refused.stderr

@@ -50,6 +50,12 @@ def run(original: Path, tmp_path: Path) -> RunFolder:
 
 
 @pytest.fixture
+def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the pictures out of reports: they are of samples that have been read, and take a second each time."""
+    monkeypatch.setattr("hil.report.page.pictures", lambda drawn: joined([]))
+
+
+@pytest.fixture
 def secret(tmp_path: Path) -> Path:
     path = tmp_path / "outside" / "secret.txt"
     path.parent.mkdir()
@@ -200,6 +206,7 @@ CELLS = {
 
 
 @pytest.mark.parametrize("statement", CELLS.values(), ids=CELLS.keys())
+@pytest.mark.usefixtures("no_pictures")
 def test_a_journal_with_cells_of_another_kind_is_one_sentence(run: RunFolder, statement: str) -> None:
     database = sqlite3.connect(run.journal)
     database.executescript(statement)
@@ -229,13 +236,10 @@ DOCUMENTS = [
 
 
 @pytest.mark.parametrize("table", ["calibrations", "proposals", "bands"])
-def test_a_document_of_another_shape_is_one_sentence(
-    run: RunFolder, table: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("no_pictures")
+def test_a_document_of_another_shape_is_one_sentence(run: RunFolder, table: str) -> None:
     from hil.review import write_review
 
-    # Pictures are of samples, and no document comes near them; they take a second each time.
-    monkeypatch.setattr("hil.report.page.pictures", lambda drawn: joined([]))
     for document in DOCUMENTS:
         database = sqlite3.connect(run.journal)
         database.execute(f"UPDATE {table} SET document = ?", (document,))

@@ -26,6 +26,7 @@ from hil.run.restore.thermal_restore import has_memory
 from hil.run.session.interrupted_run import standing
 from hil.run.session.terminal import cut_time
 from hil.run_folder.folder import RunFolder, RunFolderError
+from tests.hil.command_line import typed
 from twin.segments import LONG_GAP_S, find_segments
 from twin.twinfile import load
 
@@ -208,7 +209,7 @@ def test_a_file_that_has_changed_is_refused_by_name(story, tmp_path, name, where
     changed = tmp_path / where
     source = story.folder.path.parents[1] / "load.csv" if name == "profile" else PROJECT / "profiles/twins/virtual.toml"
     changed.write_text(source.read_text(encoding="utf-8") + "\n# changed\n", encoding="utf-8")
-    done = hil("resume", tmp_path / "run", f"--{name}", changed)
+    done = typed("resume", tmp_path / "run", f"--{name}", changed)
     assert done.returncode == 2
     assert f"{changed} is not what it was when the run began; put that {name} back" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
@@ -221,13 +222,13 @@ def test_a_file_that_is_gone_is_asked_for(story, tmp_path):
     manifest = RunFolder(tmp_path / "run").read_manifest()
     manifest["files"]["rig"]["path"] = "/nowhere/rig.toml"
     RunFolder(tmp_path / "run").write_manifest(manifest)
-    done = hil("resume", tmp_path / "run")
+    done = typed("resume", tmp_path / "run")
     assert done.returncode == 2
     assert "/nowhere/rig.toml, the run's rig, is not there; say where it is with --rig" in done.stderr
 
 
 def test_a_run_that_is_over_or_goes_on_is_refused(story):
-    over = hil("resume", story.folder.path)
+    over = typed("resume", story.folder.path)
     assert (over.returncode, "has run to its end" in over.stderr) == (2, True)
     with story.folder.owned():
         live = hil("resume", story.folder.path)
@@ -278,10 +279,10 @@ def test_a_run_that_was_killed_while_its_report_was_written_gets_it(story, tmp_p
     folder = RunFolder(tmp_path / "run")
     folder.report.unlink()
     folder.record.unlink()
-    refused = hil("resume", folder.path, "--no-viewer")
+    refused = typed("resume", folder.path, "--no-viewer")
     assert refused.returncode == 2
     assert f"has run to its end; `hil report {folder.path}` makes its record and report" in refused.stderr
-    done = hil("report", folder.path)
+    done = typed("report", folder.path)
     assert done.returncode == 0, done.stderr
     record, whole = read_record(folder.record), read_record(story.whole.record)
     assert np.array_equal(record.columns["T_tank_C"], whole.columns["T_tank_C"])
@@ -303,7 +304,7 @@ def test_a_gap_of_ten_years_is_questioned_and_the_stated_one_is_taken(story, tmp
     cut, ten_years_s = story.folder.path.parents[1] / "as it was cut", 10 * 365.25 * 86400
     clock_moved(cut, tmp_path / "run", older_s=ten_years_s)
     before = rows(tmp_path / "run" / "journal.sqlite")
-    refused = hil("resume", tmp_path / "run", "--no-viewer")
+    refused = typed("resume", tmp_path / "run", "--no-viewer")
     assert refused.returncode == 2
     assert "longer than 7 d" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
@@ -329,10 +330,10 @@ def test_a_run_that_was_cut_is_told_from_one_that_goes_on(story):
     assert not story.folder.was_cut
     with cut.owned():
         assert not cut.was_cut
-    refused = hil("diagnose", cut.path, "--dry")
+    refused = typed("diagnose", cut.path, "--dry")
     assert refused.returncode == 2
     assert f"was cut and has no record yet; `hil resume {cut.path}` goes on with it" in refused.stderr
-    assert f"the run was cut: what there is of it; `hil resume {cut.path}`" in hil("review", cut.path).stderr
+    assert f"the run was cut: what there is of it; `hil resume {cut.path}`" in typed("review", cut.path).stderr
 
 
 def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_cost(story):
