@@ -62,12 +62,16 @@ class Structure:
 
     @property
     def sentence(self) -> str:
-        """What is plainest of it, for an operator; "" where nothing is."""
+        """Name the plainest of it to an operator; "" where nothing is plain.
+
+        An amplitude that its law cannot have, such as a negative delay, is part of the basis and no physics: unnamed.
+        """
         z = np.abs(self.sizes) / np.sqrt(np.diag(self.covariance))
         plain: dict[tuple[str, str, str], str] = {}
         for i in np.argsort(-z)[: int((z > PLAIN).sum())]:
-            c = self.candidates[i]
-            plain.setdefault((c.kind, c.where, c.driver), said(c, float(self.sizes[i])))
+            c, size = self.candidates[i], float(self.sizes[i])
+            if c.lower <= size <= c.upper:
+                plain.setdefault((c.kind, c.where, c.driver), said(c, size))
         told = "; ".join(list(plain.values())[:NAMED])
         return (
             f"in health this twin already leaves what reads like this, and it is taken as known: {told}" if told else ""
