@@ -52,6 +52,8 @@ class Arrivals:
     ) -> None:
         self.in_step = False
         """True where the rig waits for the harness before each step: its time stands still in a gap, no frame ages."""
+        self.wait_s = RECEIVE_TIMEOUT_S
+        """Time-out of the next receive call, s; 0 while only an empty queue ends the doubt."""
         self._clock = clock
         self._stamps = stamps
         self._is_kernel = stamps == "kernel"
@@ -64,6 +66,7 @@ class Arrivals:
         self._seen: _Moment = (self._steady(), self._clock())
         self._empty = self._seen
         self._gap: _Moment | None = None
+        self.wait_s = RECEIVE_TIMEOUT_S
         self._empty_since: float | None = None
         self._offset = self._wall() - self._seen[0]
         self._wall_was_set = False
@@ -74,11 +77,6 @@ class Arrivals:
     def in_doubt(self) -> bool:
         """Whether frames from before the end of a gap may still be in the queue."""
         return self._gap is not None
-
-    @property
-    def wait_s(self) -> float:
-        """Time-out of the next receive call, s; 0 while only an empty queue ends the doubt."""
-        return 0.0 if self.in_doubt else RECEIVE_TIMEOUT_S
 
     def frame(self, stamp: float) -> float:
         """Return the arrival on the rig's clock, in s, of the frame that was just taken out; `stamp` is its own."""
@@ -112,6 +110,7 @@ class Arrivals:
         settled_s = RELAY_EMPTIES_IN_S if lags else 0.0 if self._stamps == "kernel" else REFILL_S
         if now_s - self._empty_since >= settled_s:
             self._gap = self._empty_since = None
+            self.wait_s = RECEIVE_TIMEOUT_S
             self._lag_s = 0.0
 
     def _look(self) -> bool:
@@ -126,6 +125,7 @@ class Arrivals:
             return False
         if self._gap is None:
             self._gap = was
+            self.wait_s = 0.0
         self._empty_since = None
         return True
 

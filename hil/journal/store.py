@@ -89,16 +89,17 @@ class JournalStore:
         self.write(first)
         status = path.stat()
         self._identity = status.st_dev, status.st_ino
+        self._file_name, self._folder_name = os.fspath(path), os.fspath(path.parent)  # asked for with every batch
 
     def lost(self) -> str | None:
         """Return why what is written would be lost with this process: the file is gone from its place."""
         try:
-            status = self._path.stat()
+            status = os.stat(self._file_name)
         except OSError as error:
             return f"{self._path} is gone ({error.strerror}): it was deleted or moved while the run goes on"
         if (status.st_dev, status.st_ino) != self._identity:
             return f"{self._path} is another file than the run's journal: it was replaced while the run goes on"
-        if not os.access(self._path.parent, os.W_OK):
+        if not os.access(self._folder_name, os.W_OK):
             return f"{self._path.parent} has become read-only while the run goes on"
         return None
 

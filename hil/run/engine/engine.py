@@ -330,7 +330,8 @@ class Engine:
             machine.take(Event.START, f"running {self._profile.name} on {rig.name}")
         await self._clock.start()
         ended = None if self._resumption is None else self._go_on(self._resumption)
-        tick = self._one_tick if self._lockstep else self._interruptible_tick
+        is_short = self._clock.period_s <= LONGEST_WAIT_S and self._is_quick
+        tick = self._one_tick if self._lockstep or is_short else self._interruptible_tick
         while ended is None:
             ended = await tick()
         return ended
@@ -339,8 +340,6 @@ class Engine:
         """Do one tick; a stop request ends one that takes longer than `STOP_WITHIN_S`: it waits for the next tick of a
         slow rig, or for a device that does not answer."""
         stopping = self._supervisor.stopping
-        if self._clock.period_s <= LONGEST_WAIT_S and self._is_quick:
-            return await self._one_tick()
         tick = asyncio.ensure_future(self._one_tick())
         stop = asyncio.ensure_future(stopping.wait())
         try:

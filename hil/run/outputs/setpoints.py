@@ -52,6 +52,7 @@ class Setpoints:
     def __init__(self, rig: Rig, start: dict[str, float] | None = None) -> None:
         self._rig = rig
         self._points = rig.setpoints
+        self._by_name = {point.name: point for point in self._points}
         self.values: dict[str, float] = {
             point.name: self._clamped(point, (start or {}).get(point.name, point.safe_value or 0.0))
             for point in self._points
@@ -67,17 +68,19 @@ class Setpoints:
     def move(self, targets: dict[str, float], elapsed_s: float) -> dict[str, float]:
         """Advance towards `targets` (by point name) for `elapsed_s`; the values that changed."""
         changed = {}
-        for point in self._points:
-            if point.name not in targets:
+        for name, point in self._by_name.items():
+            if name not in targets:
                 continue
-            target = self._clamped(point, targets[point.name])
-            value = self.values[point.name]
+            target = self._clamped(point, targets[name])
+            value = self.values[name]
+            if target == value:
+                continue
             if point.max_rate is not None:
                 reach = point.max_rate * elapsed_s
                 target = min(max(target, value - reach), value + reach)
             if target != value:
-                self.values[point.name] = target
-                changed[point.name] = target
+                self.values[name] = target
+                changed[name] = target
         return changed
 
     def put_safe(self) -> None:
