@@ -21,13 +21,9 @@ class Outputs:
         self._connection = connection
         self._rig = connection.rig
         self._setpoints = Setpoints(self._rig)
+        self.values: dict[str, float] = self._setpoints.values
         self._beat = 0
         self._safe_held = False
-
-    @property
-    def values(self) -> dict[str, float]:
-        """What the rig was told last."""
-        return self._setpoints.values
 
     @property
     def safe_values(self) -> dict[str, float]:
