@@ -27,7 +27,8 @@ from hil.journal.writer import Header, JournalReader, JournalWriter
 from hil.profile.load_profile import Profile
 from hil.run.engine.clock import MonotonicClock
 from hil.run.engine.control_socket import ControlError, ask
-from hil.run.engine.engine import Engine, Outcome
+from hil.run.engine.engine import Engine
+from hil.run.engine.status import Outcome
 
 PROFILES = Path(__file__).resolve().parents[3] / "profiles"
 RIG = PROFILES / "rigs" / "virtual.toml"

@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.files.text import plain
-from hil.run.engine.engine import Engine, Status
+from hil.run.engine.engine import Engine
 from hil.run.engine.operator import RefusedError, Verb
+from hil.run.engine.status import Status
 
 LONGEST_LINE = 4096
 ANSWER_WITHIN_S = 20.0

@@ -164,7 +164,8 @@ class Interlocks:
     ) -> Judgement:
         """What stands against the run now. Call once a tick, with rig time and what was commanded before it."""
         tick = self._tick(snapshot, now_s, commanded or {}, residuals or {})
-        if any([item.update(tick) for item in self._all]) or self._standing is not _NOTHING:  # a list: all are judged
+        stirred = [item.update(tick) for item in self._all]
+        if True in stirred or self._standing is not _NOTHING:
             self._standing = self._active()
         return self._standing
 

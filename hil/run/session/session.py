@@ -16,10 +16,12 @@ from hil.diagnosis.live import LiveConfig, LiveDiagnosis, Reply
 from hil.guardian.client import Guard, Guardian, NoGuard
 from hil.journal.states import ENDED, State
 from hil.journal.writer import Header, JournalError, JournalWriter
+from hil.run.engine.components import Options
 from hil.run.engine.control_socket import serving
-from hil.run.engine.engine import Engine, Outcome, Status
+from hil.run.engine.engine import Engine
 from hil.run.engine.recording import Publisher
 from hil.run.engine.signals import interrupted, stopping
+from hil.run.engine.status import Outcome, Status
 from hil.run.locks.rig_lock import RigClaim, claimed
 from hil.run.outputs.setpoints import bind
 from hil.run.restore.calibrators import restore
@@ -220,14 +222,16 @@ async def _run_in(run: _Run) -> RunResult:
             clock,
             ready.profile,
             journal,
-            publisher=_Publishers(tuple(p for p in (tracking, live) if p is not None)),
-            observer=run.observer,
-            told=announce,
-            residuals=dict if tracking is None else tracking.off_K,
-            lockstep=request.mode == "lockstep",
-            resumption=resumption,
-            rearm=request.rearm,
-            guard=_guard(request, run, rig),
+            Options(
+                publisher=_Publishers(tuple(p for p in (tracking, live) if p is not None)),
+                observer=run.observer,
+                told=announce,
+                residuals=dict if tracking is None else tracking.off_K,
+                lockstep=request.mode == "lockstep",
+                resumption=resumption,
+                rearm=request.rearm,
+                guard=_guard(request, run, rig),
+            ),
         )
         async with serving(folder.control, engine, announce):
             with stopping(engine):

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from hil.run.engine.engine import Status
+    from hil.run.engine.status import Status
     from hil.run.session.session import RunResult
     from hil.tracking.twins import Comparison, ErrorTable
 
