@@ -75,7 +75,7 @@ class Arrivals:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether frames from before the end of a gap may still be in the queue."""
+        """Return whether frames from before the end of a gap may still be in the queue."""
         return self._gap is not None
 
     def frame(self, stamp: float) -> float:
@@ -114,7 +114,7 @@ class Arrivals:
             self._lag_s = 0.0
 
     def _look(self) -> bool:
-        """Read the clocks; True where the thread was stopped since they were read last."""
+        """Read the clocks; return True where the thread was stopped since they were read last."""
         was, now_s = self._seen, self._steady()
         self._seen = (now_s, self._clock())
         if self._is_kernel:  # the wall clock counts with its stamps only
@@ -130,7 +130,7 @@ class Arrivals:
         return True
 
     def _aged(self, age_s: float, since: _Moment) -> float:
-        """Rig time `age_s` ago on the steady clock, but not before `since`."""
+        """Return rig time `age_s` ago on the steady clock, but not before `since`."""
         now = self._seen
         passed_s = now[0] - since[0]
         if age_s <= 0.0 or passed_s <= 0.0:

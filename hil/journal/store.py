@@ -42,7 +42,7 @@ EVENT = "INSERT INTO events (tick, time_s, wall_s, level, text) VALUES (?, ?, ?,
 
 Row = tuple[Any, ...]
 Entry = tuple[Literal["sample", "twin"] | str, Row]
-"""What is to be written: a sample, a twin's outputs, or any other SQL statement, and its values."""
+"""Row to write: a sample, a twin's outputs, or any other SQL statement, and its values."""
 
 
 class LockedError(Exception):
@@ -50,7 +50,7 @@ class LockedError(Exception):
 
 
 class JournalStore:
-    """The open database of a journal. Not thread-safe: one thread at a time."""
+    """Open database of a journal. Not thread-safe: one thread at a time."""
 
     def __init__(self, path: Path, header: Header, *, again: bool) -> None:
         if again:

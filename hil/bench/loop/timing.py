@@ -1,4 +1,5 @@
-"""`hil bench loop`: how evenly the loop ticks, whether its memory stays flat, and what a run that is killed lost."""
+"""`hil bench loop`: jitter and processor time of the loop's ticks, its memory over hours, and the loss of a killed
+run."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ SETTLED_S = 7200.0
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How much to measure: seconds of real time, and the profile that is run in lockstep."""
+    """Size of the measurement: seconds of real time, and the profile that is run in lockstep."""
 
     real_s: float = 60.0
     profile: Path = PROFILES / "loads" / "battle_40h.csv"
@@ -256,7 +257,7 @@ def _resume_tables(whole: _Journal, before: _Journal, after: _Journal, manifest:
     facts: tuple[tuple[Cell, ...], ...] = (
         ("killed at, h of the profile", segment["profile_s"] / 3600.0),
         ("gap, s", segment["gap_s"]),
-        ("soaked, min", segment["soaked_s"] / 60.0),
+        ("thermal restore, min", segment["soaked_s"] / 60.0),
         ("rows that were acknowledged", count),
         ("of these lost or changed", 0 if kept else "some"),
         ("every second of the profile once", "yes" if same_grid else "no"),

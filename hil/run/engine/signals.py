@@ -1,4 +1,4 @@
-"""What Ctrl-C and other signals do to a run: nothing that could skip making the rig safe."""
+"""Signals to a run, Ctrl-C and others: none of them skips making the rig safe."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _REASONS = {
 
 @contextlib.contextmanager
 def stopping(engine: Engine) -> Iterator[None]:
-    """Ctrl-C, Ctrl-backslash, SIGTERM and a lost terminal ask the engine to stop; a second one shortens its waits."""
+    """Have Ctrl-C, Ctrl-backslash, SIGTERM and a lost terminal stop the engine; a second one shortens its waits."""
     with _handled({number: partial(engine.request_stop, reason) for number, reason in _REASONS.items()}):
         yield
 
 
 @contextlib.contextmanager
 def interrupted(callback: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C and SIGTERM call `callback`: what is derived after a run must not be lost to an impatient operator."""
+    """Have Ctrl-C and SIGTERM call `callback`: derived files of a run must not be lost to an impatient operator."""
     with _handled({signal.SIGINT: callback, signal.SIGTERM: callback}):
         yield
 

@@ -1,4 +1,4 @@
-"""From a profile's targets to what is written: clamped to the limits, no faster than the slew rate."""
+"""Set-points on the way to a profile's targets: clamped to the limits, no faster than the slew rate."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.units import split_column
 from hil.run.outputs.heaters import is_heater
 
 _FLOAT_ERROR = 1e-6
-"""What a float32 register loses of a number, and unit conversion beside it, relative."""
+"""Relative error of a number in a float32 register, with that of unit conversion."""
 
 
 def count_tolerance(point: Point) -> float:
@@ -25,7 +25,7 @@ def count_tolerance(point: Point) -> float:
 
 
 def bind(rig: Rig, columns: Sequence[str]) -> list[Point]:
-    """The set-point of each profile column; raises ConfigurationError on a name or unit that the rig lacks."""
+    """Return the set-point of each profile column; raises ConfigurationError on a name or unit that the rig lacks."""
     bound = []
     for column in columns:
         named = split_column(column)
@@ -38,7 +38,7 @@ def bind(rig: Rig, columns: Sequence[str]) -> list[Point]:
 
 
 def setpoint_columns(rig: Rig) -> dict[str, Point]:
-    """Column by which a profile names each set-point: that of the point it moves, else its own."""
+    """Return the set-points by profile column: that of the point it moves, else its own."""
     columns = {}
     for point in rig.setpoints:
         target = rig.get(point.readback) if point.readback is not None else point
@@ -66,7 +66,7 @@ class Setpoints:
         return min(max(value, point.limits[0]), point.limits[1])
 
     def move(self, targets: dict[str, float], elapsed_s: float) -> dict[str, float]:
-        """Advance towards `targets` (by point name) for `elapsed_s`; the values that changed."""
+        """Advance towards `targets` (by point name) for `elapsed_s`; return the values that changed."""
         changed = {}
         for name, point in self._by_name.items():
             if name not in targets:
