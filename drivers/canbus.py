@@ -261,9 +261,9 @@ class CanReceiver:
                 if raw is None:  # multiplexed, and not in this frame
                     continue
                 value, quality = judges[index](raw)
-                if quality == _GOOD and not signal.admits(raw):
+                if quality == _GOOD and not signal.minimum <= raw <= signal.maximum:
                     quality = int(Quality.OUT_OF_RANGE)
-                if signal.is_missing(raw):
+                if signal.missing_from <= raw <= signal.missing_to:
                     value, quality = math.nan, int(Quality.SENSOR_FAULT)
                 watch = watched[index]
                 if watch is not None:
