@@ -52,6 +52,8 @@ class Arrivals:
     ) -> None:
         self.in_step = False
         """True where the rig waits for the harness before each step: its time stands still in a gap, no frame ages."""
+        self.wait_s = RECEIVE_TIMEOUT_S
+        """Time-out of the next receive call, s; 0 while only an empty queue ends the doubt."""
         self._clock = clock
         self._stamps = stamps
         self._is_kernel = stamps == "kernel"
@@ -64,6 +66,7 @@ class Arrivals:
         self._seen: _Moment = (self._steady(), self._clock())
         self._empty = self._seen
         self._gap: _Moment | None = None
+        self.wait_s = RECEIVE_TIMEOUT_S
         self._empty_since: float | None = None
         self._offset = self._wall() - self._seen[0]
         self._wall_was_set = False
@@ -72,13 +75,8 @@ class Arrivals:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether frames from before the end of a gap may still be in the queue."""
+        """Return whether frames from before the end of a gap may still be in the queue."""
         return self._gap is not None
-
-    @property
-    def wait_s(self) -> float:
-        """Time-out of the next receive call, s; 0 while only an empty queue ends the doubt."""
-        return 0.0 if self.in_doubt else RECEIVE_TIMEOUT_S
 
     def frame(self, stamp: float) -> float:
         """Return the arrival on the rig's clock, in s, of the frame that was just taken out; `stamp` is its own."""
@@ -112,10 +110,11 @@ class Arrivals:
         settled_s = RELAY_EMPTIES_IN_S if lags else 0.0 if self._stamps == "kernel" else REFILL_S
         if now_s - self._empty_since >= settled_s:
             self._gap = self._empty_since = None
+            self.wait_s = RECEIVE_TIMEOUT_S
             self._lag_s = 0.0
 
     def _look(self) -> bool:
-        """Read the clocks; True where the thread was stopped since they were read last."""
+        """Read the clocks; return True where the thread was stopped since they were read last."""
         was, now_s = self._seen, self._steady()
         self._seen = (now_s, self._clock())
         if self._is_kernel:  # the wall clock counts with its stamps only
@@ -126,11 +125,12 @@ class Arrivals:
             return False
         if self._gap is None:
             self._gap = was
+            self.wait_s = 0.0
         self._empty_since = None
         return True
 
     def _aged(self, age_s: float, since: _Moment) -> float:
-        """Rig time `age_s` ago on the steady clock, but not before `since`."""
+        """Return rig time `age_s` ago on the steady clock, but not before `since`."""
         now = self._seen
         passed_s = now[0] - since[0]
         if age_s <= 0.0 or passed_s <= 0.0:

@@ -15,6 +15,7 @@ import math
 from drivers.rig_file.model import Point
 from drivers.signals.points import Quality
 
+_GOOD = int(Quality.GOOD)
 LONGER = 3.0
 """A silence is so many times as long as the readings were apart before."""
 SHORTEST_S = 1.0
@@ -27,6 +28,7 @@ class SensorWatch:
     def __init__(self, point: Point) -> None:
         self._stuck_after_s = math.inf if point.stuck_after_s is None else point.stuck_after_s
         self._max_change_per_s = math.inf if point.max_change_per_s is None else point.max_change_per_s
+        self._may_jump = point.max_change_per_s is not None
         self._stale_after_s = point.stale_after_s if point.stuck_after_s is not None else math.inf
         self._heard_s = math.nan
         self._apart_s = math.inf
@@ -41,24 +43,26 @@ class SensorWatch:
 
         SENSOR_FAULT where it is stuck or has jumped, STALE where nothing shows yet that it lives.
         """
-        apart_s = now_s - self._heard_s
-        silent = apart_s > max(self._stale_after_s, LONGER * self._apart_s)
-        self._apart_s = self._apart_s if silent or math.isnan(apart_s) else apart_s
+        apart_s = now_s - self._heard_s  # NaN of the first reading
+        silent = apart_s > self._stale_after_s and apart_s > LONGER * self._apart_s
+        if not silent and apart_s == apart_s:
+            self._apart_s = apart_s
         if value != self._value or silent:
             self._lives = not silent
             self._value, self._since_s = value, now_s
         self._heard_s = now_s
-        if quality != Quality.GOOD:
+        if quality != _GOOD:
             return quality
         if now_s - self._since_s >= self._stuck_after_s:
             return Quality.SENSOR_FAULT
         if not self._lives:
             return Quality.STALE
-        reach = self._max_change_per_s * max(now_s - self._believed_s, SHORTEST_S)
-        if abs(value - self._believed) > reach:  # False of the first reading, when nothing is believed yet
-            return Quality.SENSOR_FAULT
-        self._believed, self._believed_s = value, now_s
-        return Quality.GOOD
+        if self._may_jump:
+            reach = self._max_change_per_s * max(now_s - self._believed_s, SHORTEST_S)
+            if abs(value - self._believed) > reach:  # False of the first reading, when nothing is believed yet
+                return Quality.SENSOR_FAULT
+            self._believed, self._believed_s = value, now_s
+        return _GOOD
 
 
 def watches(points: tuple[Point, ...]) -> list[SensorWatch | None]:

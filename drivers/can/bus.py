@@ -30,6 +30,7 @@ _SETTLE_S = 5e-3
 """Between two looks at a queue that was found empty after a gap, so that waiting for the third costs nothing."""
 _STAMPS: dict[str, Stamps] = {"socketcan": "kernel", "socketcand": "sender"}
 """Whose time stamps the frames of a transport carry; slcan and virtual have none of their own."""
+_GOOD = int(Quality.GOOD)
 _BUS_OFF = 0x40
 """CAN_ERR_BUSOFF of linux/can/error.h, in the identifier of an error frame: no interface tells it otherwise."""
 
@@ -254,20 +255,21 @@ class CanReceiver:
         wake: asyncio.Future[None] | None = None
         with self._lock:
             self._fault = None
+            known, judges, watched = self._latest, self._judges, self._watches
             for index, signal in found.wanted:
                 raw = decoded.get(signal.name)
                 if raw is None:  # multiplexed, and not in this frame
                     continue
-                latest = self._latest[index]
-                latest.value, latest.quality = self._judges[index](raw)
-                if latest.quality == Quality.GOOD and not signal.admits(raw):
-                    latest.quality = Quality.OUT_OF_RANGE
-                if signal.is_missing(raw):
-                    latest.value, latest.quality = math.nan, int(Quality.SENSOR_FAULT)
-                watch = self._watches[index]
+                value, quality = judges[index](raw)
+                if quality == _GOOD and not signal.minimum <= raw <= signal.maximum:
+                    quality = int(Quality.OUT_OF_RANGE)
+                if signal.missing_from <= raw <= signal.missing_to:
+                    value, quality = math.nan, int(Quality.SENSOR_FAULT)
+                watch = watched[index]
                 if watch is not None:
-                    latest.quality = watch.judge(latest.value, latest.quality, arrival)
-                latest.arrival_s = arrival
+                    quality = watch.judge(value, quality, arrival)
+                latest = known[index]
+                latest.value, latest.quality, latest.arrival_s = value, quality, arrival
             if (
                 self._uptime is not None
                 and self._waiter is not None

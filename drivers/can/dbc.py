@@ -63,7 +63,8 @@ class DbcSignal:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A signal that a point wants, and the range that the DBC gives it, widened by half a step of its scale.
+    """A signal that a point wants, and the range that the DBC gives it, widened by half a step of its scale: cantools
+    decodes whatever the bits say.
 
     From `missing_from` to `missing_to` it says that the device has no value; NaN where no value says so.
     """
@@ -73,14 +74,6 @@ class Wanted:
     maximum: float
     missing_from: float = math.nan
     missing_to: float = math.nan
-
-    def admits(self, value: float) -> bool:
-        """Whether the DBC admits `value`: cantools decodes whatever the bits say."""
-        return self.minimum <= value <= self.maximum
-
-    def is_missing(self, value: float) -> bool:
-        """Whether `value` is a device's word for none."""
-        return self.missing_from <= value <= self.missing_to
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,7 +43,7 @@ EVENT = "INSERT INTO events (tick, time_s, wall_s, level, text) VALUES (?, ?, ?,
 
 Row = tuple[Any, ...]
 Entry = tuple[Literal["sample", "twin"] | str, Row]
-"""What is to be written: a sample, a twin's outputs, or any other SQL statement, and its values."""
+"""Row to write: a sample, a twin's outputs, or any other SQL statement, and its values."""
 
 
 class LockedError(Exception):
@@ -51,7 +51,7 @@ class LockedError(Exception):
 
 
 class JournalStore:
-    """The open database of a journal. Not thread-safe: one thread at a time."""
+    """Open database of a journal. Not thread-safe: one thread at a time."""
 
     def __init__(self, path: Path, header: Header, *, again: bool) -> None:
         if again:
@@ -90,12 +90,13 @@ class JournalStore:
             first = [_meta("schema_version", SCHEMA_VERSION), _meta("header", asdict(header))]
         self._transact(first, one_by_one=False)
         self._identity = FileIdentity(path, self._database)
+        self._folder_name = os.fspath(path.parent)  # asked for with every batch
 
     def lost(self) -> str | None:
         """Return why what is written would be lost with this process: the file is not at its place, or not the same."""
         if (replaced := self._identity.replaced()) is not None:
             return replaced
-        if not os.access(self._path.parent, os.W_OK):
+        if not os.access(self._folder_name, os.W_OK):
             return f"{self._path.parent} has become read-only while the run goes on"
         return None
 

@@ -1,4 +1,4 @@
-"""The crash-safe journal of a run: one SQLite file in WAL mode, append-only, readable while it grows.
+"""Crash-safe journal of a run: one SQLite file in WAL mode, append-only, readable while it grows.
 
 A thread writes it. Whoever appends only queues a row, which takes a microsecond: a lock of another program, a slow disk
 or a full one never delays a tick. Rows are committed together at least every `COMMIT_INTERVAL_S` of wall time, events
@@ -42,7 +42,7 @@ LONGEST_QUEUE = 36_000
 
 
 class JournalWriter:
-    """Appends to a journal at `path`: a new one, or with `again` one of a run that was cut, whose header must be the
+    """Writer of a journal at `path`: a new one, or with `again` one of a run that was cut, whose header must be the
     same. Appending never blocks and never raises; `failure` says what keeps rows from the disk.
     """
 
@@ -60,17 +60,17 @@ class JournalWriter:
 
     @property
     def failure(self) -> str | None:
-        """Why rows are not written: a full disk, a lost file, a lock that stays; None while all is well."""
+        """Return why rows are not written: a full disk, a lost file, a lock that stays; None while they are."""
         return self._failure
 
     @property
     def backlog(self) -> int:
-        """Rows that wait to be written."""
+        """Return the number of rows that wait to be written."""
         return self._put_count - self._done_count
 
     @property
     def behind_s(self) -> float:
-        """How long rows have been waiting for another program's lock, s."""
+        """Return how long rows have been waiting for another program's lock, s."""
         since = self._behind_since
         return 0.0 if since is None else time.monotonic() - since
 

@@ -89,7 +89,7 @@ def _first_answer(connection: Connection) -> Any:
 
 
 class TrackingProcess:
-    """A `hil.run.engine.engine.Publisher` that calibrates twins in another process and journals what comes back.
+    """A `hil.run.engine.recording.Publisher` that calibrates twins in another process and journals what comes back.
 
     `wait`: whether it may keep the engine waiting, as in lockstep; `in_step`: for every block, so that what the engine
     reads from `off_K` depends on the samples alone. `speaks`: the calibrator of which disturbances become events, so

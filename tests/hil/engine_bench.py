@@ -12,8 +12,10 @@ import hil.run.outputs.safing
 from drivers.rig_file.model import Rig
 from hil.journal.states import HEATED, UNTOUCHED, State
 from hil.profile.load_profile import Profile
-from hil.run.engine.engine import Engine, Outcome
+from hil.run.engine.components import Options
+from hil.run.engine.engine import Engine
 from hil.run.engine.operator import RefusedError, Verb
+from hil.run.engine.status import Outcome
 from hil.run.restore.resumption import Resumption, Standing
 from hil.run.restore.thermal_restore import SoakRule
 from tests.hil.simulated_rig import MemoryJournal, RigTime, SimulatedClock, SimulatedRig
@@ -63,9 +65,7 @@ class EngineBench:
             self.clock,
             profile(duration_s),
             journal,
-            residuals=self._off,
-            resumption=resumption,
-            rearm=rearm,
+            Options(residuals=self._off, resumption=resumption, rearm=rearm),
         )
         self.rig.watch = self._look
         self.task = self.loop.create_task(self.engine.run())

@@ -100,7 +100,7 @@ class Answering:
     state = State.RUNNING
 
     def status(self) -> Any:
-        from hil.run.engine.engine import Status
+        from hil.run.engine.status import Status
 
         return Status(self.state, "", 3, 3.0, 3.0, 60.0, {"T": float("nan")}, {}, (), ())
 

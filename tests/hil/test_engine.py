@@ -20,7 +20,9 @@ from hil.journal.store import JournalStore
 from hil.journal.writer import Header, JournalError, JournalReader, JournalWriter
 from hil.profile.load_profile import read_profile
 from hil.run.engine.clock import LockstepClock, MonotonicClock
-from hil.run.engine.engine import Engine, Outcome
+from hil.run.engine.components import Options
+from hil.run.engine.engine import Engine
+from hil.run.engine.status import Outcome
 from hil.run.outputs.safing import make_safe
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -60,7 +62,7 @@ class Trial:
             profile = read_profile(self.profile_path)
             signals = connection.signals + tuple(p.as_signal() for p in rig.setpoints)
             journal = JournalWriter(self.journal, Header(signals, {}, (), "load", profile.duration_s, 1.0, {}))
-            self.engine = Engine(connection, clock, profile, journal, lockstep=lockstep)
+            self.engine = Engine(connection, clock, profile, journal, Options(lockstep=lockstep))
             beside = asyncio.create_task(during(self, virtual)) if during is not None else None
             try:
                 outcome = self.outcome = await self.engine.run()

@@ -25,7 +25,7 @@ from hil.cli.resume import command as resume_command
 from hil.cli.run import command as run_command
 from hil.errors import exit_code
 from hil.run.engine.control_socket import ask, live_runs
-from hil.run.engine.engine import Outcome
+from hil.run.engine.status import Outcome
 from hil.run.locks.lock_folder import RigLockError
 from hil.run.locks.rig_lock import RigBusyError, RigClaim, claimed, end_points
 from hil.run.session.request import RunRequest

@@ -18,8 +18,9 @@ from hil.journal.writer import Header, JournalReader, JournalWriter
 from hil.profile.load_profile import Profile
 from hil.run.engine import control_socket
 from hil.run.engine.clock import MonotonicClock
-from hil.run.engine.engine import Engine, Outcome
+from hil.run.engine.engine import Engine
 from hil.run.engine.operator import Verb
+from hil.run.engine.status import Outcome
 from tests.hil.guarded_device import HEATER, Device
 
 SOON_S = 3.0

@@ -9,7 +9,7 @@ import pytest
 
 import hil.run.session.terminal
 from hil.diagnosis.live import Reply, found_of
-from hil.run.engine.engine import Outcome
+from hil.run.engine.status import Outcome
 from hil.run.session.run import RunResult
 from hil.run.session.terminal import LiveRun, Steps, last_words
 from tests.hil.made_diagnosis import SAYS, SENSORS, made

@@ -53,7 +53,7 @@ Progress = Callable[[float], None]
 
 @dataclass
 class _Contestant:
-    """A client; `ask` makes one round trip and returns its registers."""
+    """Client that is timed; `ask` makes one round trip and returns its registers."""
 
     name: str
     ask: Callable[[], object] | Callable[[], Awaitable[object]]
@@ -67,7 +67,7 @@ class _Contestant:
 def measure(
     size: Size, seed: int, progress: Progress = lambda share: None
 ) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """Tables, and what was left out."""
+    """Return the tables, and what was left out."""
     return asyncio.run(_measure(size, seed, progress))
 
 
@@ -206,7 +206,7 @@ def _pipelined(rig: VirtualRig, count: int) -> Table:
 
 
 async def _lockstep(rig: VirtualRig, size: Size, progress: Progress) -> Table:
-    """What the bus alone costs of a replay in lockstep: a read of all points and a write of four registers a step."""
+    """Return the time that the bus takes of a replay in lockstep: all points read, four registers written a step."""
     bus = ModbusBus("plc", ModbusTcpBus(transport="modbus_tcp", port=rig.modbus_port), _points(), time.monotonic)
     await bus.connect()
     part = max(1, size.steps // LOCKSTEP_PARTS)
@@ -249,7 +249,7 @@ async def _lockstep(rig: VirtualRig, size: Size, progress: Progress) -> Table:
 
 @contextlib.contextmanager
 def _raw_step(rig: VirtualRig) -> Iterator[Callable[[], None]]:
-    """A read and a write on a plain blocking socket."""
+    """Yield a function that reads and writes on a plain blocking socket."""
     write = struct.pack(">HHHBBHHB4H", 1, 0, 15, 1, 16, 0, 4, 8, 100, 800, 500, 1)
     with socket.create_connection((rig.host, rig.modbus_port)) as wire:
         wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

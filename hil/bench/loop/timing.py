@@ -1,4 +1,5 @@
-"""`hil bench loop`: how evenly the loop ticks, whether its memory stays flat, and what a run that is killed lost."""
+"""`hil bench loop`: jitter and processor time of the loop's ticks, its memory over hours, and the loss of a killed
+run."""
 
 from __future__ import annotations
 
@@ -17,17 +18,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.rig.connection import RigConnection
 from drivers.rig_file.reader import load_rig
 from drivers.virtual.rig import start_virtual_rig
+from hil.bench.loop import processor_time
+from hil.bench.loop.processor_time import CountedClock, CountedConnection, CountedGuardian, CountedJournal, Counts
 from hil.bench.measure import processes
 from hil.bench.measure.report import Cell, Table
 from hil.journal.profile_clock import profile_times
-from hil.journal.writer import Header, JournalReader, JournalWriter
+from hil.journal.writer import Header, JournalReader
 from hil.profile.load_profile import Profile
-from hil.run.engine.clock import MonotonicClock
+from hil.run.engine.components import Options
 from hil.run.engine.control_socket import ControlError, ask
-from hil.run.engine.engine import Engine, Outcome
+from hil.run.engine.engine import Engine
+from hil.run.engine.status import Outcome
 
 PROFILES = Path(__file__).resolve().parents[3] / "profiles"
 RIG = PROFILES / "rigs" / "virtual.toml"
@@ -41,7 +44,7 @@ SETTLED_S = 7200.0
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How much to measure: seconds of real time, and the profile that is run in lockstep."""
+    """Size of the measurement: seconds of real time, and the profile that is run in lockstep."""
 
     real_s: float = 60.0
     profile: Path = PROFILES / "loads" / "battle_40h.csv"
@@ -59,7 +62,7 @@ def measure(
     work = work / datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
     work.mkdir(parents=True)
     progress(0.0, "10 Hz in real time")
-    outcome, samples = asyncio.run(_real_time(size, seed, work / "journal.sqlite"))
+    outcome, samples, counts = asyncio.run(_real_time(size, seed, work / "journal.sqlite"))
     progress(0.2, f"{size.hours:g} h in lockstep")
     whole, memory, wall_s = _watched(size, seed, work / "whole", None)
     cut_s = random.Random(seed).uniform(0.2, 0.8) * size.hours * 3600.0
@@ -70,6 +73,7 @@ def measure(
     manifest = _hil("resume", killed, "--no-viewer", "--json")
     tables = (
         _timing_table(outcome, samples),
+        processor_time.table(counts),
         _memory_table(memory, size, wall_s),
         *_resume_tables(_Journal.read(whole), before, _Journal.read(killed), manifest),
     )
@@ -79,27 +83,32 @@ def measure(
 # In real time ----------------------------------------------------------------------------------
 
 
-async def _real_time(size: Size, seed: int, path: Path) -> tuple[Outcome, NDArray[np.float64]]:
-    """A run of the engine at 10 Hz; per tick (n, 3) its number, when its work began, s, and how long that took, s."""
+async def _real_time(size: Size, seed: int, path: Path) -> tuple[Outcome, NDArray[np.float64], Counts]:
+    """Run the engine at 10 Hz, guarded; return its outcome, per tick (n, 3) its number, when its work began, s, and how
+    long that took, s, and its processor time. Raises RuntimeError where the run does not end as done."""
+    counts = Counts()
     rig = load_rig(RIG).model_copy(update={"period_s": PERIOD_S})
     async with await start_virtual_rig(seed=seed, period_s=PERIOD_S) as virtual:
         rig = rig.with_ports({"plc": virtual.modbus_port, "thermocouples": virtual.can_port})
-        clock = MonotonicClock(PERIOD_S)
-        connection = RigConnection(rig, clock.now)
+        clock = CountedClock(PERIOD_S, counts)
+        connection = CountedConnection(rig, clock.now, counts)
+        guard = CountedGuardian(rig, path.with_name("guardian.log"), counts)
         load = np.array([[500.0, 90.0, 70.0], [500.0, 90.0, 70.0]])
         columns = ("heater_power_W", "pump_speed_pct", "fan_speed_pct")
         profile = Profile("constant load", np.array([0.0, size.real_s]), columns, load)
         signals = connection.signals + tuple(point.as_signal() for point in rig.setpoints)
-        journal = JournalWriter(path, Header(signals, {}, (), profile.name, size.real_s, PERIOD_S, {}))
+        header = Header(signals, {}, (), profile.name, size.real_s, PERIOD_S, {})
+        journal = CountedJournal(path, header, counts)
+        options = Options(guard=guard, residuals=guard.residuals)
         try:
-            outcome = await Engine(connection, clock, profile, journal).run()
+            outcome = await Engine(connection, clock, profile, journal, options).run()
         finally:
             journal.close()
     if outcome.status != "done":
         raise RuntimeError(f"the run at 10 Hz ended {outcome.status}: {outcome.reason}")
     reader = JournalReader(path)
     try:
-        return outcome, reader.timing()
+        return outcome, reader.timing(), counts
     finally:
         reader.close()
 
@@ -248,7 +257,7 @@ def _resume_tables(whole: _Journal, before: _Journal, after: _Journal, manifest:
     facts: tuple[tuple[Cell, ...], ...] = (
         ("killed at, h of the profile", segment["profile_s"] / 3600.0),
         ("gap, s", segment["gap_s"]),
-        ("soaked, min", segment["soaked_s"] / 60.0),
+        ("thermal restore, min", segment["soaked_s"] / 60.0),
         ("rows that were acknowledged", count),
         ("of these lost or changed", 0 if kept else "some"),
         ("every second of the profile once", "yes" if same_grid else "no"),

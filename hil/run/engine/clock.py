@@ -24,25 +24,25 @@ class Clock(Protocol):
     overruns: int
 
     def now(self) -> float:
-        """Rig time, s."""
+        """Return rig time, s."""
 
     async def start(self) -> None:
         """Fix the grid: tick 0 is due now."""
 
     def release(self) -> None:
-        """All set-points of this tick are written: the rig may go on to the next tick."""
+        """Let the rig go on to the next tick: all set-points of this one are written."""
 
     async def next_tick(self) -> int:
         """Wait for the next tick and return its index; missed ticks are left out, never caught up in a burst."""
 
     def current_tick(self) -> int:
-        """Index of the tick that is due now: a later one than `next_tick` returned where its work took so long."""
+        """Return the index of the tick that is due now: a later one than of `next_tick` where its work took so long."""
 
     async def advance(self, at_most_s: float = math.inf) -> None:
         """Let one period of rig time pass, outside the grid; or `at_most_s` of it where time runs by itself."""
 
     async def wait(self) -> None:
-        """Before a tick of a run that waits for a person: no faster than time goes for them."""
+        """Wait before a tick of a run that waits for a person: no faster than time goes for them."""
 
     async def close(self) -> None:
         """Let go of the rig's time."""
@@ -60,16 +60,16 @@ class MonotonicClock:
         self._first = 0
 
     def now(self) -> float:
-        """Rig time since the clock was made or started, s."""
+        """Return rig time since the clock was made, s."""
         return (steady_s() - self._origin) * self._speed
 
     async def start(self) -> None:
-        """Tick 0 is due now. Rig time goes on, so that arrivals stamped before stay in the past."""
+        """Make tick 0 due now. Rig time goes on, so that arrivals stamped before stay in the past."""
         self._tick = int(self.now() / self.period_s)
         self._first = self._tick + 1
 
     def release(self) -> None:
-        """Nothing to do: the rig's time runs by itself."""
+        """Do nothing: the rig's time runs by itself."""
 
     async def next_tick(self) -> int:
         """Sleep until the next tick is due and return the tick that is due when the sleep is over.
@@ -84,7 +84,7 @@ class MonotonicClock:
         return self._tick - self._first
 
     def _not_missed(self, due: int) -> int:
-        """The tick `due`, or where it is late by more than a period the last one that has begun."""
+        """Return the tick `due`, or where it is late by more than a period the last one that has begun."""
         late = self.now() / self.period_s - due
         if late <= 1.0:
             return due
@@ -92,7 +92,7 @@ class MonotonicClock:
         return due + int(late)
 
     def current_tick(self) -> int:
-        """Index of the tick that is due now."""
+        """Return the index of the tick that is due now."""
         due = int(self.now() / self.period_s)
         if due > self._tick:
             self.overruns += 1
@@ -104,14 +104,14 @@ class MonotonicClock:
         await asyncio.sleep(min(self.period_s, at_most_s) / self._speed)
 
     async def wait(self) -> None:
-        """Nothing to do: ticks come no faster than they are due."""
+        """Do nothing: ticks come no faster than they are due."""
 
     async def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no device is held."""
 
 
 class _GrantLine(asyncio.Protocol):
-    """The virtual rig's control port: `step` out, `t 12.000` back."""
+    """Control port of the virtual rig: `step` out, `t 12.000` back."""
 
     def __init__(self) -> None:
         self.transport: asyncio.Transport | None = None
@@ -151,7 +151,7 @@ class _GrantLine(asyncio.Protocol):
 
 
 class LockstepClock:
-    """The harness grants the virtual rig each step, so a run is as fast as the machine and the same every time."""
+    """Clock that grants the virtual rig each step: a run is as fast as the machine, and the same every time."""
 
     def __init__(self, host: str, port: int) -> None:
         self.period_s = 1.0
@@ -163,7 +163,7 @@ class LockstepClock:
         self._tick = -1
 
     def now(self) -> float:
-        """Rig time of the step that was granted last, s."""
+        """Return rig time of the step that was granted last, s."""
         return self._now
 
     async def connect(self) -> None:
@@ -183,7 +183,7 @@ class LockstepClock:
         self._now = float(words["t"])
 
     async def start(self) -> None:
-        """The next tick is tick 0."""
+        """Make the next tick tick 0."""
         self._tick = -1
 
     def release(self) -> None:
@@ -207,7 +207,7 @@ class LockstepClock:
         return self._tick
 
     def current_tick(self) -> int:
-        """Index of the step that was granted last: no time passes between two of them."""
+        """Return the index of the step that was granted last: no time passes between two of them."""
         return self._tick
 
     async def advance(self, at_most_s: float = math.inf) -> None:
@@ -215,7 +215,7 @@ class LockstepClock:
         await self.next_tick()
 
     async def wait(self) -> None:
-        """A period of wall time: else hours would pass on the rig while an operator looks at it."""
+        """Wait a period of wall time: else hours would pass on the rig while an operator looks at it."""
         await asyncio.sleep(min(self.period_s, LONGEST_WAIT_S))
 
     async def close(self) -> None:

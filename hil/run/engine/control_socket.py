@@ -1,4 +1,4 @@
-"""The socket on which a live run listens to `hil ctl`, and the client's half of it.
+"""Control socket: a live run listens on it to `hil ctl`; with the client's half.
 
 A Unix socket in the run folder, mode 0600: who may write to the folder's owner's files may steer the run, nobody else
 and nobody from another machine. One JSON object a line, asked and answered: `{"verb": "pause", "reason": "..."}` and
@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.files.text import plain
-from hil.run.engine.engine import Engine, Status
+from hil.run.engine.engine import Engine
 from hil.run.engine.operator import RefusedError, Verb
+from hil.run.engine.status import Status
 
 LONGEST_LINE = 4096
 ANSWER_WITHIN_S = 20.0
@@ -39,7 +40,7 @@ class ControlError(Exception):
 
 @contextlib.contextmanager
 def _short(path: Path) -> Iterator[str]:
-    """The socket's address by way of its open folder: 107 bytes are all that an address may have."""
+    """Yield the socket's address by way of its open folder: an address may have 107 bytes at most."""
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
         yield f"/proc/self/fd/{folder}/{path.name}"
@@ -125,7 +126,7 @@ async def _obeyed(engine: Engine, verb: Verb, reason: str) -> str:
 
 
 def document(status: Status) -> dict[str, Any]:
-    """A status as JSON has it: what is not known is null."""
+    """Return a status as JSON has it: an unknown value is null."""
     plain = asdict(status)
     for key in ("values", "setpoints"):
         plain[key] = {name: value if math.isfinite(value) else None for name, value in plain[key].items()}
@@ -133,7 +134,7 @@ def document(status: Status) -> dict[str, Any]:
 
 
 def ask(path: Path, verb: str, reason: str = "") -> dict[str, Any]:
-    """The answer of the run that listens at `path`; raises ControlError where none does."""
+    """Return the answer of the run that listens at `path`; raises ControlError where none does."""
     if path.is_symlink():
         raise ControlError(f"{path} is a link, and a run listens in its own folder only; take the link away")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
@@ -162,12 +163,12 @@ def ask(path: Path, verb: str, reason: str = "") -> dict[str, Any]:
 
 
 def _listener(client: socket.socket) -> int:
-    """Process that listens at the other end of `client`."""
+    """Return the id of the process that listens at the other end of `client`."""
     return int(struct.unpack("3i", client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[0])
 
 
 def live_runs(runs: Path) -> list[Path]:
-    """Folders under `runs` whose run listens."""
+    """Return the folders under `runs` whose run listens."""
     found = []
     for path in sorted(runs.glob("*/control.sock")):
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client, contextlib.suppress(OSError):

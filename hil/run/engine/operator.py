@@ -1,4 +1,4 @@
-"""What operators ask of a live run: asked from anywhere on the loop, obeyed and answered by the engine in its tick."""
+"""Requests of operators to a live run: asked from anywhere on the loop, obeyed and answered in the tick."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.journal.states import LIVE, UNTOUCHED, Event, State, following
 
 
 class Verb(enum.StrEnum):
-    """What an operator may ask."""
+    """Request that an operator may make."""
 
     HOLD = "hold"
     PAUSE = "pause"
@@ -31,7 +31,7 @@ _ALREADY = {
 
 
 class RefusedError(Exception):
-    """The run cannot do what is asked; the message says why and what to do."""
+    """Request that the run cannot obey; the message states why and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Desk:
         return await request.answer
 
     def take(self) -> list[Request]:
-        """What was asked since the last call."""
+        """Return the requests since the last call."""
         asked = list(self._asked)
         self._asked.clear()
         return asked
@@ -78,12 +78,12 @@ class Desk:
 
 
 def event_of(verb: Verb, *, soaks: bool) -> Event:
-    """What `verb` is to the state table; one that `soaks`, led back to where it was cut, resumes its soak."""
+    """Return the event of `verb` in the state table; a run in thermal restore (`soaks`) resumes that."""
     return Event.SOAK if soaks and verb is Verb.RESUME else _EVENTS[verb]
 
 
 def unheard(state: State) -> str | None:
-    """Why a run in `state` takes no verb but abort, or None where it takes them on its next tick."""
+    """Return why a run in `state` takes no verb but abort, or None where it takes them on its next tick."""
     if state in UNTOUCHED:
         return f"a run that is {state} can only be aborted; ask again when it runs"
     if state in LIVE or state is State.SOAKING:
@@ -92,7 +92,7 @@ def unheard(state: State) -> str | None:
 
 
 def refusal(state: State, verb: Verb, trips: tuple[str, ...], *, soaks: bool) -> str | None:
-    """Why a run in `state` with latched `trips` does not obey `verb`, or None."""
+    """Return why a run in `state` with latched `trips` does not obey `verb`, or None."""
     if verb is Verb.ACK:
         return None if trips else "nothing has tripped, so there is nothing to acknowledge"
     if verb is Verb.RESUME and trips:

@@ -1,4 +1,4 @@
-"""What is told of a run while it goes on: rows of the journal, blocks for calibration, lines in the terminal."""
+"""Recorder of a run that goes on: rows of the journal, blocks for calibration, lines in the terminal."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ BEHIND_S = 1.0
 
 
 class Publisher(Protocol):
-    """Where blocks of ticks go for calibration; must not delay a tick in real time."""
+    """Receiver of blocks of ticks for calibration; must not delay a tick in real time."""
 
     async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
         """Take a block: `rows (n, k)` in the order of the journal's signals, NaN where a value is not good."""
 
 
 class Position:
-    """Where a run is: `tick` since its beginning, gaps included, and how far the profile's clock has gone."""
+    """Position of a run: `tick` since its beginning, gaps included, and ticks of the profile's clock."""
 
     def __init__(self, period_s: float, tick: int = 0, profile_s: float = 0.0) -> None:
         self.tick = tick
@@ -37,17 +37,17 @@ class Position:
 
     @property
     def time_s(self) -> float:
-        """Record time, s."""
+        """Return record time, s."""
         return self.tick * self._period_s
 
     @property
     def profile_s(self) -> float:
-        """Profile time, s."""
+        """Return profile time, s."""
         return self.profile_ticks * self._period_s
 
 
 class Recorder:
-    """Writes what happens at `position` to `journal`, and hands blocks of ticks to `publisher`.
+    """Recorder of what happens at `position`, in `journal`; it hands blocks of ticks to `publisher`.
 
     `told` is told every transition as a sentence. `problems` are sentences about what could not be journaled.
     """
@@ -119,13 +119,13 @@ class Recorder:
             await self._publisher.publish(*block)
 
     def written(self, before: Mapping[str, float], after: Mapping[str, float], reason: str) -> None:
-        """Set-points that have changed, and why."""
+        """Record the set-points that have changed, and why."""
         for name, value in after.items():
             if value != before[name]:
                 self._journal.write(self._at.tick, self._at.time_s, name, value, reason)
 
     def transition(self, step: Transition) -> None:
-        """Every transition: a row of the journal, an event, a line in the terminal."""
+        """Record a transition: a row of the journal, an event, a line in the terminal."""
         at = self._at
         self._journal.state(
             at.tick, at.time_s, at.profile_s, step.source.value, step.event.value, step.target.value, step.reason
@@ -137,7 +137,7 @@ class Recorder:
                 self._told(f"{at.time_s:8.0f} s  {step.target}: {step.reason}")
 
     def segment(self, number: int, gap_s: float, aim_tick: int, reason: str) -> None:
-        """The run goes on here after a gap; raises JournalError."""
+        """Record that the run goes on here after a gap; raises JournalError."""
         at = self._at
         self._journal.segment(
             SegmentRow(number, at.tick, at.time_s, time.time(), gap_s, at.profile_s, aim_tick, reason)

@@ -1,4 +1,4 @@
-"""Where a run is and what is next: the state table moved by operators, interlocks and stop requests, once a tick.
+"""Supervisor of a run: operators, interlocks and stop requests move the state table, once a tick.
 
 Operators come first, interlocks have the last word. A trip ends the run, unless the rig file lets it wait for an
 acknowledgement (`acknowledge_within_s`): then the run is paused, and nothing moves until the trip is acknowledged with
@@ -60,17 +60,17 @@ class Supervisor:
 
     @property
     def state(self) -> State:
-        """Where the run is."""
+        """Return the state of the run."""
         return self.machine.state
 
     @property
     def arming(self) -> bool:
-        """Whether a trip is being acknowledged, for which the rig is armed again."""
+        """Return whether a trip is being acknowledged, for which the rig is armed again."""
         return self._acking is not None
 
     @property
     def stop(self) -> End | None:
-        """The end that was asked for, where one was."""
+        """Return the end that was asked for, where one was."""
         return None if self._stop_reason is None else (Event.ABORT, self._stop_reason)
 
     def request_stop(self, reason: str) -> None:
@@ -88,7 +88,7 @@ class Supervisor:
         self._stop_asked = now
 
     async def ask(self, verb: Verb, reason: str) -> str:
-        """Have `verb` obeyed on the next tick, and what came of it as a sentence; raises RefusedError."""
+        """Have `verb` obeyed on the next tick; return the answer as a sentence. Raises RefusedError."""
         if verb is Verb.ABORT:
             self.request_stop(reason)
             request = Request(verb, reason, asyncio.get_running_loop().create_future())
@@ -104,7 +104,7 @@ class Supervisor:
     def step(
         self, snapshot: Snapshot, now_s: float, commanded: Mapping[str, float], residuals: Residuals
     ) -> End | None:
-        """One tick: judge, obey, protect; how the run ends, where it does."""
+        """Judge, obey and protect on one tick; return how the run ends, where it does."""
         judgement = self.interlocks.judge(snapshot, now_s, commanded, residuals)
         self._acknowledge()
         self._obey(self._desk.take(), judgement.trips)
@@ -114,28 +114,28 @@ class Supervisor:
 
     @property
     def owes_answers(self) -> bool:
-        """Whether operators wait for what came of what they asked."""
+        """Return whether operators wait for the answers to their requests."""
         return bool(self._obeyed)
 
     @property
     def owes_end(self) -> bool:
-        """Whether operators wait to read that the run has ended safe."""
+        """Return whether operators wait to read that the run has ended safe."""
         return bool(self._aborting)
 
     def answer(self, said: str) -> None:
-        """Tell operators what came of what they asked, now that it is written."""
+        """Answer the requests that were obeyed, now that the rig is written to."""
         for request in self._obeyed:
             request.done(said)
         self._obeyed.clear()
 
     def stopped(self, said: str) -> None:
-        """Tell operators who asked for an end what the rig holds and its meters read."""
+        """Answer operators who asked for an end: what the rig holds and its meters read."""
         for request in self._aborting:
             request.done(said)
         self._aborting.clear()
 
     def close(self) -> None:
-        """The run has ended: nobody is left waiting."""
+        """Refuse every request that still waits: the run has ended."""
         self.stopped(f"the run is {self.state}")
         acking = [] if self._acking is None else [self._acking[0]]
         for request in [*self._desk.take(), *self._obeyed, *acking]:
@@ -177,7 +177,7 @@ class Supervisor:
             request.refuse(f"still there: {'; '.join(stay)}")
 
     def _overdue(self, now_s: float) -> End | None:
-        """The end of a run that a warning has suspended for too long."""
+        """Return the end of a run that a warning has suspended for too long."""
         if self.state is not State.SUSPENDED:
             self._suspended_s = None
             return None

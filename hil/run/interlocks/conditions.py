@@ -16,6 +16,8 @@ from drivers.rig_file.interlock_specs import NoFlowSpec, RateOfRiseSpec, Residua
 from drivers.rig_file.model import Point, Rig
 from drivers.signals.points import Quality
 
+_GOOD = int(Quality.GOOD)
+_MEASURED = (_GOOD, int(Quality.OUT_OF_RANGE))
 Residuals = Mapping[tuple[str, str], float]
 """(twin, sensor of the twin file) -> measured minus predicted, K, of the latest block of ticks."""
 
@@ -33,7 +35,7 @@ class Tick:
 
     def good(self, name: str) -> float:
         """Value of a point, NaN where it cannot be trusted."""
-        return self.values[name] if self.quality[name] == Quality.GOOD else math.nan
+        return self.values[name] if self.quality[name] == _GOOD else math.nan
 
 
 class Condition(Protocol):
@@ -55,7 +57,7 @@ class Limit:
 
     def judge(self, tick: Tick, engaged: bool) -> str | None:
         """Violated outside `low` to `high`; engaged, outside the same less the deadband."""
-        if tick.quality[self.point.name] not in (Quality.GOOD, Quality.OUT_OF_RANGE):
+        if tick.quality[self.point.name] not in _MEASURED:
             return f"{self.point.name} was beyond its {self.what} limits and is not known now" if engaged else None
         value, inside = tick.values[self.point.name], self.deadband if engaged else 0.0
         if self.low + inside <= value <= self.high - inside:
@@ -81,8 +83,7 @@ class Untrusted:
     def judge(self, tick: Tick, engaged: bool) -> str | None:
         """Violated while the quality is not GOOD."""
         quality = tick.quality[self.point.name]
-        lost = quality in (Quality.STALE, Quality.LINK_FAULT)
-        if quality == Quality.GOOD or not (self.strict or lost):
+        if quality == _GOOD or not (self.strict or quality in (Quality.STALE, Quality.LINK_FAULT)):
             return None
         why = Quality(quality).name.lower().replace("_", " ")
         cause = f" ({tick.faults[0]})" if tick.faults else ""

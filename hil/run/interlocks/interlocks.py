@@ -126,10 +126,15 @@ class Interlocks:
         self._all = [Interlock("alarm", condition, delay) for condition, delay in all_alarms]
         for spec in rig.interlock:
             self._all += _made(spec, rig)
+        self._sensors = [item for item in self._all if isinstance(item.condition, Untrusted)]
+        self._others = [item for item in self._all if not isinstance(item.condition, Untrusted)]
+        self._sensors_stir = False
 
     def add_alarm(self, condition: Condition) -> None:
         """Judge one more condition as an alarm, without delay."""
-        self._all.append(Interlock("alarm", condition, 0.0))
+        item = Interlock("alarm", condition, 0.0)
+        self._all.append(item)
+        self._others.append(item)
 
     @property
     def restarts(self) -> int:
@@ -164,8 +169,11 @@ class Interlocks:
     ) -> Judgement:
         """What stands against the run now. Call once a tick, with rig time and what was commanded before it."""
         tick = self._tick(snapshot, now_s, commanded or {}, residuals or {})
-        changed = [item.update(tick) for item in self._all]  # every one is judged
-        if any(changed) or self._standing is not _NOTHING:
+        stirred = [item.update(tick) for item in self._others]
+        if self._sensors_stir or any(snapshot.quality):  # GOOD is 0: with good values a quiet one stays so
+            seen = [item.update(tick) for item in self._sensors]
+            self._sensors_stir = True in seen
+        if True in stirred or self._sensors_stir or self._standing is not _NOTHING:
             self._standing = self._active()
         return self._standing
 

@@ -1,4 +1,4 @@
-"""What the rig is told on a tick: set-points, heartbeat, arming. The heartbeat comes last, after everything else."""
+"""Outputs to the rig on a tick: set-points, heartbeat, arming. The heartbeat comes after everything else."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.run.outputs.setpoints import Setpoints
 
 ARMING_TICKS = 3
 _HELD = 0.01
-"""How far a time-out that is read back may be from what was written, of it: what a float loses on the way."""
+"""Largest relative difference of a time-out that is read back from the one written: digits that a float loses."""
 
 
 class Outputs:
@@ -21,26 +21,22 @@ class Outputs:
         self._connection = connection
         self._rig = connection.rig
         self._setpoints = Setpoints(self._rig)
+        self.values: dict[str, float] = self._setpoints.values
         self._beat = 0
         self._safe_held = False
 
     @property
-    def values(self) -> dict[str, float]:
-        """What the rig was told last."""
-        return self._setpoints.values
-
-    @property
     def safe_values(self) -> dict[str, float]:
-        """Safe value of each set-point, in the order in which they are applied."""
+        """Return the safe value of each set-point, in the order in which they are applied."""
         return self._setpoints.safe_values()
 
     @property
     def safe_held(self) -> bool:
-        """Whether the rig holds the safe values, read back from it."""
+        """Return whether the rig holds the safe values, read back from it."""
         return self._safe_held
 
     def heartbeat(self) -> dict[str, float]:
-        """The next beat; nothing for a rig that wants none."""
+        """Return the next beat; nothing for a rig that wants none."""
         if self._rig.heartbeat is None:
             return {}
         self._beat = (self._beat + 1) % 65536
@@ -66,7 +62,7 @@ class Outputs:
         raise LinkError(f"not started: {why}")
 
     async def move(self, targets: Mapping[str, float], elapsed_s: float) -> dict[str, float]:
-        """Move towards `targets` for `elapsed_s`, or keep what is where there are none; the values that changed.
+        """Move towards `targets` for `elapsed_s`, or keep what is where there are none; return the values that changed.
 
         What a lost or garbled write did not confirm has not moved: when the link is back, the slew rate counts from
         here. Raises a DriverError.

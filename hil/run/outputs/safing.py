@@ -42,7 +42,7 @@ class Safed:
 
     @property
     def safe(self) -> bool:
-        """Whether the safe values are read back and no meter contradicts them."""
+        """Return whether the safe values are read back and no meter contradicts them."""
         return self.written and not self.hot
 
 

@@ -1,4 +1,4 @@
-"""From a profile's targets to what is written: clamped to the limits, no faster than the slew rate."""
+"""Set-points on the way to a profile's targets: clamped to the limits, no faster than the slew rate."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.signals.units import split_column
 from hil.run.outputs.heaters import is_heater
 
 _FLOAT_ERROR = 1e-6
-"""What a float32 register loses of a number, and unit conversion beside it, relative."""
+"""Relative error of a number in a float32 register, with that of unit conversion."""
 
 
 def count_tolerance(point: Point) -> float:
@@ -25,7 +25,7 @@ def count_tolerance(point: Point) -> float:
 
 
 def bind(rig: Rig, columns: Sequence[str]) -> list[Point]:
-    """The set-point of each profile column; raises ConfigurationError on a name or unit that the rig lacks."""
+    """Return the set-point of each profile column; raises ConfigurationError on a name or unit that the rig lacks."""
     bound = []
     for column in columns:
         named = split_column(column)
@@ -38,7 +38,7 @@ def bind(rig: Rig, columns: Sequence[str]) -> list[Point]:
 
 
 def setpoint_columns(rig: Rig) -> dict[str, Point]:
-    """Column by which a profile names each set-point: that of the point it moves, else its own."""
+    """Return the set-points by profile column: that of the point it moves, else its own."""
     columns = {}
     for point in rig.setpoints:
         target = rig.get(point.readback) if point.readback is not None else point
@@ -52,6 +52,7 @@ class Setpoints:
     def __init__(self, rig: Rig, start: dict[str, float] | None = None) -> None:
         self._rig = rig
         self._points = rig.setpoints
+        self._by_name = {point.name: point for point in self._points}
         self.values: dict[str, float] = {
             point.name: self._clamped(point, (start or {}).get(point.name, point.safe_value or 0.0))
             for point in self._points
@@ -65,19 +66,21 @@ class Setpoints:
         return min(max(value, point.limits[0]), point.limits[1])
 
     def move(self, targets: dict[str, float], elapsed_s: float) -> dict[str, float]:
-        """Advance towards `targets` (by point name) for `elapsed_s`; the values that changed."""
+        """Advance towards `targets` (by point name) for `elapsed_s`; return the values that changed."""
         changed = {}
-        for point in self._points:
-            if point.name not in targets:
+        for name, point in self._by_name.items():
+            if name not in targets:
                 continue
-            target = self._clamped(point, targets[point.name])
-            value = self.values[point.name]
+            target = self._clamped(point, targets[name])
+            value = self.values[name]
+            if target == value:
+                continue
             if point.max_rate is not None:
                 reach = point.max_rate * elapsed_s
                 target = min(max(target, value - reach), value + reach)
             if target != value:
-                self.values[point.name] = target
-                changed[point.name] = target
+                self.values[name] = target
+                changed[name] = target
         return changed
 
     def put_safe(self) -> None:

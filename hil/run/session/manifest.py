@@ -10,7 +10,7 @@ from typing import Any
 from drivers.rig_file.bus_sections import CanBus
 from hil.diagnosis.live import END_ONLY
 from hil.journal.writer import JournalError, JournalReader
-from hil.run.engine.engine import Outcome
+from hil.run.engine.status import Outcome
 from hil.run.restore.resumption import Resumption, Standing
 from hil.run.session.request import Prepared, RunRequest
 from hil.run_folder.folder import FolderLostError, RunFolder

@@ -12,9 +12,11 @@ from drivers.rig.connection import RigConnection
 from hil.diagnosis.live import Reply
 from hil.journal.states import ENDED, State
 from hil.journal.writer import Header, JournalError, JournalWriter
+from hil.run.engine.components import Options
 from hil.run.engine.control_socket import serving
-from hil.run.engine.engine import Engine, Outcome, Status
+from hil.run.engine.engine import Engine
 from hil.run.engine.signals import RunSignals, interrupted, stopping
+from hil.run.engine.status import Outcome, Status
 from hil.run.locks.rig_lock import RigClaim
 from hil.run.restore.calibrators import restore
 from hil.run.restore.gap_evidence import clocks_noted
@@ -118,14 +120,16 @@ async def _run_in(run: PreparedRun) -> RunResult:
             clock,
             ready.profile,
             journal,
-            publisher=Publishers(tuple(p for p in (tracking, live) if p is not None)),
-            observer=run.observer,
-            told=announce,
-            residuals=dict if tracking is None else tracking.off_K,
-            lockstep=request.mode == "lockstep",
-            resumption=resumption,
-            rearm=request.rearm,
-            guard=guard_of(request, folder, run.claim, rig),
+            Options(
+                publisher=Publishers(tuple(p for p in (tracking, live) if p is not None)),
+                observer=run.observer,
+                told=announce,
+                residuals=dict if tracking is None else tracking.off_K,
+                lockstep=request.mode == "lockstep",
+                resumption=resumption,
+                rearm=request.rearm,
+                guard=guard_of(request, folder, run.claim, rig),
+            ),
         )
         async with serving(folder.control, engine, announce):
             with stopping(engine, run.signals):

@@ -9,8 +9,8 @@ from typing import Any
 
 from drivers.rig_file.model import Rig
 from hil.diagnosis.healthy_record import copy_record
-from hil.run.engine.engine import Status
 from hil.run.engine.signals import RunSignals
+from hil.run.engine.status import Status
 from hil.run.locks.rig_lock import claimed
 from hil.run.outputs.setpoints import bind
 from hil.run.restore.resumption import Resumption

@@ -19,7 +19,8 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from hil.diagnosis.live import Reply
-    from hil.run.engine.engine import Outcome, Status
+    from hil.run.engine.engine import Outcome
+    from hil.run.engine.status import Status
     from hil.run.session.run import RunResult
     from hil.tracking.twins import Comparison, ErrorTable
 

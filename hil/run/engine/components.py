@@ -1,0 +1,100 @@
+"""Components of a run and its options: made once, shared by the tick, the ending and the engine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from drivers.rig.connection import RigConnection
+from drivers.rig_file.bus_sections import CanBus
+from hil.guardian.client import Guard, NoGuard
+from hil.journal.writer import JournalWriter
+from hil.profile.load_profile import Profile
+from hil.run.engine.clock import LONGEST_WAIT_S, Clock
+from hil.run.engine.recording import Position, Publisher, Recorder
+from hil.run.engine.status import Status
+from hil.run.engine.supervisor import Supervisor
+from hil.run.interlocks.conditions import Residuals
+from hil.run.outputs.heaters import GoodReadings, safe_limits
+from hil.run.outputs.outputs import Outputs
+from hil.run.outputs.readback import SetpointReadback
+from hil.run.restore.resumption import Resumption
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Options of a run.
+
+    `observer` is given a status a few times a second, `told` every transition as a sentence; `residuals` returns how
+    far twins are off, K. With `resumption` the run goes on where an earlier one was cut, once the rig is back where it
+    was. `rearm` acknowledges a trip that the rig brings along. `lockstep`: the rig steps only when it is told.
+    """
+
+    publisher: Publisher | None = None
+    observer: Callable[[Status], None] | None = None
+    told: Callable[[str], None] | None = None
+    residuals: Callable[[], Residuals] = dict
+    lockstep: bool = False
+    resumption: Resumption | None = None
+    rearm: bool = False
+    guard: Guard = field(default_factory=NoGuard)
+
+
+class Components:
+    """Parts of one run of `profile` on `connection`, wired to each other; their state is the run's."""
+
+    def __init__(
+        self, connection: RigConnection, clock: Clock, profile: Profile, journal: JournalWriter, options: Options
+    ) -> None:
+        self.connection = connection
+        self.rig = connection.rig
+        self.clock = clock
+        self.profile = profile
+        self.options = options
+        self.guard = options.guard
+        self.first_tick = 0
+        self.at = Position(clock.period_s)
+        resumption = options.resumption
+        if resumption is not None:
+            self.first_tick = resumption.first_tick(clock.period_s)
+            self.at = Position(clock.period_s, self.first_tick, resumption.standing.profile_s)
+        self.recorder = Recorder(
+            journal, self.at, publisher=options.publisher, told=options.told, lockstep=options.lockstep
+        )
+        self.supervisor = Supervisor(
+            self.rig, connection.points, log=self.recorder.transition, note=self.recorder.event
+        )
+        self.machine = self.supervisor.machine
+        self.interlocks = self.supervisor.interlocks
+        self.outputs = Outputs(connection)
+        self.readback = SetpointReadback(connection, self.recorder.event, lockstep=options.lockstep)
+        self.interlocks.add_alarm(self.readback)
+        self.limits = safe_limits(self.rig)
+        self.heater_meters = GoodReadings(connection.points, (limit.meter for limit in self.limits))
+        timeouts_s = sum(bus.timeout_s for bus in self.rig.bus.values() if not isinstance(bus, CanBus))
+        self.is_quick = clock.period_s <= LONGEST_WAIT_S and timeouts_s <= LONGEST_WAIT_S
+        """True where no tick takes so long that a stop request has to interrupt it."""
+        self.step_s = clock.period_s if options.lockstep else min(clock.period_s, LONGEST_WAIT_S)
+        """Time between two readings of the meters while the rig is made safe, s; less than the period of a slow rig."""
+        self._patience_s = clock.period_s + LONGEST_WAIT_S + self.rig.abort_after_s + 2.0 * timeouts_s
+
+    def expect(self) -> None:
+        """State to the guardian how long this run may be busy: until the next tick, and with devices that are mute."""
+        self.guard.expect(self._patience_s)
+
+    async def advance(self) -> None:
+        """Let one period pass, outside the grid."""
+        self.expect()
+        await self.clock.advance()
+
+    async def step(self) -> None:
+        """Let `step_s` pass, outside the grid."""
+        if self.step_s == self.clock.period_s:
+            await self.advance()
+        else:
+            self.expect()
+            await self.clock.advance(self.step_s)
+
+    def trouble(self) -> str | None:
+        """Return why the run has to end before its next tick: the guardian acted or is gone, the journal is lost."""
+        return self.guard.failure() or self.recorder.failure

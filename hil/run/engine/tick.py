@@ -1,0 +1,193 @@
+"""One tick of a run: read, judge, obey, write, record."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+from drivers.rig_file.model import Point
+from drivers.signals.points import DeviceExceptionError, DriverError, Quality, Snapshot
+from hil.journal.states import HEATED, WAITING, Event, State
+from hil.run.engine.attended import Finished, attended
+from hil.run.engine.components import Components
+from hil.run.engine.supervisor import End
+from hil.run.outputs.deviations import Deviations
+from hil.run.outputs.heaters import Descent, GoodReadings, still_hot
+from hil.run.outputs.setpoints import bind
+from hil.run.restore.thermal_restore import Soak
+
+FIRST_SAMPLE_TIMEOUT_S = 10.0
+PAUSED_S = 1.0
+"""Ticks that are further apart than this, and than two periods, are reported as a pause of process or machine, s."""
+
+
+def age(snapshot: Snapshot, points: tuple[Point, ...], seconds: float) -> None:
+    """Mark good values as stale that may be `seconds` old, where that is more than their points allow."""
+    for index, point in enumerate(points):
+        if seconds > point.stale_after_s and snapshot.quality[index] == Quality.GOOD:
+            snapshot.quality[index] = int(Quality.STALE)
+
+
+class TickWork:
+    """Work of one tick after the other. `snapshot` holds the latest readings, `restore` the thermal restore while one
+    goes on, and `restored_s` how long it has taken, s. `show` is called at the end of each tick."""
+
+    def __init__(self, parts: Components, show: Callable[[], None]) -> None:
+        self.snapshot: Snapshot | None = None
+        self.restore: Soak | None = None
+        self.restored_s = 0.0
+        self.deviations = Deviations(parts.rig)
+        self._parts = parts
+        self._show = show
+        self._connection, self._clock, self._profile = parts.connection, parts.clock, parts.profile
+        self._machine, self._supervisor = parts.machine, parts.supervisor
+        self._outputs, self._readback, self._guard = parts.outputs, parts.readback, parts.guard
+        self._at, self._recorder = parts.at, parts.recorder
+        self._lockstep = parts.options.lockstep
+        self._residuals = parts.options.residuals
+        self._targets = [point.name for point in bind(parts.rig, parts.profile.columns)]
+        self._setpoint_meters = GoodReadings(parts.connection.points, self.deviations.meters)
+        self._descent = Descent(parts.rig, parts.limits, parts.clock.period_s)
+        self._soonest_stale_s = min((point.stale_after_s for point in parts.connection.points), default=math.inf)
+
+    async def interruptible(self) -> End | None:
+        """Do one tick; a request to stop or to pause ends one that waits for the next tick of a slow rig, or for a
+        device that does not answer."""
+        done = await attended(self.one(), self._supervisor.urgent, self._parts.trouble)
+        if isinstance(done, Finished):
+            return done.result
+        if done.trouble is not None:
+            return Event.FAIL, done.trouble
+        if self._supervisor.stop is None:
+            await self._obey_now()
+        return self._supervisor.stop
+
+    async def _obey_now(self) -> None:
+        """Obey a request to make safe between two ticks, and answer it when the safe values are read back."""
+        self._parts.expect()
+        self._supervisor.obey_urgent()
+        await self._put_out(0.0)
+        if self._supervisor.owes_answers:
+            self._supervisor.answer(await self._obeyed())
+
+    async def one(self) -> End | None:
+        """Do one tick; return how the run ends, where it does. Raises DriverError or JournalError."""
+        clock, machine, at, parts = self._clock, self._machine, self._at, self._parts
+        parts.expect()
+        if machine.state in WAITING:
+            await clock.wait()
+        last, was_running = at.tick, machine.state is State.RUNNING
+        at.tick = parts.first_tick + await clock.next_tick()
+        parts.expect()
+        if self._lockstep:
+            await self._connection.wait_for_device_time(clock.now(), FIRST_SAMPLE_TIMEOUT_S)
+        began = time.perf_counter()
+        asked_s = clock.now()
+        snapshot = self.snapshot = await self._connection.read()
+        now, wall_s = clock.now(), time.time()
+        # A process that was stopped while it read has read at any time since: the row is of now, old values are stale.
+        at.tick = parts.first_tick + clock.current_tick()
+        passed = at.tick - last
+        if now - asked_s > self._soonest_stale_s:
+            age(snapshot, self._connection.points, now - asked_s)
+        self._notice_pause(passed * clock.period_s)
+        # A machine without descriptors cannot open the link again: waiting for it would only heat on.
+        why = self._guard.failure() or (self._connection.exhausted if snapshot.faults else None)
+        if why is not None:
+            return Event.FAIL, why
+        await self._readback.look(snapshot, self._outputs.values, now)
+        ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
+        if ended is None and self.restore is not None:
+            ended = self._lead_back(self.restore, snapshot, now)
+        if was_running and machine.state is State.RUNNING:
+            at.profile_ticks += passed
+            self.deviations.tick(self._outputs.values, self._setpoint_meters.of(snapshot))
+        over = machine.state is State.RUNNING and at.profile_s >= self._profile.duration_s
+        if ended is None:
+            await self._put_out(clock.period_s)
+            if self._supervisor.owes_answers:
+                self._supervisor.answer(await self._obeyed())
+            ended = (Event.COMPLETE, "the profile is over") if over else None
+            if ended is None:
+                clock.release()
+        self._recorder.sample(snapshot, self._outputs.values, now, wall_s, began)
+        self._show()
+        await self._recorder.publish_if_due()
+        return ended
+
+    def _notice_pause(self, passed_s: float) -> None:
+        """Record a gap between two ticks; beyond `abort_after_s` an interlock trips as well."""
+        if self._lockstep or passed_s <= max(PAUSED_S, 2.0 * self._clock.period_s):
+            return
+        self._recorder.event(
+            "WARN",
+            f"no tick for {passed_s:.1f} s: this process or its machine was paused, or a device kept it waiting; "
+            "values from before the gap are stale",
+        )
+
+    def _lead_back(self, restore: Soak, snapshot: Snapshot, now_s: float) -> End | None:
+        """Do one tick of thermal restore: go on with the profile once the rig is back, end a run that takes too long
+        to get there."""
+        restore.look(snapshot, now_s, stands=self._machine.state in WAITING)
+        self.restored_s = restore.elapsed_s
+        if restore.reached and self._machine.state is State.SOAKING:
+            self.restore, self._supervisor.soaks = None, False
+            self._machine.take(Event.START, f"the rig is back where it was, after {self.restored_s:.0f} s of soaking")
+        return None if restore.failure is None else (Event.FAIL, restore.failure)
+
+    async def _obeyed(self) -> str:
+        """Return the answer to an operator: the state, and outside `HEATED` what the rig holds and its meters read."""
+        state = self._machine.state
+        said = f"{state} at {self._at.profile_s:g} s of the profile"
+        if state in HEATED:
+            return said
+        if not self._outputs.safe_held:
+            return said + "; NOT confirmed safe yet, trying again"
+        return f"{said}; safe values read back{await self.meters_now()}"
+
+    async def meters_now(self) -> str:
+        """Return what the heaters' meters read now, to go on with a sentence."""
+        rig, limits = self._parts.rig, self._parts.limits
+        if not limits:
+            return ""
+        readings = self._parts.heater_meters.of(await self._connection.read())
+        hot = still_hot(rig, limits, readings)
+        if hot:
+            return f", but {hot}"
+        known = [limit.meter for limit in limits if limit.meter in readings]
+        listed = ", ".join(f"{name} reads {readings[name]:.1f} {rig.get(name).unit}" for name in known)
+        return f", {listed}" if known else ", but no meter can be read"
+
+    async def _put_out(self, elapsed_s: float) -> None:
+        """Write what the state asks for. A lost or garbled write is left to the interlocks of the next ticks and to the
+        rig's watchdog; one that the device refuses ends the run, unless it is a safe value, which is tried again.
+
+        An engine that may have been relieved by the guardian writes no heat before it knows."""
+        state, before = self._machine.state, dict(self._outputs.values)
+        try:
+            if state not in HEATED:
+                if not self._outputs.safe_held:
+                    self._descent.clear()  # it counts from the read-back on
+                readings = self._parts.heater_meters.of(self.snapshot)
+                hot = self._descent.stays(readings, self._clock.now())
+                await self._outputs.put_safe(arm=self._supervisor.arming, hot=hot)
+            elif self._guard.may_heat():
+                self._descent.clear()
+                await self._outputs.move(self._wanted(), elapsed_s)
+            else:
+                self._recorder.event("WARN", "nothing was written on this tick: the guardian may have acted meanwhile")
+        except DriverError as error:
+            self._readback.not_confirmed()
+            if state in HEATED and isinstance(error, DeviceExceptionError):
+                raise
+            self._recorder.event("WARN", str(error))
+        if self._outputs.values != before:
+            reason = {State.RUNNING: "profile", State.SOAKING: "soak"}.get(state, f"safe: {state}")
+            self._recorder.written(before, self._outputs.values, reason)
+
+    def _wanted(self) -> dict[str, float]:
+        """Return the targets of the set-points; nothing where they stay."""
+        if self._machine.state is State.RUNNING:
+            return dict(zip(self._targets, self._profile.at(self._at.profile_s), strict=True))
+        return self.restore.targets() if self._machine.state is State.SOAKING and self.restore is not None else {}
