@@ -64,7 +64,7 @@ async def test_record_of_a_fast_rig_agrees_with_its_own_uptime(tmp_path):
         took_s = time.monotonic() - began
     finally:
         await virtual.stop()
-    assert code == 0, err
+    assert code == 0, out + err
     reader = JournalReader(RunFolder(Path(json.loads(out)["folder"])).journal)
     samples, names = reader.samples(), [signal.name for signal in reader.header.signals]
     reader.close()
@@ -98,7 +98,7 @@ def test_gap_of_a_fast_rig_is_as_long_as_on_its_clock():
 
 async def test_check_tells_how_fast_the_clock_is(tmp_path):
     code, out, err = await hil("check", rig_file(tmp_path, SPEED))
-    assert code == 0, err
+    assert code == 0, out + err
     assert "runs 10 times real time" in out
 
 
