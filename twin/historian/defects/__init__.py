@@ -13,6 +13,7 @@ from twin.historian.defects.silence import silent_groups
 from twin.historian.defects.stuck import stuck_values
 from twin.historian.defects.swaps import swapped, undo_swap
 from twin.historian.defects.unit_switch import converted, unit_switches
+from twin.historian.events import Event
 from twin.historian.tags import Defect, Series
 
 __all__ = ["Repaired", "find_and_repair"]
@@ -24,9 +25,12 @@ class Repaired:
 
     series: tuple[Series, ...]
     defects: tuple[Defect, ...]
+    remarks: tuple[str, ...] = ()
 
 
-def find_and_repair(raw: Sequence[Series], *, timezone: str | None = None, pressure_kPa: float = 101.325) -> Repaired:
+def find_and_repair(
+    raw: Sequence[Series], *, timezone: str | None = None, pressure_kPa: float = 101.325, events: Sequence[Event] = ()
+) -> Repaired:
     """Return the series without what their defects spoil, and the defects.
 
     Each step sees the series as the steps before it left them: quality, repeated stamps, silence, clocks, units, stuck

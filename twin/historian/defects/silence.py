@@ -1,8 +1,9 @@
 """Times in which all tags of one interface are silent: gaps of its communication.
 
-Tags that come through one interface (a PLC, a motor control centre, a weather mast) fall silent together. Which tags
-these are is learned from their longest gaps; where none tells, the cell and the role do. The samples of a group together
-come often, so that a short silence of all of them is seen, though each tag alone is silent as long at times.
+Tags that come through one interface (a PLC, a motor control centre, a weather mast) fall silent together. A silence is a
+gap where the rates of the tags just before and after it make it improbable: with `r` samples expected of the group and
+none seen, its chance is about exp(-r). The threshold follows from the group's own silences, whose `r` are about
+exponential, so that a record of any length yields none by chance.
 """
 
 from __future__ import annotations
@@ -16,8 +17,12 @@ from twin.historian.tags import Array, Defect, Series, longest_interval_s
 
 LEAST_S = 600.0
 LEAST_TAGS = 2
-FAR = 4.0
-"""Times the longest regular silence of the group, from which a silence is a gap."""
+AROUND_S = 2.0 * 3600.0
+"""Time before and after a silence from which the rates are learned: a shift's operation, not a season's."""
+MARGIN = 5.0
+"""Excess over the largest expected of the group's silences: a chance of exp(-5) a group and record."""
+SURE = 12.0
+"""Expected samples above which a single silence is improbable by itself: exp(-12)."""
 WEATHER = frozenset({"dry_bulb_temperature", "relative_humidity", "relative_humidity_redundant", "wet_bulb_temperature",
                      "barometric_pressure", "wind_speed", "wind_direction"})  # fmt: skip
 
@@ -29,84 +34,106 @@ class Group:
     tags: tuple[str, ...]
 
 
-def silent_groups(series: Sequence[Series]) -> tuple[list[Defect], list[Group]]:
-    """Return the gaps of communication and the groups of tags that fall silent together."""
-    groups = _groups(series)
-    by_name = {one.tag.name: one for one in series}
+def interface_groups(series: Sequence[Series]) -> list[Group]:
+    """Return the tags by interface: those of a usual wiring, and merged where their long silences coincide."""
+    usual: dict[str, list[Series]] = {}
+    for one in series:
+        if len(one.time_s):
+            usual.setdefault(_usual_interface(one), []).append(one)
+    silences = {key: [_clear_silences(one) for one in members] for key, members in usual.items()}
+    own = {key: _common(spans) for key, spans in silences.items()}
+    keys = list(usual)
+    label = {key: key for key in keys}
+    for k, first in enumerate(keys):
+        for second in keys[k + 1 :]:
+            if len(own[first]) >= 3 and len(own[second]) >= 3 and _coincide(own[first], own[second]):
+                old, new = label[second], label[first]
+                label = {key: new if value == old else value for key, value in label.items()}
+    merged: dict[str, list[str]] = {}
+    for key in keys:
+        merged.setdefault(label[key], []).extend(one.tag.name for one in usual[key])
+    return [Group(tuple(members)) for members in merged.values()]
+
+
+def communication_gaps(series: Sequence[Series], groups: Sequence[Group]) -> list[Defect]:
+    """Return the gaps of communication: of everything first, then of each interface."""
+    by_name = {one.tag.name: one for one in series if len(one.time_s)}
     found: list[Defect] = []
     everything = Group(tuple(by_name))
-    for group in (everything, *groups):
-        members = [by_name[name] for name in group.tags if len(by_name[name].time_s)]
+    for group in (everything, *(group for group in groups if set(group.tags) != set(by_name))):
+        members = [by_name[name] for name in group.tags if name in by_name]
         for start, end in _silences(members):
-            if not any(d.start_s <= start + LEAST_S and d.end_s >= end - LEAST_S for d in found):
-                minutes = (end - start) / 60.0
-                says = f"{len(group.tags)} tags silent together for {minutes:.0f} min"
-                found.append(Defect("comms_gap", group.tags, start, end, says, "left out"))
-    return found, groups
+            if any(d.start_s < end and start < d.end_s and set(group.tags) <= set(d.tags) for d in found):
+                continue
+            minutes = (end - start) / 60.0
+            says = f"{len(members)} tags silent together for {minutes:.0f} min"
+            names = tuple(one.tag.name for one in members)
+            found.append(Defect("comms_gap", names, start, end, says, "left out"))
+    return found
+
+
+def _usual_interface(series: Series) -> str:
+    role = series.tag.role
+    if role in WEATHER:
+        return "weather mast"
+    if role.startswith("fan_") or role == "pump_power":
+        return "motor control centre"
+    return f"cell {series.tag.cell}"
 
 
 def _silences(members: Sequence[Series]) -> list[tuple[float, float]]:
-    """Return the spans in which nothing of the group came, though something should have."""
+    """Return the spans in which nothing of the group came, though by its rates something should have."""
     if len(members) < LEAST_TAGS:
         return []
-    union = np.unique(np.concatenate([one.time_s for one in members]))
-    intervals = np.diff(union)
-    usual = float(np.quantile(intervals, 0.999)) if len(intervals) > 100 else float(intervals.max(initial=0.0))
-    # A gap is itself among the intervals: the 99.9 % of a short record may be one.
-    usual = min(usual, 10.0 * float(np.quantile(intervals, 0.9))) if len(intervals) else usual
-    limit = max(LEAST_S, FAR * usual)
-    return [(float(union[k]), float(union[k + 1])) for k in np.flatnonzero(intervals > limit)]
+    union = np.sort(np.concatenate([one.time_s for one in members]))
+    interval = np.diff(union)
+    rows = np.flatnonzero(interval >= min(LEAST_S, 300.0))
+    if len(rows) == 0:
+        return []
+    start, end = union[rows], union[rows + 1]
+    length = end - start
+    expected = np.zeros(len(rows))
+    for one in members:
+        around = (_count(one.time_s, start - AROUND_S, start) + _count(one.time_s, end, end + AROUND_S)) / (2.0 * AROUND_S)
+        expected += length * around
+    # A silence that is no gap: r is about exponential with the group's own mean, the largest of n about mean * log n.
+    usual = expected[expected <= np.quantile(expected, 0.98)] if len(rows) > 50 else expected[:0]
+    scale = max(float(np.quantile(usual, 0.9)) / np.log(10.0), 1.0) if len(usual) else 1.0
+    threshold = max(SURE, scale * (np.log(max(len(interval), 1)) + MARGIN)) if len(usual) else SURE
+    gap = (expected >= threshold) & (length >= LEAST_S)
+    return [(float(a), float(b)) for a, b in zip(start[gap], end[gap], strict=True)]
 
 
-def _groups(series: Sequence[Series]) -> list[Group]:
-    """Return groups by gaps that tags have in common, and by cell and role for tags without any."""
-    gaps = {one.tag.name: _clear_gaps(one) for one in series}
-    parent = {name: name for name in gaps}
-
-    def root(name: str) -> str:
-        while parent[name] != name:
-            name = parent[name]
-        return name
-
-    names = list(gaps)
-    for k, first in enumerate(names):
-        for second in names[k + 1 :]:
-            if _coincide(gaps[first], gaps[second]):
-                parent[root(first)] = root(second)
-    clusters: dict[str, list[str]] = {}
-    for name in names:
-        clusters.setdefault(root(name), []).append(name)
-    learned = [Group(tuple(members)) for members in clusters.values() if len(members) >= LEAST_TAGS]
-    known = {name for group in learned for name in group.tags}
-    guessed: dict[str, list[str]] = {}
-    for one in series:
-        if one.tag.name not in known:
-            guessed.setdefault(_guess(one), []).append(one.tag.name)
-    return learned + [Group(tuple(members)) for members in guessed.values() if len(members) >= LEAST_TAGS]
+def _count(time_s: Array, low: Array, high: Array) -> Array:
+    return np.asarray(np.searchsorted(time_s, high, side="right") - np.searchsorted(time_s, low, side="left"), dtype=np.float64)
 
 
-def _guess(series: Series) -> str:
-    if series.tag.role in WEATHER:
-        return "weather"
-    return "fans" if series.tag.role.startswith("fan_") else f"cell {series.tag.cell}"
-
-
-def _clear_gaps(series: Series) -> Array:
+def _clear_silences(series: Series) -> Array:
     """Return starts and ends (k, 2) of silences that are longer than the tag ever is silent by itself."""
     if len(series.time_s) < 20:
         return np.zeros((0, 2))
-    intervals = np.diff(series.time_s)
-    rows = np.flatnonzero(intervals > 1.2 * longest_interval_s(series))
+    interval = np.diff(series.time_s)
+    rows = np.flatnonzero(interval > 1.2 * longest_interval_s(series))
     return np.stack([series.time_s[rows], series.time_s[rows + 1]], axis=1)
 
 
+def _common(spans: Sequence[Array]) -> Array:
+    """Return the silences of one tag that most of its group share."""
+    if len(spans) < LEAST_TAGS:
+        return np.zeros((0, 2))
+    longest = max(spans, key=len)
+    shared = [
+        span for span in longest if sum(bool(len(o) and _overlaps(span, o)) for o in spans) > 0.5 * len(spans)
+    ]
+    return np.asarray(shared).reshape(-1, 2)
+
+
+def _overlaps(span: Array, others: Array) -> bool:
+    common = np.minimum(span[1], others[:, 1]) - np.maximum(span[0], others[:, 0])
+    return bool((common > 0.6 * (span[1] - span[0])).any())
+
+
 def _coincide(first: Array, second: Array) -> bool:
-    """Return whether most of the clear gaps of the one with fewer lie where the other has some, and at least two do."""
-    if len(first) == 0 or len(second) == 0:
-        return False
-    few, many = (first, second) if len(first) <= len(second) else (second, first)
-    hits = 0
-    for start, end in few:
-        common = np.minimum(end, many[:, 1]) - np.maximum(start, many[:, 0])
-        hits += bool((common > 0.6 * (end - start)).any())
-    return hits >= max(1, round(0.6 * len(few)))
+    """Return whether nearly all silences of either lie where the other has some."""
+    hits = [_overlaps(span, second) for span in first] + [_overlaps(span, first) for span in second]
+    return sum(hits) >= 0.8 * len(hits)

@@ -1,0 +1,49 @@
+"""Choice of a store by its address."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+from drivers.historian.protocol import HistorianError, HistorianStore
+
+POSTGRES = ("postgresql://", "postgres://")
+DUCKDB_ENDINGS = (".duckdb", ".db")
+
+
+def open_store(address: str | Path, *, create: bool = False) -> HistorianStore:
+    """Return the store at `address`.
+
+    A folder with Parquet files (or a single Parquet file), a DuckDB file (`.duckdb`, `.db`), or a PostgreSQL database by
+    its URL (`postgresql://user@host/database`).
+
+    Parameters:
+        address: path or URL.
+        create: make an empty store where there is none.
+
+    Raises:
+        HistorianError: there is no store, it cannot be opened, or the library for it is not installed.
+    """
+    text = str(address)
+    if text.startswith(POSTGRES):
+        module = _library("postgres", "psycopg")
+        return module.PostgresStore(text, create=create)  # type: ignore[no-any-return]
+    if "://" in text:
+        raise HistorianError(f"{text.split('://')[0]}:// is no historian that is known; use a folder, a .duckdb file or postgresql://")
+    path = Path(text)
+    if path.suffix in DUCKDB_ENDINGS:
+        module = _library("duckdb_file", "duckdb")
+        return module.DuckDBStore(path, create=create)  # type: ignore[no-any-return]
+    from drivers.historian.parquet import ParquetStore
+
+    return ParquetStore(path, create=create)
+
+
+def _library(module: str, package: str):  # type: ignore[no-untyped-def]
+    try:
+        importlib.import_module(package)
+    except ImportError as error:
+        raise HistorianError(
+            f"this store needs the package {package}, which is not installed; pip install 'hil-rig[historian]'"
+        ) from error
+    return importlib.import_module(f"drivers.historian.{module}")
