@@ -14,12 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.historian.defects.panel import on_grid
-from twin.historian.defects.silence import Group
+from twin.historian.defects.silence import LEAST_TAGS, Group
 from twin.historian.tags import Array, Defect, Series
 
 STEP_S = 600.0
 CHANGE_STEPS = 3
 LEAST_ROWS = 300
+LEAST_CHANGES = 100
 MARGIN = 0.1
 """Least rise of the correlation; the spread between chance shifts is below 0.05 for a week of samples."""
 LEAST = 0.25
@@ -98,6 +99,8 @@ def shifted_clocks(
     candidates = [Shift(), *zone, *(Shift(add_s=3600.0 * hour) for hour in HOURS)]
     group_of = {name: k for k, group in enumerate(groups) for name in group.tags}
     label = np.array([group_of.get(one.tag.name, -1) for one in usable])
+    # A tag that seldom changes goes with some other tag by chance.
+    lively = np.count_nonzero(reference, axis=1) >= LEAST_CHANGES
     foreign = label[:, None] != label[None, :]
     best = np.zeros((len(candidates), len(usable)))
     for k, shift in enumerate(candidates):
@@ -105,16 +108,16 @@ def shifted_clocks(
         best[k] = np.where(foreign, _correlations(moved, reference), 0.0).max(axis=1)
     found = []
     for k, group in enumerate(groups):
-        rows = np.flatnonzero(label == k)
+        rows = np.flatnonzero((label == k) & lively)
         votes = [_vote(best[:, row], len(zone)) for row in rows]
         cast = [vote for vote in votes if vote is not None]
-        if not cast:
+        if len(cast) < min(2, len(group.tags)) or len(group.tags) < LEAST_TAGS:
             continue
         winner = max(set(cast), key=cast.count)
         if winner == 0 or cast.count(winner) < max(1.0, 0.6 * len(cast)) or len(group.tags) > 0.5 * len(usable):
             continue
         shift = candidates[winner]
-        members = [usable[row] for row in rows]
+        members = [usable[row] for row in np.flatnonzero(label == k)]
         low = min(float(shift.to_utc(one.time_s[:1])[0]) for one in members)
         high = max(float(shift.to_utc(one.time_s[-1:])[0]) for one in members)
         kind = "local_time" if shift.zone is not None else "clock_offset"

@@ -8,7 +8,7 @@ exponential, so that a record of any length yields none by chance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,8 @@ LEAST_S = 600.0
 LEAST_TAGS = 2
 AROUND_S = 2.0 * 3600.0
 """Time before and after a silence from which the rates are learned: a shift's operation, not a season's."""
-MARGIN = 5.0
-"""Excess over the largest expected of the group's silences: a chance of exp(-5) a group and record."""
+MARGIN = 4.0
+"""Excess over the largest expected of the group's silences, in their scale: a chance of exp(-4) a group and record."""
 SURE = 12.0
 """Expected samples above which a single silence is improbable by itself: exp(-12)."""
 WEATHER = frozenset({"dry_bulb_temperature", "relative_humidity", "relative_humidity_redundant", "wet_bulb_temperature",
@@ -55,8 +55,16 @@ def interface_groups(series: Sequence[Series]) -> list[Group]:
     return [Group(tuple(members)) for members in merged.values()]
 
 
-def communication_gaps(series: Sequence[Series], groups: Sequence[Group]) -> list[Defect]:
-    """Return the gaps of communication: of everything first, then of each interface."""
+def communication_gaps(
+    series: Sequence[Series], groups: Sequence[Group], known: Mapping[str, Sequence[tuple[float, float]]]
+) -> list[Defect]:
+    """Return the gaps of communication: of everything first, then of each interface.
+
+    Parameters:
+        series: usable samples.
+        groups: tags by interface.
+        known: spans by tag that have no samples for another reason.
+    """
     by_name = {one.tag.name: one for one in series if len(one.time_s)}
     found: list[Defect] = []
     everything = Group(tuple(by_name))
@@ -64,6 +72,8 @@ def communication_gaps(series: Sequence[Series], groups: Sequence[Group]) -> lis
         members = [by_name[name] for name in group.tags if name in by_name]
         for start, end in _silences(members):
             if any(d.start_s < end and start < d.end_s and set(group.tags) <= set(d.tags) for d in found):
+                continue
+            if any(low < end and start < high for name in group.tags for low, high in known.get(name, ())):
                 continue
             minutes = (end - start) / 60.0
             says = f"{len(members)} tags silent together for {minutes:.0f} min"
@@ -92,14 +102,16 @@ def _silences(members: Sequence[Series]) -> list[tuple[float, float]]:
         return []
     start, end = union[rows], union[rows + 1]
     length = end - start
-    expected = np.zeros(len(rows))
-    for one in members:
-        around = (_count(one.time_s, start - AROUND_S, start) + _count(one.time_s, end, end + AROUND_S)) / (2.0 * AROUND_S)
-        expected += length * around
-    # A silence that is no gap: r is about exponential with the group's own mean, the largest of n about mean * log n.
-    usual = expected[expected <= np.quantile(expected, 0.98)] if len(rows) > 50 else expected[:0]
-    scale = max(float(np.quantile(usual, 0.9)) / np.log(10.0), 1.0) if len(usual) else 1.0
-    threshold = max(SURE, scale * (np.log(max(len(interval), 1)) + MARGIN)) if len(usual) else SURE
+    before = sum((_count(one.time_s, start - AROUND_S, start) for one in members), np.zeros(len(rows))) / AROUND_S
+    after = sum((_count(one.time_s, end, end + AROUND_S) for one in members), np.zeros(len(rows))) / AROUND_S
+    # At a change of operation the quieter side is the one that counts.
+    expected = length * np.minimum(before, after)
+    threshold = SURE
+    if len(rows) > 50:
+        # Silences that are no gaps: the tail of r is about exponential, the largest of n at log n scales above it.
+        middle, far = np.quantile(expected, (0.5, 0.98))
+        scale = max(float(far - middle) / np.log(25.0), 1.0)
+        threshold = max(SURE, float(middle) + scale * (np.log(0.5 * len(rows)) + MARGIN))
     gap = (expected >= threshold) & (length >= LEAST_S)
     return [(float(a), float(b)) for a, b in zip(start[gap], end[gap], strict=True)]
 

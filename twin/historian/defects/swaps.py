@@ -1,8 +1,10 @@
 """Pairs of tags whose values were exchanged for a time.
 
-Each tag is predicted from the others of its cell and station. In a swap each of the two follows the prediction of the
-other one. The span with the largest sum of evidence is the swap; the evidence of an hour counts once, since errors of
-minutes are correlated.
+The difference of the two is predicted from the plant's other tags. In a swap the difference has the opposite sign of its
+prediction. Two kinds of evidence must agree: over the span the sign is reversed (a sum of log likelihood ratios), and the
+changes of the difference within a day go against those of its prediction. The second does not depend on drifts of the
+thermometers or of the plant, which look like a swap to the first. A maintenance entry that names both tags about the time
+of an edge lowers the thresholds; it is never enough.
 """
 
 from __future__ import annotations
@@ -13,41 +15,32 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.historian.tags import Array, Defect, Series, longest_interval_s
+from twin.historian.defects.panel import Panel, design_matrix, largest_sum, moving_mean, robust_prediction
+from twin.historian.events import Event, naming
+from twin.historian.tags import Array, Defect, Series
 from twin.historian.units import unit_of
 
-STEP_S = 600.0
-BLOCK = 6
 LEAST_S = 12.0 * 3600.0
-LEAST_EVIDENCE = 60.0
-"""Sum of log likelihood ratios by the hour; a quiet record of a year reaches about 15."""
-CAP = 12.0
-"""Largest evidence of an hour: an outlier is none for a swap that lasts."""
+CAP = 1.0
+"""Largest evidence of a row of a quarter of an hour: an outlier is none for a swap that lasts."""
+LEAST_EVIDENCE, LEAST_EVIDENCE_NAMED = 60.0, 15.0
+"""Sum of evidence; an hour of clear contradiction gives 4. With a maintenance entry that names both tags the second."""
+AGAINST, AGAINST_NAMED = -0.4, -0.15
+"""Correlation of changes inside the span; outside it must be as far on the other side."""
+DAY_S = 86400.0
 ROUNDS = 4
+MOST = 3
+"""Swaps of a pair in a record."""
 
 
-def swapped(series: Sequence[Series]) -> list[Defect]:
+def swapped(panel: Panel, events: Sequence[Event] = ()) -> list[Defect]:
     """Return the pairs of temperatures or flows that carry each other's values, and from when to when."""
-    usable = [one for one in series if len(one.time_s) > 100]
-    if len(usable) < 3:
+    if len(panel.series) < 3 or len(panel.grid_s) < 200:
         return []
-    grid = np.arange(max(one.time_s[0] for one in usable), min(one.time_s[-1] for one in usable), STEP_S)
-    if len(grid) < 10 * BLOCK:
-        return []
-    values = {one.tag.name: _on(one, grid) for one in usable}
     found: list[Defect] = []
-    for first, second in itertools.combinations(usable, 2):
-        if not _exchangeable(first, second):
-            continue
-        span = _span(first, second, usable, values, grid)
-        if span is not None:
-            start, end, evidence = span
-            names = (first.tag.name, second.tag.name)
-            days = (end - start) / 86400.0
-            says = f"{names[0]} and {names[1]} carry each other's values for {days:.1f} days"
-            found.append(
-                Defect("swap", names, start, end, f"{says} (log likelihood ratio {evidence:.0f})", "exchanged")
-            )
+    for j, k in itertools.combinations(range(len(panel.series)), 2):
+        if _exchangeable(panel.series[j], panel.series[k]):
+            found += _pair(panel, j, k, events)
     return _strongest(found)
 
 
@@ -55,14 +48,8 @@ def undo_swap(series: Sequence[Series], defect: Defect) -> list[Series]:
     """Return the series with the samples of the pair exchanged inside the defect."""
     by_name = {one.tag.name: one for one in series}
     first, second = (by_name[name] for name in defect.tags)
-    return [
-        _exchanged(first, second, defect)
-        if one is first
-        else _exchanged(second, first, defect)
-        if one is second
-        else one
-        for one in series
-    ]
+    other = {first.tag.name: second, second.tag.name: first}
+    return [_exchanged(one, other[one.tag.name], defect) if one.tag.name in other else one for one in series]
 
 
 def _exchanged(own: Series, other: Series, defect: Defect) -> Series:
@@ -73,12 +60,21 @@ def _exchanged(own: Series, other: Series, defect: Defect) -> Series:
     value = (theirs.scale * other.value[inside] + theirs.offset - ours.offset) / ours.scale
     time_s = np.append(own.time_s[outside], other.time_s[inside])
     order = np.argsort(time_s, kind="stable")
+    holes = np.concatenate([_clipped(own.holes, defect, inside=False), _clipped(other.holes, defect, inside=True)])
     return replace(
         own,
         time_s=time_s[order],
         value=np.append(own.value[outside], value)[order],
         quality=np.append(own.quality[outside], other.quality[inside])[order],
+        holes=np.concatenate([holes, [[defect.start_s, defect.start_s], [defect.end_s, defect.end_s]]]),
     )
+
+
+def _clipped(holes: Array, defect: Defect, *, inside: bool) -> Array:
+    """Return the holes, each as a whole, that lie (by their middle) inside or outside the defect."""
+    middle = holes.mean(axis=1) if len(holes) else np.zeros(0)
+    within = (middle >= defect.start_s) & (middle <= defect.end_s)
+    return np.asarray(holes[within if inside else ~within])
 
 
 def _exchangeable(first: Series, second: Series) -> bool:
@@ -91,83 +87,79 @@ def _exchangeable(first: Series, second: Series) -> bool:
     return first.tag.role == second.tag.role or first.tag.cell == second.tag.cell
 
 
-def _on(series: Series, grid: Array) -> Array:
-    unit = unit_of(series.tag.unit)
-    return np.asarray(unit.scale * series.at(grid, 1.2 * longest_interval_s(series)) + unit.offset)
-
-
-def _span(
-    first: Series, second: Series, usable: Sequence[Series], values: dict[str, Array], grid: Array
-) -> tuple[float, float, float] | None:
-    """Return begin, end and evidence of the swap of a pair, or None."""
-    x, y = values[first.tag.name], values[second.tag.name]
-    drivers_x, drivers_y = (_drivers(one, first, second, usable, values) for one in (first, second))
-    exchanged = np.zeros(len(grid), dtype=bool)
-    best: tuple[int, int, float] | None = None
-    for _ in range(ROUNDS):
-        u, v = np.where(exchanged, y, x), np.where(exchanged, x, y)
-        predicted_x, sigma_x = _predicted(u, drivers_x)
-        predicted_y, sigma_y = _predicted(v, drivers_y)
-        as_is = ((x - predicted_x) / sigma_x) ** 2 + ((y - predicted_y) / sigma_y) ** 2
-        other = ((y - predicted_x) / sigma_x) ** 2 + ((x - predicted_y) / sigma_y) ** 2
-        gain = np.clip(np.nan_to_num(0.5 * (as_is - other)), -CAP, CAP) / BLOCK
-        low, high, total = _largest_sum(gain)
-        now = np.zeros(len(grid), dtype=bool)
-        now[low:high] = True
-        best = low, high, total
-        if np.array_equal(now, exchanged):
-            break
-        exchanged = now
-    assert best is not None
-    low, high, total = best
-    start, end = float(grid[low]), float(grid[high - 1])
-    long_enough = LEAST_S <= end - start <= 0.6 * (grid[-1] - grid[0])
-    return (start, end, total) if total >= LEAST_EVIDENCE and long_enough else None
-
-
-def _drivers(of: Series, first: Series, second: Series, usable: Sequence[Series], values: dict[str, Array]) -> Array:
-    """Return what predicts a tag (m, k): the measured tags of its cell and of the station, but for the pair."""
-    chosen = [
-        values[one.tag.name]
-        for one in usable
-        if one is not first
-        and one is not second
-        and one.tag.cell in (None, of.tag.cell)
+def _pair(panel: Panel, j: int, k: int, events: Sequence[Event]) -> list[Defect]:
+    """Return the swaps of a pair."""
+    first, second = panel.series[j].tag, panel.series[k].tag
+    drivers = [
+        i for i, one in enumerate(panel.series)
+        if i not in (j, k) and one.tag.cell in (None, first.cell, second.cell)
         and unit_of(one.tag.unit).dimension not in ("angle", "state")
-    ]
-    stack = np.stack([np.ones(len(values[of.tag.name])), *chosen], axis=1)
-    return stack
+    ]  # fmt: skip
+    matrix = design_matrix(panel.values[drivers])
+    difference = panel.values[j] - panel.values[k]
+    if np.isfinite(difference).sum() < 200:
+        return []
+    found: list[Defect] = []
+    sign = np.ones(len(difference))
+    for _ in range(MOST):
+        span = _span(difference, sign, matrix)
+        if span is None:
+            break
+        low, high, evidence, inside, outside = span
+        start, end = float(panel.grid_s[low]), float(panel.grid_s[high - 1])
+        tags = (first.name, second.name)
+        named = bool(naming(events, tags, start) or naming(events, tags, end))
+        least, against = (LEAST_EVIDENCE_NAMED, AGAINST_NAMED) if named else (LEAST_EVIDENCE, AGAINST)
+        long_enough = LEAST_S <= end - start <= 0.6 * (panel.grid_s[-1] - panel.grid_s[0])
+        if evidence < least or inside > against or outside < -against or not long_enough:
+            break
+        entry = "; a maintenance entry names both" if named else ""
+        says = f"{first.name} and {second.name} carry each other's values for {(end - start) / DAY_S:.1f} days"
+        repair = "exchanged"
+        found.append(Defect("swap", tags, start, end, f"{says} (log likelihood ratio {evidence:.0f}{entry})", repair))
+        sign[low:high] *= -1.0
+    return found
 
 
-def _predicted(target: Array, drivers: Array) -> tuple[Array, float]:
-    """Return the ridge regression of the target on its drivers, robust to outliers, and its scatter."""
-    scale = np.nanstd(drivers, axis=0)
-    scale[0] = 1.0
-    use = np.isfinite(scale) & (scale > 0.0) & (np.isfinite(drivers).mean(axis=0) > 0.7)
-    use[0] = True
-    centre = np.nanmean(drivers[:, use], axis=0)
-    centre[0] = 0.0
-    a = np.nan_to_num((drivers[:, use] - centre) / scale[use])
-    rows = np.isfinite(target)
-    weight = rows.astype(float)
-    predicted, sigma = np.zeros(len(target)), 1.0
-    for _ in range(4):
-        w = weight[rows]
-        left = (a[rows] * w[:, None]).T @ a[rows] + 1e-3 * len(w) * np.eye(a.shape[1])
-        predicted = a @ np.linalg.solve(left, (a[rows] * w[:, None]).T @ target[rows])
-        off = np.abs(target - predicted)
-        sigma = max(1.4826 * float(np.nanmedian(off)), 1e-3)
-        weight = np.where(rows, np.minimum(1.0, 2.0 * sigma / np.maximum(off, 1e-9)), 0.0)
-    return predicted, sigma
+def _span(difference: Array, sign: Array, matrix: Array) -> tuple[int, int, float, float, float] | None:
+    """Return begin, end, evidence of the most probable swap, and the correlation of changes inside and outside."""
+    mask = np.ones(len(difference))
+    low, high, total, predicted = 0, 0, 0.0, difference
+    width = round(DAY_S / 900.0)
+    for _ in range(ROUNDS):
+        predicted, sigma = robust_prediction(difference * sign * mask, matrix)
+        now = difference * sign
+        # log p(now | swapped) - log p(now | not) of a normal error
+        gain = np.nan_to_num(-2.0 * now * predicted / sigma**2)
+        low, high, total = largest_sum(np.clip(gain, -CAP, CAP))
+        again = np.ones(len(difference))
+        again[low:high] = -1.0
+        if np.array_equal(again, mask):
+            break
+        mask = again
+    if high - low < 8:
+        return None
+    now = difference * sign
+    changes, wanted = now - moving_mean(now, width), predicted - moving_mean(predicted, width)
+    rows = np.isfinite(changes) & np.isfinite(wanted)
+    inside = np.zeros(len(now), dtype=bool)
+    inside[low:high] = True
+    return low, high, total, _correlation(changes, wanted, rows & inside), _correlation(changes, wanted, rows & ~inside)
 
 
-def _largest_sum(gain: Array) -> tuple[int, int, float]:
-    """Return begin, end and value of the run with the largest sum (Kadane's algorithm)."""
-    total = np.concatenate([[0.0], np.cumsum(gain)])
-    lowest = np.minimum.accumulate(total)
-    end = int(np.argmax(total - lowest))
-    low = int(np.argmin(total[: end + 1]))
-    return low, max(end, low + 1), float(total[end] - total[low])
+def _correlation(x: Array, y: Array, rows: Array) -> float:
+    """Return the correlation of bounded values; 0 where there are few."""
+    if rows.sum() < 24:
+        return 0.0
+    u, v = _bounded(x[rows]), _bounded(y[rows])
+    if u.std() == 0.0 or v.std() == 0.0:
+        return 0.0
+    return float(np.corrcoef(u, v)[0, 1])
+
+
+def _bounded(x: Array) -> Array:
+    limit = 3.0 * float(np.median(np.abs(x - np.median(x)))) + 1e-12
+    return np.asarray(np.clip(x - np.median(x), -limit, limit))
 
 
 def _strongest(found: list[Defect]) -> list[Defect]:
@@ -175,8 +167,7 @@ def _strongest(found: list[Defect]) -> list[Defect]:
     left: list[Defect] = []
     for one in sorted(found, key=lambda d: -(d.end_s - d.start_s)):
         clash = any(
-            set(one.tags) & set(other.tags) and one.start_s < other.end_s and other.start_s < one.end_s
-            for other in left
+            set(one.tags) & set(other.tags) and one.start_s < other.end_s and other.start_s < one.end_s for other in left
         )
         if not clash:
             left.append(one)
