@@ -14,12 +14,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from drivers.historian.arrow import PER_SECOND, samples_by_tag, table_of
 from drivers.historian.protocol import COLUMNS, HistorianError, Samples, empty
-
-SCHEMA = pa.schema(
-    [("timestamp", pa.timestamp("ms", tz="UTC")), ("tag", pa.dictionary(pa.int32(), pa.string())), ("value", pa.float64()),
-     ("quality", pa.int16())]
-)  # fmt: skip
 
 
 class ParquetStore:
@@ -47,13 +43,13 @@ class ParquetStore:
 
     def span(self) -> tuple[float, float] | None:
         ends = [pc.min_max(table["timestamp"]) for table in self._tables(("timestamp",)) if table.num_rows]
-        times = [end[key].cast(pa.int64()).as_py() / _per_second(end[key].type) for end in ends for key in ("min", "max") if end[key].is_valid]
+        times = [end[key].cast(pa.int64()).as_py() / PER_SECOND[end[key].type.unit] for end in ends for key in ("min", "max") if end[key].is_valid]
         return (min(times), max(times)) if times else None
 
     def read(self, tags: Sequence[str], start_s: float = -np.inf, end_s: float = np.inf) -> dict[str, Samples]:
         pieces: dict[str, list[Samples]] = {tag: [] for tag in tags}
         for table in self._tables(COLUMNS):
-            for tag, samples in _by_tag(table, frozenset(tags), start_s, end_s).items():
+            for tag, samples in samples_by_tag(table, frozenset(tags), start_s, end_s).items():
                 pieces[tag].append(samples)
         return {tag: _joined(parts) for tag, parts in pieces.items()}
 
@@ -63,18 +59,7 @@ class ParquetStore:
             return
         if self.path.is_file():
             raise HistorianError(f"{self.path} is a single file and is only read; give a folder to append to")
-        names = list(samples)
-        index = np.repeat(np.arange(len(names), dtype=np.int32), [len(samples[name]) for name in names])
-        time_s = np.concatenate([samples[name].time_s for name in names])
-        table = pa.table(
-            [
-                pa.array(np.round(time_s * 1e3).astype("datetime64[ms]"), pa.timestamp("ms", tz="UTC")),
-                pa.DictionaryArray.from_arrays(pa.array(index), pa.array(names, pa.string())),
-                pa.array(np.concatenate([samples[name].value for name in names]), pa.float64()),
-                pa.array(np.concatenate([samples[name].quality for name in names]), pa.int16()),
-            ],
-            schema=SCHEMA,
-        )
+        table = table_of(samples)
         self._parts += 1
         final = self.path / f"samples-{time.time_ns()}-{os.getpid()}-{self._parts}.parquet"
         unfinished = final.with_suffix(".part")
@@ -119,39 +104,6 @@ class ParquetStore:
             return [pq.read_table(path, columns=list(columns), read_dictionary=["tag"]) for path in self._files()]
         except (OSError, pa.ArrowInvalid) as error:
             raise HistorianError(f"{self.path}: cannot be read: {str(error).splitlines()[0]}") from error
-
-
-def _by_tag(table: Any, wanted: frozenset[str], start_s: float, end_s: float) -> dict[str, Samples]:
-    """Return the samples of a file by tag, in their order within the file."""
-    stamp = table["timestamp"]
-    if not pa.types.is_timestamp(stamp.type):
-        raise HistorianError(f"column timestamp holds {stamp.type} and no times; store timestamps with a zone")
-    time_s = stamp.cast(pa.int64()).to_numpy() / _per_second(stamp.type)
-    value = table["value"].cast(pa.float64()).to_numpy()
-    quality = pc.fill_null(table["quality"].cast(pa.int16()), 0).to_numpy()
-    coded = table["tag"].combine_chunks()
-    if not pa.types.is_dictionary(coded.type):
-        coded = pc.dictionary_encode(coded)
-    if isinstance(coded, pa.ChunkedArray):
-        coded = coded.unify_dictionaries().combine_chunks()
-    names = coded.dictionary.to_pylist()
-    code = pc.fill_null(coded.indices, -1).to_numpy()
-    order = np.argsort(code, kind="stable")
-    begin = np.searchsorted(code[order], np.arange(len(names)), side="left")
-    end = np.searchsorted(code[order], np.arange(len(names)), side="right")
-    found = {}
-    for k, name in enumerate(names):
-        if name not in wanted or begin[k] == end[k]:
-            continue
-        rows = order[begin[k] : end[k]]
-        if np.isfinite(start_s) or np.isfinite(end_s):
-            rows = rows[(time_s[rows] >= start_s) & (time_s[rows] < end_s)]
-        found[name] = Samples(time_s[rows], value[rows], quality[rows])
-    return found
-
-
-def _per_second(kind: Any) -> float:
-    return float({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[kind.unit])
 
 
 def _joined(parts: list[Samples]) -> Samples:

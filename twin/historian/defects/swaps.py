@@ -29,6 +29,12 @@ AGAINST, AGAINST_NAMED = -0.4, -0.15
 """Correlation of changes inside the span; outside it must be as far on the other side."""
 DAY_S = 86400.0
 ROUNDS = 4
+AROUND_ROWS = 2000
+"""Rows (three weeks) on either side of a swap from which its edges are refined."""
+JUMP_ROWS = 4
+NEAR_ROWS = 144
+"""Rows (a day and a half) about a jump in which every edge is tried."""
+MOST_EDGES = 40
 MOST = 3
 """Swaps of a pair in a record."""
 
@@ -106,6 +112,8 @@ def _pair(panel: Panel, j: int, k: int, events: Sequence[Event]) -> list[Defect]
         if span is None:
             break
         low, high, evidence, inside, outside = span
+        if inside <= AGAINST_NAMED and evidence >= LEAST_EVIDENCE_NAMED:
+            low, high = _refined(difference * sign, matrix, low, high)
         start, end = float(panel.grid_s[low]), float(panel.grid_s[high - 1])
         tags = (first.name, second.name)
         named = bool(naming(events, tags, start) or naming(events, tags, end))
@@ -145,6 +153,42 @@ def _span(difference: Array, sign: Array, matrix: Array) -> tuple[int, int, floa
     inside = np.zeros(len(now), dtype=bool)
     inside[low:high] = True
     return low, high, total, _correlation(changes, wanted, rows & inside), _correlation(changes, wanted, rows & ~inside)
+
+
+def _refined(difference: Array, matrix: Array, low: int, high: int) -> tuple[int, int]:
+    """Return begin and end of a swap with which the prediction errs least.
+
+    A swap begins and ends with a jump. So the rows of the largest jumps are tried as edges, one edge at a time.
+    """
+    first, last = max(low - AROUND_ROWS, 0), min(high + AROUND_ROWS, len(difference))
+    x, a = difference[first:last], matrix[first:last]
+    filled = np.where(np.isfinite(x), x, 0.0)
+    before, after = moving_mean(x, JUMP_ROWS)[: -JUMP_ROWS - 1], moving_mean(x, JUMP_ROWS)[JUMP_ROWS + 1 :]
+    jump = np.nan_to_num(np.abs(after - before))
+    edges = [0, len(x)]
+    for row in np.argsort(jump)[::-1]:
+        edge = int(row) + JUMP_ROWS // 2 + 1
+        if len(edges) >= MOST_EDGES:
+            break
+        if all(abs(edge - other) > JUMP_ROWS for other in edges):
+            edges.append(edge)
+    edges += [low - first, high - first]
+    scale = max(float(np.median(np.abs(filled - np.median(filled)))), 1e-3)
+
+    def error(begin: int, end: int) -> float:
+        y = x.copy()
+        y[begin:end] *= -1.0
+        predicted, _ = robust_prediction(y, a)
+        return float(np.nansum(np.minimum(np.abs(y - predicted), 2.0 * scale)))
+
+    begin, end = low - first, high - first
+    for _ in range(2):
+        begin = min((edge for edge in edges if edge < end), key=lambda edge: error(edge, end))
+        end = min((edge for edge in edges if edge > begin), key=lambda edge: error(begin, edge))
+    for step, reach in ((NEAR_ROWS // 24, NEAR_ROWS), (1, NEAR_ROWS // 24)):
+        begin = min(range(max(begin - reach, 0), min(begin + reach, end - 1) + 1, step), key=lambda edge: error(edge, end))
+        end = min(range(max(end - reach, begin + 1), min(end + reach, len(x)) + 1, step), key=lambda edge: error(begin, edge))
+    return begin + first, end + first
 
 
 def _correlation(x: Array, y: Array, rows: Array) -> float:
