@@ -46,14 +46,19 @@ class DuckDBStore:
         return tuple(row[0] for row in self._ask(f"SELECT DISTINCT tag FROM {TABLE} ORDER BY tag").fetchall())
 
     def span(self) -> tuple[float, float] | None:
-        low, high = self._ask(f"SELECT epoch_ms(min(timestamp)), epoch_ms(max(timestamp)) FROM {TABLE}").fetchone() or (None, None)
-        return None if low is None else (low / 1e3, high / 1e3)
+        low, high = self._ask(f"SELECT epoch_ms(min(timestamp)), epoch_ms(max(timestamp)) FROM {TABLE}").fetchone() or (
+            None,
+            None,
+        )
+        return None if low is None or high is None else (low / 1e3, high / 1e3)
 
     def read(self, tags: Sequence[str], start_s: float = -np.inf, end_s: float = np.inf) -> dict[str, Samples]:
         if not tags:
             return {}
         limits = "".join(
-            f" AND timestamp {sign} to_timestamp({value!r})" for sign, value in ((">=", start_s), ("<", end_s)) if np.isfinite(value)
+            f" AND timestamp {sign} to_timestamp({value!r})"
+            for sign, value in ((">=", start_s), ("<", end_s))
+            if np.isfinite(value)
         )
         places = ", ".join("?" for _ in tags)
         found = self._ask(
@@ -61,7 +66,9 @@ class DuckDBStore:
             list(tags),
         ).to_arrow_table()
         stamps = found["ms"].cast(pa.int64()).cast(pa.timestamp("ms", tz="UTC"))
-        table = pa.table({"timestamp": stamps, "tag": found["tag"], "value": found["value"], "quality": found["quality"]})
+        table = pa.table(
+            {"timestamp": stamps, "tag": found["tag"], "value": found["value"], "quality": found["quality"]}
+        )
         return {tag: empty() for tag in tags} | samples_by_tag(table, frozenset(tags), -np.inf, np.inf)
 
     def append(self, samples: Mapping[str, Samples]) -> None:

@@ -51,8 +51,12 @@ class PostgresStore:
         if missing:
             self.close()
             if len(missing) == len(COLUMNS):
-                raise HistorianError(f"{self.name}: has no table {TABLE!r}; it needs one with the columns {', '.join(COLUMNS)}")
-            raise HistorianError(f"{self.name}: table {TABLE!r} lacks the column {', '.join(missing)}; rename or add it")
+                raise HistorianError(
+                    f"{self.name}: has no table {TABLE!r}; it needs one with the columns {', '.join(COLUMNS)}"
+                )
+            raise HistorianError(
+                f"{self.name}: table {TABLE!r} lacks the column {', '.join(missing)}; rename or add it"
+            )
 
     def tags(self) -> tuple[str, ...]:
         # A loose index scan: a distinct over the whole table reads every sample.
@@ -65,7 +69,7 @@ class PostgresStore:
     def span(self) -> tuple[float, float] | None:
         query = f"SELECT extract(epoch FROM min(timestamp)), extract(epoch FROM max(timestamp)) FROM {TABLE}"
         low, high = self._again(lambda: self._base.execute(query).fetchone()) or (None, None)
-        return None if low is None else (float(low), float(high))
+        return None if low is None or high is None else (float(low), float(high))
 
     def read(self, tags: Sequence[str], start_s: float = -np.inf, end_s: float = np.inf) -> dict[str, Samples]:
         return {tag: self._read_tag(tag, start_s, end_s) for tag in tags}
@@ -114,7 +118,9 @@ class PostgresStore:
                 break
         if not pieces:
             return empty()
-        return Samples(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("time_s", "value", "quality")))
+        return Samples(
+            *(np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("time_s", "value", "quality"))
+        )
 
     def _piece(self, tag: str, start_s: float, end_s: float, skip: int) -> Samples:
         where = [sql.SQL("tag = {}").format(sql.Literal(tag))]
@@ -131,7 +137,9 @@ class PostgresStore:
         self._base.commit()
         if not text:
             return empty()
-        rows = np.loadtxt(io.BytesIO(text), delimiter="\t", dtype=[("t", np.int64), ("v", np.float64), ("q", np.int16)], ndmin=1)
+        rows = np.loadtxt(
+            io.BytesIO(text), delimiter="\t", dtype=[("t", np.int64), ("v", np.float64), ("q", np.int16)], ndmin=1
+        )
         return Samples(rows["t"] / 1e6, rows["v"].copy(), rows["q"].copy())
 
     def _columns(self) -> set[str]:
@@ -167,10 +175,14 @@ class PostgresStore:
                 return ask()
             except (psycopg.errors.DiskFull, psycopg.errors.InsufficientResources) as error:
                 self._base.rollback()
-                raise HistorianError(f"{self.name}: the database's disk is full; make room, nothing of this call is kept") from error
+                raise HistorianError(
+                    f"{self.name}: the database's disk is full; make room, nothing of this call is kept"
+                ) from error
             except (psycopg.OperationalError, psycopg.InterfaceError) as error:
                 if time.monotonic() > deadline:
-                    raise HistorianError(f"{self.name}: went away and did not come back within {self._patience_s:g} s") from error
+                    raise HistorianError(
+                        f"{self.name}: went away and did not come back within {self._patience_s:g} s"
+                    ) from error
                 self._reconnect(deadline)
             except psycopg.Error as error:
                 if not self._base.closed:

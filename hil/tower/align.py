@@ -87,7 +87,9 @@ def read_series(store: HistorianStore, station: Station) -> tuple[list[Series], 
     absent = [name for name in station.tags if name not in there]
     if not wanted:
         example = ", ".join(sorted(there)[:3]) or "none"
-        raise RecordError(f"the store has none of the {len(station.tags)} tags of the dictionary; it has {example}; check the names")
+        raise RecordError(
+            f"the store has none of the {len(station.tags)} tags of the dictionary; it has {example}; check the names"
+        )
     further = there - set(station.tags)
     remarks = [_absent(name, further) for name in absent]
     samples = store.read(wanted)

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.historian import HistorianStore, Samples
 from drivers.historian.protocol import BAD, GOOD, UNCERTAIN
-from drivers.rig import RigConnection
+from drivers.rig.connection import RigConnection
 from drivers.rig_file.model import Rig
 from drivers.signals.points import LinkError, Quality
 

@@ -36,7 +36,9 @@ class Station:
     @property
     def cells(self) -> tuple[int, ...]:
         """Cells with an outlet thermometer, in order: those that a record can be made of."""
-        return tuple(sorted({t.cell for t in self.tags.values() if t.cell is not None and t.role == "water_outlet_temperature"}))
+        return tuple(
+            sorted({t.cell for t in self.tags.values() if t.cell is not None and t.role == "water_outlet_temperature"})
+        )
 
     @property
     def pressure_kPa(self) -> float:
@@ -90,7 +92,9 @@ def _tags(path: Path) -> tuple[dict[str, Tag], list[str]]:
         except UnitError as error:
             raise RecordError(f"{path}:{line}: {name}: {error}") from error
         if role not in OF_CELL and role not in OF_STATION:
-            remarks.append(f"{path.name}:{line}: {name} has role {role!r}, which no column of the record takes; it is left out")
+            remarks.append(
+                f"{path.name}:{line}: {name} has role {role!r}, which no column of the record takes; it is left out"
+            )
             continue
         cell = _cell(path, line, name, row.get("cell", ""))
         if (role in OF_CELL) and cell is None:
@@ -98,7 +102,9 @@ def _tags(path: Path) -> tuple[dict[str, Tag], list[str]]:
         wanted = (OF_CELL.get(role) or OF_STATION[role]).dimension
         dimension = unit_of(row["unit"]).dimension
         if dimension != wanted and not (wanted == "share" and dimension in ("frequency", "state")):
-            raise RecordError(f"{path}:{line}: {name} is in {row['unit']}, a unit of {dimension}; a {role} is a {wanted}")
+            raise RecordError(
+                f"{path}:{line}: {name} is in {row['unit']}, a unit of {dimension}; a {role} is a {wanted}"
+            )
         scan = _number(path, line, name, row.get("scan_s", "") or "60")
         found[name] = Tag(name, row["unit"], role, cell, scan, row.get("description", ""))
     if not found:
@@ -112,7 +118,9 @@ def _cell(path: Path, line: int, name: str, text: str) -> int | None:
     try:
         cell = int(float(text))
     except ValueError:
-        raise RecordError(f"{path}:{line}: {name} has cell {text!r}; give a whole number, or nothing for the station") from None
+        raise RecordError(
+            f"{path}:{line}: {name} has cell {text!r}; give a whole number, or nothing for the station"
+        ) from None
     return cell if cell > 0 else None
 
 
@@ -143,8 +151,12 @@ def _events(path: Path) -> tuple[Event, ...]:
         try:
             moment = datetime.datetime.fromisoformat(text.replace("Z", "+00:00"))
         except ValueError:
-            raise RecordError(f"{path}:{line}: {text!r} is no time; write it as 2024-07-31T14:05:00Z or 2024-07-31") from None
+            raise RecordError(
+                f"{path}:{line}: {text!r} is no time; write it as 2024-07-31T14:05:00Z or 2024-07-31"
+            ) from None
         moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
         cell = _cell(path, line, row["event"], row.get("cell", ""))
-        found.append(Event(moment.timestamp(), by_day, cell or 0, row["event"], row.get("source", ""), row.get("text", "")))
+        found.append(
+            Event(moment.timestamp(), by_day, cell or 0, row["event"], row.get("source", ""), row.get("text", ""))
+        )
     return tuple(sorted(found, key=lambda event: event.time_s))

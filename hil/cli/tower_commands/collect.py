@@ -13,7 +13,9 @@ from hil.cli.options.paths import INPUT_FILE
 @click.command()
 @click.argument("rig", type=INPUT_FILE)
 @click.option("--into", required=True, help="Store: folder, .duckdb file or PostgreSQL URL; made where there is none.")
-@click.option("--every", "every_s", type=click.FloatRange(min=0.1), help="Seconds between polls; default: the rig's period.")
+@click.option(
+    "--every", "every_s", type=click.FloatRange(min=0.1), help="Seconds between polls; default: the rig's period."
+)
 @click.option("--minutes", type=click.FloatRange(min=0.0, min_open=True), help="End after this time; default: Ctrl-C.")
 def command(rig: Path, into: str, every_s: float | None, minutes: float | None) -> None:
     """Poll the points of RIG into a historian until Ctrl-C.

@@ -121,7 +121,11 @@ def shifted_clocks(
         low = min(float(shift.to_utc(one.time_s[:1])[0]) for one in members)
         high = max(float(shift.to_utc(one.time_s[-1:])[0]) for one in members)
         kind = "local_time" if shift.zone is not None else "clock_offset"
-        says = f"{len(group.tags)} tags have time stamps in {shift}" if shift.zone else f"{len(group.tags)} tags have time stamps {shift}"
+        says = (
+            f"{len(group.tags)} tags have time stamps in {shift}"
+            if shift.zone
+            else f"{len(group.tags)} tags have time stamps {shift}"
+        )
         found.append((Defect(kind, group.tags, low, high, says, "shifted to UTC"), shift))
     return found
 

@@ -65,12 +65,13 @@ def robust_prediction(target: Array, matrix: Array, rounds: int = ROUNDS) -> tup
     a, y = matrix[rows], target[rows]
     weight = np.ones(len(y))
     centre = float(np.median(y))
-    coefficients, sigma = np.zeros(a.shape[1]), np.inf
+    coefficients: Array = np.zeros(a.shape[1])
+    sigma = np.inf
     for _ in range(rounds):
         aw = a * weight[:, None]
         ridge = 1e-3 * len(y) * np.eye(a.shape[1])
         ridge[0, 0] = 1e-9
-        coefficients = np.linalg.solve(aw.T @ a + ridge, aw.T @ (y - centre))
+        coefficients = np.asarray(np.linalg.solve(aw.T @ a + ridge, aw.T @ (y - centre)), dtype=np.float64)
         off = np.abs(y - centre - a @ coefficients)
         sigma = max(1.4826 * float(np.median(off)), 1e-6)
         weight = np.minimum(1.0, 1.5 * sigma / np.maximum(off, 1e-12))

@@ -17,8 +17,8 @@ from twin.historian.tags import Array, Defect, Series, longest_interval_s
 
 LEAST_S = 600.0
 LEAST_TAGS = 2
-AROUND_S = 2.0 * 3600.0
-"""Time before and after a silence from which the rates are learned: a shift's operation, not a season's."""
+AROUND_S = (2400.0, 7200.0)
+"""Times before and after a silence from which the rates are learned: the state of operation, not a season's."""
 MARGIN = 4.0
 """Excess over the largest expected of the group's silences, in their scale: a chance of exp(-4) a group and record."""
 SURE = 12.0
@@ -102,10 +102,15 @@ def _silences(members: Sequence[Series]) -> list[tuple[float, float]]:
         return []
     start, end = union[rows], union[rows + 1]
     length = end - start
-    before = sum((_count(one.time_s, start - AROUND_S, start) for one in members), np.zeros(len(rows))) / AROUND_S
-    after = sum((_count(one.time_s, end, end + AROUND_S) for one in members), np.zeros(len(rows))) / AROUND_S
-    # At a change of operation the quieter side is the one that counts.
-    expected = length * np.minimum(before, after)
+    # At a change of operation the quieter side, and the quieter of the near and the far time, is the one that counts.
+    rate = np.full(len(rows), np.inf)
+    for window in AROUND_S:
+        for low, high in ((start - window, start), (end, end + window)):
+            seen = np.zeros(len(rows))
+            for one in members:
+                seen += _count(one.time_s, low, high)
+            rate = np.minimum(rate, seen / window)
+    expected = length * rate
     threshold = SURE
     if len(rows) > 50:
         # Silences that are no gaps: the tail of r is about exponential, the largest of n at log n scales above it.
@@ -117,7 +122,9 @@ def _silences(members: Sequence[Series]) -> list[tuple[float, float]]:
 
 
 def _count(time_s: Array, low: Array, high: Array) -> Array:
-    return np.asarray(np.searchsorted(time_s, high, side="right") - np.searchsorted(time_s, low, side="left"), dtype=np.float64)
+    return np.asarray(
+        np.searchsorted(time_s, high, side="right") - np.searchsorted(time_s, low, side="left"), dtype=np.float64
+    )
 
 
 def _clear_silences(series: Series) -> Array:
@@ -134,9 +141,7 @@ def _common(spans: Sequence[Array]) -> Array:
     if len(spans) < LEAST_TAGS:
         return np.zeros((0, 2))
     longest = max(spans, key=len)
-    shared = [
-        span for span in longest if sum(bool(len(o) and _overlaps(span, o)) for o in spans) > 0.5 * len(spans)
-    ]
+    shared = [span for span in longest if sum(bool(len(o) and _overlaps(span, o)) for o in spans) > 0.5 * len(spans)]
     return np.asarray(shared).reshape(-1, 2)
 
 
