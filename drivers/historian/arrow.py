@@ -12,9 +12,13 @@ import pyarrow.compute as pc
 from drivers.historian.protocol import HistorianError, Samples
 
 SCHEMA = pa.schema(
-    [("timestamp", pa.timestamp("ms", tz="UTC")), ("tag", pa.dictionary(pa.int32(), pa.string())), ("value", pa.float64()),
-     ("quality", pa.int16())]
-)  # fmt: skip
+    [
+        ("timestamp", pa.timestamp("ms", tz="UTC")),
+        ("tag", pa.dictionary(pa.int32(), pa.string())),
+        ("value", pa.float64()),
+        ("quality", pa.int16()),
+    ]
+)
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 

@@ -1,7 +1,7 @@
 """Historian in PostgreSQL: one table of samples, a hypertable where TimescaleDB is installed, else with a BRIN index.
 
-A URL may hold a password; no message does. A database that goes away in the middle of reading is asked again from the last
-sample that came.
+A URL may hold a password; no message does. A database that goes away in the middle of reading is asked again from
+the last sample that came.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ class PostgresStore:
         # A loose index scan: a distinct over the whole table reads every sample.
         query = f"""WITH RECURSIVE t AS (
             (SELECT tag FROM {TABLE} ORDER BY tag LIMIT 1)
-            UNION ALL SELECT (SELECT tag FROM {TABLE} WHERE tag > t.tag ORDER BY tag LIMIT 1) FROM t WHERE t.tag IS NOT NULL
+            UNION ALL
+            SELECT (SELECT tag FROM {TABLE} WHERE tag > t.tag ORDER BY tag LIMIT 1) FROM t WHERE t.tag IS NOT NULL
         ) SELECT tag FROM t WHERE tag IS NOT NULL"""
         return tuple(row[0] for row in self._again(lambda: self._base.execute(query).fetchall()))
 
@@ -83,9 +84,9 @@ class PostgresStore:
                 text.write(f"{stamp}Z\t{name}\t{'NaN' if np.isnan(value) else repr(float(value))}\t{int(quality)}\n")
 
         def copy() -> None:
-            with self._base.cursor() as cursor:
-                with cursor.copy(f"COPY {TABLE} ({', '.join(COLUMNS)}) FROM STDIN") as pipe:
-                    pipe.write(text.getvalue())
+            query = f"COPY {TABLE} ({', '.join(COLUMNS)}) FROM STDIN"
+            with self._base.cursor() as cursor, cursor.copy(query) as pipe:
+                pipe.write(text.getvalue())
             self._base.commit()
 
         if text.tell():
@@ -129,7 +130,8 @@ class PostgresStore:
                 stamp = f"{np.datetime64(round(at * 1e6), 'us')}Z"
                 where.append(sql.SQL(f"timestamp {sign} {{}}::timestamptz").format(sql.Literal(stamp)))
         query = sql.SQL(
-            "COPY (SELECT (extract(epoch FROM timestamp) * 1000000)::bigint, coalesce(value, 'NaN'), coalesce(quality, 0) "
+            "COPY (SELECT (extract(epoch FROM timestamp) * 1000000)::bigint, coalesce(value, 'NaN'), "
+            "coalesce(quality, 0) "
             f"FROM {TABLE} WHERE {{}} ORDER BY timestamp, ctid OFFSET {skip} LIMIT {ROWS}) TO STDOUT"
         ).format(sql.SQL(" AND ").join(where))
         with self._base.cursor() as cursor, cursor.copy(query) as pipe:
@@ -150,8 +152,8 @@ class PostgresStore:
 
     def _create(self) -> None:
         self._base.execute(
-            f"CREATE TABLE IF NOT EXISTS {TABLE} (timestamp timestamptz NOT NULL, tag text NOT NULL, value double precision, "
-            "quality smallint NOT NULL DEFAULT 0)"
+            f"CREATE TABLE IF NOT EXISTS {TABLE} (timestamp timestamptz NOT NULL, tag text NOT NULL, "
+            "value double precision, quality smallint NOT NULL DEFAULT 0)"
         )
         self._base.execute(f"CREATE INDEX IF NOT EXISTS {TABLE}_tag_time ON {TABLE} (tag, timestamp)")
         timescale = self._base.execute("SELECT 1 FROM pg_extension WHERE extname = 'timescaledb'").fetchone()
@@ -205,7 +207,7 @@ class PostgresStore:
 
 def without_password(url: str) -> str:
     """Return the URL without its password, in its place before the host or among the parameters."""
-    shown = re.sub(r"^(\w+://[^:/@]*):.*@(?=[^@]*$)", r"\1@", url)
+    shown = re.sub(r"^(\w+://[^:/@]*):[^/]*@(?=[^@]*$)", r"\1@", url)
     return re.sub(r"([?&]password=)[^&]*", r"\1...", shown)
 
 

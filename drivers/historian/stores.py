@@ -15,8 +15,8 @@ DUCKDB_ENDINGS = (".duckdb", ".db")
 def open_store(address: str | Path, *, create: bool = False) -> HistorianStore:
     """Return the store at `address`.
 
-    A folder with Parquet files (or a single Parquet file), a DuckDB file (`.duckdb`, `.db`), or a PostgreSQL database by
-    its URL (`postgresql://user@host/database`).
+    A folder with Parquet files (or a single Parquet file), a DuckDB file (`.duckdb`, `.db`), or a PostgreSQL
+    database by its URL (`postgresql://user@host/database`).
 
     Parameters:
         address: path or URL.

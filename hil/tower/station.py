@@ -26,6 +26,8 @@ class Station:
     datasheet: dict[str, Any] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     remarks: tuple[str, ...] = ()
+    places: dict[str, str] = field(default_factory=dict)
+    """File and line of each tag in the dictionary."""
 
     @property
     def timezone(self) -> str | None:
@@ -46,6 +48,12 @@ class Station:
         return float(self.datasheet.get("design", {}).get("pressure_kPa", 101.325))
 
     @property
+    def design_flow_kg_s(self) -> float | None:
+        """Design water flow of a cell by the datasheet."""
+        found = self.datasheet.get("design", {}).get("water_flow_kg_s")
+        return float(found) if found else None
+
+    @property
     def full_speed(self) -> str:
         """Speed of a fan at 100 %, with its unit, such as `60 Hz`."""
         return str(self.datasheet.get("fan", {}).get("speed_100pct", "60 Hz"))
@@ -55,13 +63,14 @@ def read_station(tags: Path, datasheet: Path | None = None, events: Path | None 
     """Return the station of these files.
 
     Raises:
-        RecordError: a file cannot be read, lacks a column, or a line of it has an unknown unit, role or time; the message
+        RecordError: a file cannot be read, lacks a column, or a line of it has an unknown unit, role or time; the
+        message
             names file, line, tag and remedy.
     """
-    dictionary, remarks = _tags(tags)
+    dictionary, remarks, places = _tags(tags)
     sheet = _datasheet(datasheet) if datasheet is not None else {}
     happened = _events(events) if events is not None else ()
-    return Station(dictionary, sheet, happened, tuple(remarks))
+    return Station(dictionary, sheet, happened, tuple(remarks), places)
 
 
 def _rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
@@ -78,8 +87,10 @@ def _rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str, st
     return [(reader.line_num, {k: (v or "").strip() for k, v in row.items() if k}) for row in reader]
 
 
-def _tags(path: Path) -> tuple[dict[str, Tag], list[str]]:
+def _tags(path: Path) -> tuple[dict[str, Tag], list[str], dict[str, str]]:
     found: dict[str, Tag] = {}
+    places: dict[str, str] = {}
+    taken: dict[tuple[str, int | None], str] = {}
     remarks = []
     for line, row in _rows(path, REQUIRED):
         name, role = row["tag"], row["role"]
@@ -105,11 +116,16 @@ def _tags(path: Path) -> tuple[dict[str, Tag], list[str]]:
             raise RecordError(
                 f"{path}:{line}: {name} is in {row['unit']}, a unit of {dimension}; a {role} is a {wanted}"
             )
+        first = taken.setdefault((role, cell), name)
+        if first != name:
+            remarks.append(f"{path.name}:{line}: {name} has role and cell of {first}, which is used; it is left out")
+            continue
         scan = _number(path, line, name, row.get("scan_s", "") or "60")
+        places[name] = f"{path.name}:{line}"
         found[name] = Tag(name, row["unit"], role, cell, scan, row.get("description", ""))
     if not found:
         raise RecordError(f"{path}: no tag has a role that is known; roles are {', '.join((*OF_CELL, *OF_STATION))}")
-    return found, remarks
+    return found, remarks, places
 
 
 def _cell(path: Path, line: int, name: str, text: str) -> int | None:

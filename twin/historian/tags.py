@@ -16,7 +16,8 @@ GOOD = 192
 
 @dataclass(frozen=True)
 class Tag:
-    """A tag of the dictionary: its unit as written, its role, its cell (None: the whole station), its scan time in s."""
+    """A tag of the dictionary: its unit as written, its role, its cell (None: the whole station), its scan time in
+    s."""
 
     name: str
     unit: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from pathlib import Path
 
 import click
@@ -42,9 +43,7 @@ def command(rig: Path, into: str, every_s: float | None, minutes: float | None) 
 
     with open_store(into, create=True) as store:
         out.print(f"{len(loaded.point)} points into {Path(into).name or into}; Ctrl-C ends", markup=False)
-        try:
+        with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(collect(loaded, store, every_s=every_s or loaded.period_s, minutes=minutes, progress=note))
-        except KeyboardInterrupt:
-            pass
     failed = f"; {done.failures} polls failed, the last: {done.last_failure}" if done.failures else ""
     click.echo(f"{done.samples} samples of {done.polls} polls stored{failed}")

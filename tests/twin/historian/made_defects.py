@@ -129,7 +129,8 @@ def _spoil_samples(
 def found_of(seeded: Seeded, defects: list[tuple[str, tuple[str, ...], float, float]]) -> tuple[list[int], list[int]]:
     """Return the seeded defects that were found, and the findings that are none of them, by number.
 
-    A finding counts if its kind and a tag are right, and if it covers 30 % of the shorter of the two, 3 hours apart at most.
+    A finding counts if its kind and a tag are right, and if it covers 30 % of the shorter of the two, 3 hours apart
+    at most.
     """
     found, used = [], set()
     for j, (kind, tags, start, end) in enumerate(seeded.rows):

@@ -1,7 +1,8 @@
 """A small station and its historian for tests: scans with noise, exception reporting, swinging door, jitter, defects.
 
-It shares no code with what it tests but the psychrometrics. Defects are seeded into the scans (stuck, unit, swap, latched,
-wet bulb) or into the stored samples (gap, repeats, local time, quality), as a plant's instruments and archives do.
+It shares no code with what it tests but the psychrometrics. Defects are seeded into the scans (stuck, unit, swap,
+latched, wet bulb) or into the stored samples (gap, repeats, local time, quality), as a plant's instruments and
+archives do.
 """
 
 from __future__ import annotations

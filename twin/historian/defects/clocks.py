@@ -1,7 +1,7 @@
 """Tags whose time stamps are local time, or off by hours, though they are said to be UTC.
 
-The hypothesis is tested on the changes of a tag: shifted they must go better with the changes of tags of other interfaces
-than as they stand. Candidates are the station's time zone with its changes of clock, and every whole hour.
+The hypothesis is tested on the changes of a tag: shifted they must go better with the changes of tags of other
+interfaces than as they stand. Candidates are the station's time zone with its changes of clock, and every whole hour.
 """
 
 from __future__ import annotations

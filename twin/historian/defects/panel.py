@@ -46,7 +46,8 @@ def on_grid(series: Series, grid_s: Array) -> Array:
 
 
 def design_matrix(values: Array) -> Array:
-    """Return what predicts (m, k + 1): ones, and the rows of `values (k, m)` standardised, the unknown at their mean."""
+    """Return what predicts (m, k + 1): ones, and the rows of `values (k, m)` standardised, the unknown at their
+    mean."""
     known = np.isfinite(values)
     count = np.maximum(known.sum(axis=1, keepdims=True), 1)
     filled = np.where(known, values, 0.0)

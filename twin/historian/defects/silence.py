@@ -1,9 +1,9 @@
 """Times in which all tags of one interface are silent: gaps of its communication.
 
-Tags that come through one interface (a PLC, a motor control centre, a weather mast) fall silent together. A silence is a
-gap where the rates of the tags just before and after it make it improbable: with `r` samples expected of the group and
-none seen, its chance is about exp(-r). The threshold follows from the group's own silences, whose `r` are about
-exponential, so that a record of any length yields none by chance.
+Tags that come through one interface (a PLC, a motor control centre, a weather mast) fall silent together. A silence
+is a gap where the rates of the tags just before and after it make it improbable: with `r` samples expected of the
+group and none seen, its chance is about exp(-r). The threshold follows from the group's own silences, whose `r` are
+about exponential, so that a record of any length yields none by chance.
 """
 
 from __future__ import annotations
@@ -21,6 +21,10 @@ AROUND_S = (2400.0, 7200.0)
 """Times before and after a silence from which the rates are learned: the state of operation, not a season's."""
 MARGIN = 4.0
 """Excess over the largest expected of the group's silences, in their scale: a chance of exp(-4) a group and record."""
+STILL = 1.5
+"""Factor on the threshold where no tag has another value after the silence than before it."""
+JUMP = 3.0
+"""Times the usual step between samples, from which a value is another one."""
 SURE = 12.0
 """Expected samples above which a single silence is improbable by itself: exp(-12)."""
 WEATHER = frozenset({"dry_bulb_temperature", "relative_humidity", "relative_humidity_redundant", "wet_bulb_temperature",
@@ -111,14 +115,37 @@ def _silences(members: Sequence[Series]) -> list[tuple[float, float]]:
                 seen += _count(one.time_s, low, high)
             rate = np.minimum(rate, seen / window)
     expected = length * rate
-    threshold = SURE
+    largest, scale = SURE, 1.0
     if len(rows) > 50:
         # Silences that are no gaps: the tail of r is about exponential, the largest of n at log n scales above it.
         middle, far = np.quantile(expected, (0.5, 0.98))
         scale = max(float(far - middle) / np.log(25.0), 1.0)
-        threshold = max(SURE, float(middle) + scale * (np.log(0.5 * len(rows)) + MARGIN))
-    gap = (expected >= threshold) & (length >= LEAST_S)
-    return [(float(a), float(b)) for a, b in zip(start[gap], end[gap], strict=True)]
+        largest = max(SURE, float(middle) + scale * np.log(0.5 * len(rows)))
+    found = []
+    for k in np.flatnonzero((expected >= largest) & (length >= LEAST_S)):
+        jumped = _jumps(members, float(start[k]), float(end[k]))
+        wanted = largest if jumped >= 2 else largest + MARGIN * scale if jumped else STILL * (largest + MARGIN * scale)
+        if expected[k] >= wanted:
+            found.append((float(start[k]), float(end[k])))
+    return found
+
+
+def _jumps(members: Sequence[Series], start: float, end: float) -> int:
+    """Return how many tags have another value after a silence than before it, by far more than between samples.
+
+    An archive by exception stores what leaves the deviation, with the value before it. So it has small steps across a
+    real standstill, and large ones where nothing could be stored.
+    """
+    found = 0
+    for one in members:
+        after = int(np.searchsorted(one.time_s, end - 1e-3, side="left"))
+        if not 0 < after < len(one.time_s) or one.time_s[after - 1] > start + 1e-3:
+            continue
+        steps = np.abs(np.diff(one.value))
+        steps = steps[steps > 0.0]
+        usual = float(np.median(steps)) if len(steps) else np.inf
+        found += abs(one.value[after] - one.value[after - 1]) > JUMP * usual
+    return found
 
 
 def _count(time_s: Array, low: Array, high: Array) -> Array:

@@ -1,10 +1,10 @@
 """Values that stand still for longer than the tag ever does.
 
 With exception reporting a still value is normal for hours, for a valve as for a steady flow: nothing is stored but a
-sample after the fixed time. These samples show the instrument's noise, in which a healthy instrument nearly never repeats
-a number several times, and a stuck one always does. So a run of equal samples is called stuck if its repeats are
-improbable by the tag's share of repeats, and if it is set off from the tag's other runs: sorted by length, there is a
-step by a factor of two below it. Values at which the tag often rests (a limit, zero) are never called stuck.
+sample after the fixed time. These samples show the instrument's noise, in which a healthy instrument nearly never
+repeats a number several times, and a stuck one always does. So a run of equal samples is called stuck if its repeats
+are improbable by the tag's share of repeats, and if it is set off from the tag's other runs: sorted by length, there
+is a step by a factor of two below it. Values at which the tag often rests (a limit, zero) are never called stuck.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ CHANCE = 0.005
 """Largest expected number of such runs in the tag's record by chance."""
 AROUND_S = 2.0 * 3600.0
 LIVELY = 20.0
-"""Expected samples, by the rates on either side, from which standing still is improbable: exp(-20) for a Poisson process,
-and samples of one tag come more evenly than those."""
+"""Expected samples, by the rates on either side, from which standing still is improbable: exp(-20) for a Poisson
+process, and samples of one tag come more evenly than those."""
 AT_REST = 0.02
 """Of the 98 % quantile: at rest below it."""
 REST_RUNS = 2
@@ -52,7 +52,6 @@ def stuck_values(series: Series) -> list[Defect]:
     top = float(np.quantile(np.abs(series.value), 0.98))
     at_work = np.abs(value) > AT_REST * top
     chosen = _set_off(held, at_work)
-    repeats = last - first
     saturates = "humidity" not in series.tag.role  # a latched humidity stands at its end; the other sensor decides
     found = []
     for k in chosen:
@@ -104,8 +103,8 @@ def _by_chance(
 ) -> float:
     """Return the expected number of runs like run `k` in a healthy record.
 
-    Samples that an exception brought differ by nature. So the share of repeats is that of samples which came late, after
-    most of the longest interval; where there are few such, a tenth, more than any instrument showed.
+    Samples that an exception brought differ by nature. So the share of repeats is that of samples which came late,
+    after most of the longest interval; where there are few such, a tenth, more than any instrument showed.
     """
     interval = np.diff(series.time_s)
     run = np.repeat(np.arange(len(first)), last - first + 1)

@@ -1,10 +1,10 @@
 """Pairs of tags whose values were exchanged for a time.
 
-The difference of the two is predicted from the plant's other tags. In a swap the difference has the opposite sign of its
-prediction. Two kinds of evidence must agree: over the span the sign is reversed (a sum of log likelihood ratios), and the
-changes of the difference within a day go against those of its prediction. The second does not depend on drifts of the
-thermometers or of the plant, which look like a swap to the first. A maintenance entry that names both tags about the time
-of an edge lowers the thresholds; it is never enough.
+The difference of the two is predicted from the plant's other tags. In a swap the difference has the opposite sign of
+its prediction. Two kinds of evidence must agree: over the span the sign is reversed (a sum of log likelihood
+ratios), and the changes of the difference within a day go against those of its prediction. The second does not
+depend on drifts of the thermometers or of the plant, which look like a swap to the first. A maintenance entry that
+names both tags about the time of an edge lowers the thresholds; it is never enough.
 """
 
 from __future__ import annotations
