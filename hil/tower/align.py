@@ -37,9 +37,12 @@ parameters, for the calibrator.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import json
-from collections.abc import Mapping
+import os
+import shutil
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,8 +51,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from drivers.historian import HistorianStore, Samples
-from hil.files.atomic import replacing
 from hil.record.raw import RecordError
+from hil.tower.errors import TowerOutputError
 from hil.tower.station import Station
 from twin.historian.defects import Repaired, find_and_repair
 from twin.historian.events import disturbed, influence_of
@@ -77,7 +80,7 @@ def align(store: HistorianStore, station: Station, out: Path) -> Aligned:
     Raises:
         RecordError: the store has none of the tags, or no minute.
         HistorianError: the store fails.
-        OSError: the folder cannot be written.
+        TowerOutputError: the folder cannot be written; nothing is left half written.
     """
     raw, remarks = read_series(store, station)
     remarks = [*station.remarks, *remarks, *order_and_silence(raw, station.places)]
@@ -109,7 +112,7 @@ def read_series(store: HistorianStore, station: Station) -> tuple[list[Series], 
 def _absent(name: str, further: set[str]) -> str:
     import difflib
 
-    near = difflib.get_close_matches(name, sorted(further), n=1, cutoff=0.8)
+    near = difflib.get_close_matches(name, sorted(further), n=1, cutoff=0.6)
     hint = f"; is it {near[0]} now? then rename it in the dictionary" if near else ""
     return f"{name} of the dictionary is not in the store; its column stays missing{hint}"
 
@@ -124,27 +127,46 @@ def write_record(repaired: Repaired, station: Station, out: Path, remarks: list[
     if not times:
         raise RecordError("no tag has a good sample; the record would be empty")
     start, end = min(low for low, _ in times), max(high for _, high in times)
-    out.mkdir(parents=True, exist_ok=True)
     shared = shared_minutes(repaired.series, start, end, station.full_speed, station.pressure_kPa)
-    files, complete = [], {}
-    for cell in station.cells:
-        rows = disturbed(station.events, cell, shared.minute_s)
-        minutes = cell_minutes(repaired.series, shared, cell, rows, station.full_speed)
-        path = out / f"cell{cell}.parquet"
-        _write(path, minutes, cell, station)
-        files.append(path)
-        complete[cell] = minutes.complete
-        remarks = [*remarks, *minutes.remarks]
-    report = {
-        "defects": [_defect(one) for one in repaired.defects],
-        "cells": list(station.cells),
-        "minutes": len(shared.minute_s),
-        "yield": {str(cell): round(share, 4) for cell, share in complete.items()},
-        "remarks": remarks,
-    }
-    _write_json(out / "alignment.json", report)
-    _write_json(out / "station.json", {"datasheet": station.datasheet, "events": [_event(e) for e in station.events]})
-    return Aligned(repaired.defects, tuple(remarks), tuple(files), len(shared.minute_s), complete)
+    complete = {}
+    with _staged(out) as staging:
+        for cell in station.cells:
+            rows = disturbed(station.events, cell, shared.minute_s)
+            minutes = cell_minutes(repaired.series, shared, cell, rows, station.full_speed)
+            _write(staging / f"cell{cell}.parquet", minutes, cell, station)
+            complete[cell] = minutes.complete
+            remarks = [*remarks, *minutes.remarks]
+        report = {
+            "defects": [_defect(one) for one in repaired.defects],
+            "cells": list(station.cells),
+            "minutes": len(shared.minute_s),
+            "yield": {str(cell): round(share, 4) for cell, share in complete.items()},
+            "remarks": remarks,
+        }
+        _write_json(staging / "alignment.json", report)
+        about = {"datasheet": station.datasheet, "events": [_event(event) for event in station.events]}
+        _write_json(staging / "station.json", about)
+    files = tuple(out / f"cell{cell}.parquet" for cell in station.cells)
+    return Aligned(repaired.defects, tuple(remarks), files, len(shared.minute_s), complete)
+
+
+@contextlib.contextmanager
+def _staged(out: Path) -> Iterator[Path]:
+    """Yield a folder whose files are moved into `out` when the block ends well: the record is whole or not there."""
+    made = not out.exists()
+    staging = out / f".{os.getpid()}.part"
+    try:
+        staging.mkdir(parents=True)
+        yield staging
+        for path in sorted(staging.iterdir()):
+            path.replace(out / path.name)
+    except OSError as error:
+        raise TowerOutputError(f"{out}: the record cannot be written: {error.strerror or error}; make room") from error
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+        if made:
+            with contextlib.suppress(OSError):
+                out.rmdir()  # only if nothing came of it
 
 
 def _write(path: Path, minutes: CellMinutes, cell: int, station: Station) -> None:
@@ -152,13 +174,11 @@ def _write(path: Path, minutes: CellMinutes, cell: int, station: Station) -> Non
     arrays |= {name: pa.array(values) for name, values in minutes.columns.items()}
     about = {"format": FORMAT, "cell": cell, "station": station.datasheet.get("station", "")}
     table = pa.table(arrays).replace_schema_metadata({"hil.tower": json.dumps(about)})
-    with replacing(path) as unfinished:
-        pq.write_table(table, unfinished, compression="zstd")
+    pq.write_table(table, path, compression="zstd")
 
 
 def _write_json(path: Path, document: Any) -> None:
-    with replacing(path) as unfinished:
-        unfinished.write_text(json.dumps(document, indent=1) + "\n")
+    path.write_text(json.dumps(document, indent=1) + "\n")
 
 
 def iso(time_s: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import datetime
 import json
+import zoneinfo
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -156,6 +157,9 @@ def _datasheet(path: Path) -> dict[str, Any]:
         raise RecordError(f"{path}: is no JSON: {error}") from error
     if not isinstance(found, dict):
         raise RecordError(f"{path}: holds {type(found).__name__} and no object of the datasheet's fields")
+    zone = found.get("timezone")
+    if zone is not None and zone not in zoneinfo.available_timezones():
+        raise RecordError(f"{path}: {zone!r} is no time zone; give one of the IANA names, such as Europe/Madrid")
     return found
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.historian.tags import Series
+from twin.historian.tags import Array, Series
 from twin.historian.units import alternatives, unit_of
 
 USUAL: dict[str, tuple[float, float]] = {
@@ -60,10 +60,7 @@ def in_usual_units(
         if unit.dimension == "frequency":
             kept.append(one)
             continue
-        fitting = [
-            name for name, other in alternatives(one.tag.unit).items()
-            if _share(values, other.scale, other.offset, usual) > 1.0 - LEAST_SHARE
-        ]  # fmt: skip
+        fitting = _fitting(one.tag.unit, values, usual)
         remedy = f"give it the unit {' or '.join(fitting)} there" if fitting else "look at the instrument"
         middle = float(np.median(values))
         remarks.append(
@@ -73,7 +70,16 @@ def in_usual_units(
     return kept, remarks
 
 
-def _share(values: np.ndarray, scale: float, offset: float, usual: tuple[float, float]) -> float:
+def _fitting(unit: str, values: Array, usual: tuple[float, float]) -> list[str]:
+    """Return the units, one name of each, in which most of the values are usual."""
+    found: dict[tuple[float, float], str] = {}
+    for name, other in alternatives(unit).items():
+        if _share(values, other.scale, other.offset, usual) > 1.0 - LEAST_SHARE:
+            found.setdefault((other.scale, other.offset), name)
+    return list(found.values())
+
+
+def _share(values: Array, scale: float, offset: float, usual: tuple[float, float]) -> float:
     canonical = scale * values + offset
     return float(((canonical >= usual[0]) & (canonical <= usual[1])).mean())
 

@@ -68,6 +68,10 @@ class Series:
         """Return the samples of these rows, by number or by mask."""
         return replace(self, time_s=self.time_s[chosen], value=self.value[chosen], quality=self.quality[chosen])
 
+    def between(self, start_s: float, end_s: float) -> Series:
+        """Return the samples from `start_s` to before `end_s`."""
+        return self.rows((self.time_s >= start_s) & (self.time_s < end_s))
+
     def without(self, spans: Sequence[tuple[float, float]]) -> Series:
         """Return the series without the samples within the spans, which become holes."""
         if not len(spans):

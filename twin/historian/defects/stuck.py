@@ -104,7 +104,7 @@ def _by_chance(
     """Return the expected number of runs like run `k` in a healthy record.
 
     Samples that an exception brought differ by nature. So the share of repeats is that of samples which came late,
-    after most of the longest interval; where there are few such, a tenth, more than any instrument showed.
+    after most of the longest interval; where there are few such, a fifth: noise of twice the resolution.
     """
     interval = np.diff(series.time_s)
     run = np.repeat(np.arange(len(first)), last - first + 1)
@@ -113,7 +113,7 @@ def _by_chance(
     repeats = last - first
     other = at_work & (np.arange(len(first)) != k)
     overall = (repeats[other].sum() + 1.0) / (repeats[other].sum() + other.sum() + 2.0)
-    share = max(float(overall), float(((same & late).sum() + 0.3) / (late.sum() + 3.0)))
+    share = max(float(overall), float(((same & late).sum() + 0.6) / (late.sum() + 3.0)))
     return float(share ** repeats[k] * max(late.sum(), 5))
 
 
