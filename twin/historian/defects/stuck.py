@@ -30,7 +30,7 @@ process, and samples of one tag come more evenly than those."""
 AT_REST = 0.02
 """Of the 98 % quantile: at rest below it."""
 REST_RUNS = 2
-"""Other runs of half the length at the same value, from which the tag is said to rest there."""
+"""Other long runs, of a quarter of the length, at the same value, from which the tag is said to rest there."""
 
 
 def stuck_values(series: Series) -> list[Defect]:
@@ -127,4 +127,4 @@ def _rests(value: Array, held: Array, k: int, top: float) -> bool:
     """Return whether the tag often stands at this value: in other long runs."""
     near = np.abs(value - value[k]) <= 0.002 * top
     near[k] = False
-    return bool((held[near] >= 0.5 * LEAST_S).sum() >= REST_RUNS)
+    return bool((held[near] >= max(0.5 * LEAST_S, 0.25 * held[k])).sum() >= REST_RUNS)
