@@ -61,7 +61,8 @@ def _pump_work(power: Array, flow: Array, head: Array) -> NDArray[np.bool_]:
     if usual_flow <= 0.0 or usual_power <= 0.0:
         return np.zeros(len(flow), dtype=bool)
     idle = (np.nan_to_num(flow) > 0.3 * usual_flow) & (np.nan_to_num(power, nan=usual_power) < 0.02 * usual_power)
-    work = np.where((flow > 0.3 * usual_flow) & (head > 0.0), power / (flow * head), np.nan)
+    at_work = (flow > 0.3 * usual_flow) & (head > 0.0)
+    work = np.where(at_work, power / np.where(at_work, flow * head, 1.0), np.nan)
     usual = float(np.nanmedian(work)) if np.isfinite(work).any() else np.nan
     return np.asarray(idle | (np.nan_to_num(np.abs(work / usual - 1.0)) > PUMP_APART + 1.0))
 

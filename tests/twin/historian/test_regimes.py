@@ -135,6 +135,11 @@ def test_a_quantity_that_contradicts_another_is_marked(name: str, value: float, 
     assert remarks
 
 
+def test_a_header_without_pressure_is_no_error() -> None:
+    flags, _ = check_flags(_columns(header_kPa=np.zeros(N), m_w_kg_s=np.where(np.arange(N) < 9, 0.0, 200.0)))
+    assert not (flags & PUMP_WORK).any()
+
+
 def test_unknown_quantities_fail_no_check() -> None:
     columns = {name: np.full(N, np.nan) for name in _columns()}
     flags, _ = check_flags(columns)
