@@ -28,6 +28,7 @@ VERBS = {
     "review": "Look at a run in Rerun: measured against twin",
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
+    "tower": "Cooling towers: historian, aligned record, calibration",
     "track": "Replay the calibrators on a record",
     "train": "Train the network calibrator",
     "twin": "Revisions of a twin: log, diff, revert",

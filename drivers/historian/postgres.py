@@ -1,0 +1,224 @@
+"""Historian in PostgreSQL: one table of samples, a hypertable where TimescaleDB is installed, else with a BRIN index.
+
+A URL may hold a password; no message does. A database that goes away in the middle of reading is asked again from
+the last sample that came.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import numpy as np
+import psycopg
+from psycopg import sql
+
+from drivers.historian.protocol import COLUMNS, HistorianError, Samples, empty
+
+TABLE = "samples"
+PATIENCE_S = 60.0
+"""Time for which a database that went away is called again: a restart takes half a minute."""
+PAUSE_S = 1.0
+ROWS = 200_000
+"""Rows of a piece: some 10 MB of text, so that little is lost when the database goes away."""
+
+T = TypeVar("T")
+
+
+class PostgresStore:
+    """A database with a table `samples` of timestamp (timestamptz), tag, value and quality.
+
+    Parameters:
+        url: `postgresql://user:password@host:port/database`, or with the parameters of libpq.
+        create: make the table where there is none.
+        patience_s: time for which a database that went away is called again.
+    """
+
+    def __init__(self, url: str, *, create: bool = False, patience_s: float = PATIENCE_S) -> None:
+        self._url = url
+        self.name = without_password(url)
+        self._patience_s = patience_s
+        self._base = self._connect()
+        columns = self._again(self._columns)
+        if not columns and create:
+            self._again(self._create)
+            columns = set(COLUMNS)
+        missing = [name for name in COLUMNS if name not in columns]
+        if missing:
+            self.close()
+            if len(missing) == len(COLUMNS):
+                raise HistorianError(
+                    f"{self.name}: has no table {TABLE!r}; it needs one with the columns {', '.join(COLUMNS)}"
+                )
+            raise HistorianError(
+                f"{self.name}: table {TABLE!r} lacks the column {', '.join(missing)}; rename or add it"
+            )
+
+    def tags(self) -> tuple[str, ...]:
+        # A loose index scan: a distinct over the whole table reads every sample.
+        query = f"""WITH RECURSIVE t AS (
+            (SELECT tag FROM {TABLE} ORDER BY tag LIMIT 1)
+            UNION ALL
+            SELECT (SELECT tag FROM {TABLE} WHERE tag > t.tag ORDER BY tag LIMIT 1) FROM t WHERE t.tag IS NOT NULL
+        ) SELECT tag FROM t WHERE tag IS NOT NULL"""
+        return tuple(row[0] for row in self._again(lambda: self._base.execute(query).fetchall()))
+
+    def span(self) -> tuple[float, float] | None:
+        query = f"SELECT extract(epoch FROM min(timestamp)), extract(epoch FROM max(timestamp)) FROM {TABLE}"
+        low, high = self._again(lambda: self._base.execute(query).fetchone()) or (None, None)
+        return None if low is None or high is None else (float(low), float(high))
+
+    def read(self, tags: Sequence[str], start_s: float = -np.inf, end_s: float = np.inf) -> dict[str, Samples]:
+        return {tag: self._read_tag(tag, start_s, end_s) for tag in tags}
+
+    def append(self, samples: Mapping[str, Samples]) -> None:
+        text = io.StringIO()
+        for tag, one in samples.items():
+            name = tag.replace("\\", "\\\\").replace("\t", "\\t").replace("\n", "\\n")
+            stamps = np.datetime_as_string(np.round(one.time_s * 1e6).astype("datetime64[us]"), unit="us")
+            for stamp, value, quality in zip(stamps, one.value, one.quality, strict=True):
+                text.write(f"{stamp}Z\t{name}\t{'NaN' if np.isnan(value) else repr(float(value))}\t{int(quality)}\n")
+
+        def copy() -> None:
+            query = f"COPY {TABLE} ({', '.join(COLUMNS)}) FROM STDIN"
+            with self._base.cursor() as cursor, cursor.copy(query) as pipe:
+                pipe.write(text.getvalue())
+            self._base.commit()
+
+        if text.tell():
+            self._again(copy)
+
+    def close(self) -> None:
+        self._base.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _read_tag(self, tag: str, start_s: float, end_s: float) -> Samples:
+        """Return the samples of a tag, piece by piece in the order of time, so that an interrupted read goes on."""
+        pieces: list[Samples] = []
+        seen_at, seen = start_s, 0
+        while True:
+            rows = self._again(lambda at=seen_at, skip=seen: self._piece(tag, at, end_s, skip))  # type: ignore[misc]
+            if len(rows):
+                pieces.append(rows)
+                last = float(rows.time_s[-1])
+                equal = int((rows.time_s == last).sum())
+                seen = seen + equal if last == seen_at else equal
+                seen_at = last
+            if len(rows) < ROWS:
+                break
+        if not pieces:
+            return empty()
+        return Samples(
+            *(np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("time_s", "value", "quality"))
+        )
+
+    def _piece(self, tag: str, start_s: float, end_s: float, skip: int) -> Samples:
+        where = [sql.SQL("tag = {}").format(sql.Literal(tag))]
+        for sign, at in ((">=", start_s), ("<", end_s)):
+            if np.isfinite(at):
+                stamp = f"{np.datetime64(round(at * 1e6), 'us')}Z"
+                where.append(sql.SQL(f"timestamp {sign} {{}}::timestamptz").format(sql.Literal(stamp)))
+        query = sql.SQL(
+            "COPY (SELECT (extract(epoch FROM timestamp) * 1000000)::bigint, coalesce(value, 'NaN'), "
+            "coalesce(quality, 0) "
+            f"FROM {TABLE} WHERE {{}} ORDER BY timestamp, ctid OFFSET {skip} LIMIT {ROWS}) TO STDOUT"
+        ).format(sql.SQL(" AND ").join(where))
+        with self._base.cursor() as cursor, cursor.copy(query) as pipe:
+            text = b"".join(bytes(part) for part in pipe)
+        self._base.commit()
+        if not text:
+            return empty()
+        rows = np.loadtxt(
+            io.BytesIO(text), delimiter="\t", dtype=[("t", np.int64), ("v", np.float64), ("q", np.int16)], ndmin=1
+        )
+        return Samples(rows["t"] / 1e6, rows["v"].copy(), rows["q"].copy())
+
+    def _columns(self) -> set[str]:
+        query = "SELECT attname FROM pg_attribute WHERE attrelid = to_regclass(%s) AND attnum > 0 AND NOT attisdropped"
+        found = {row[0] for row in self._base.execute(query, [TABLE]).fetchall()}
+        self._base.commit()
+        return found
+
+    def _create(self) -> None:
+        self._base.execute(
+            f"CREATE TABLE IF NOT EXISTS {TABLE} (timestamp timestamptz NOT NULL, tag text NOT NULL, "
+            "value double precision, quality smallint NOT NULL DEFAULT 0)"
+        )
+        self._base.execute(f"CREATE INDEX IF NOT EXISTS {TABLE}_tag_time ON {TABLE} (tag, timestamp)")
+        timescale = self._base.execute("SELECT 1 FROM pg_extension WHERE extname = 'timescaledb'").fetchone()
+        if timescale:
+            self._base.execute("SELECT create_hypertable(%s, 'timestamp', if_not_exists => true)", [TABLE])
+        else:
+            self._base.execute(f"CREATE INDEX IF NOT EXISTS {TABLE}_time ON {TABLE} USING brin (timestamp)")
+        self._base.commit()
+
+    def _connect(self) -> psycopg.Connection[Any]:
+        try:
+            return psycopg.connect(self._url, connect_timeout=10)
+        except psycopg.Error as error:
+            raise HistorianError(f"{self.name}: {_refusal(error, self._url)}") from error
+
+    def _again(self, ask: Callable[[], T]) -> T:
+        """Return what `ask` returns; a connection that is lost is made again for as long as the patience lasts."""
+        deadline = time.monotonic() + self._patience_s
+        while True:
+            try:
+                return ask()
+            except (psycopg.errors.DiskFull, psycopg.errors.InsufficientResources) as error:
+                self._base.rollback()
+                raise HistorianError(
+                    f"{self.name}: the database's disk is full; make room, nothing of this call is kept"
+                ) from error
+            except (psycopg.OperationalError, psycopg.InterfaceError) as error:
+                if time.monotonic() > deadline:
+                    raise HistorianError(
+                        f"{self.name}: went away and did not come back within {self._patience_s:g} s"
+                    ) from error
+                self._reconnect(deadline)
+            except psycopg.Error as error:
+                if not self._base.closed:
+                    self._base.rollback()
+                raise HistorianError(f"{self.name}: {_first_line(error)}") from error
+
+    def _reconnect(self, deadline: float) -> None:
+        while True:
+            self._base.close()
+            try:
+                self._base = psycopg.connect(self._url, connect_timeout=10)
+                return
+            except psycopg.Error as error:
+                if time.monotonic() > deadline:
+                    raise HistorianError(
+                        f"{self.name}: went away and did not come back within {self._patience_s:g} s"
+                    ) from error
+            time.sleep(PAUSE_S)
+
+
+def without_password(url: str) -> str:
+    """Return the URL without its password, in its place before the host or among the parameters."""
+    shown = re.sub(r"^(\w+://[^:/@]*):[^/]*@(?=[^@]*$)", r"\1@", url)
+    return re.sub(r"([?&]password=)[^&]*", r"\1...", shown)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or ["no answer"])[0]
+
+
+def _refusal(error: psycopg.Error, url: str) -> str:
+    text = str(error)
+    if "password" in text.lower() and ("authentication failed" in text or "no password supplied" in text):
+        return "refused the password; check user and password, or set PGPASSWORD or ~/.pgpass"
+    password = psycopg.conninfo.conninfo_to_dict(url).get("password") if "://" in url else None
+    line = _first_line(error)
+    return f"cannot be reached: {line.replace(str(password), '...') if password else line}"

@@ -1,0 +1,41 @@
+"""`hil tower`: cooling towers, from a plant historian to a calibrated twin.
+
+Verbs are loaded when they are asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+import click
+
+VERBS = {
+    "align": "Make an aligned one-minute record of a historian's tags",
+    "collect": "Poll a rig's points into a historian",
+}
+"""Verb and its summary; its command is in `hil.cli.tower_commands.<verb>`."""
+
+
+class _Verbs(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in VERBS:
+            return None
+        command: click.Command = importlib.import_module(f"hil.cli.tower_commands.{name}").command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(VERBS.items()))
+
+
+@click.group(cls=_Verbs)
+def command() -> None:
+    """Cooling towers: from a plant historian to a calibrated twin.
+
+    \b
+    Example:
+      hil tower align STORE --tags tags.csv --out record
+    """

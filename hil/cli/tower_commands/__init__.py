@@ -1,0 +1,1 @@
+"""Verbs of `hil tower`, one module a verb, each with a `command`."""

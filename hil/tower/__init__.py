@@ -1,0 +1,1 @@
+"""Cooling tower: from a plant historian to a calibrated twin."""

@@ -1,0 +1,108 @@
+"""Detection of the defects that plant historians have, from the raw samples and the plant's events."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.historian.defects.clocks import corrected, repeated_hours, shifted_clocks
+from twin.historian.defects.humidity import latched, wet_bulb_defects
+from twin.historian.defects.panel import panel
+from twin.historian.defects.quality import bad_quality
+from twin.historian.defects.repeats import repeated_stamps
+from twin.historian.defects.silence import communication_gaps, interface_groups
+from twin.historian.defects.stuck import stuck_values
+from twin.historian.defects.swaps import swapped, undo_swap
+from twin.historian.defects.unit_switch import Switch, converted, unit_switches
+from twin.historian.events import Event
+from twin.historian.tags import Defect, Series
+
+__all__ = ["Repaired", "find_and_repair"]
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """Series in order of time and in their own units, good samples only, and the defects that were found."""
+
+    series: tuple[Series, ...]
+    defects: tuple[Defect, ...]
+    remarks: tuple[str, ...] = ()
+
+
+def find_and_repair(
+    raw: Sequence[Series], *, timezone: str | None = None, pressure_kPa: float = 101.325, events: Sequence[Event] = ()
+) -> Repaired:
+    """Return the series without what their defects spoil, and the defects, all times in UTC.
+
+    Clocks come first, so that every later finding is in UTC. Each step sees the series as the steps before it left
+    them: clocks, quality, repeated stamps, silence, units, stuck values, humidity, swaps. What can be undone is
+    undone (clock, unit, swap); the rest is left out. One cause is one defect: what a step has left out is a hole to
+    the next ones.
+
+    Parameters:
+        raw: samples as the historian gives them.
+        timezone: of the station, IANA; clocks in local time are looked for only where it is known.
+        pressure_kPa: of the site, for the wet bulb where no barometer is recorded.
+        events: of the plant; entries of maintenance support a swap.
+    """
+    found: list[Defect] = []
+    usable = [one.usable() for one in raw]
+    groups = interface_groups(usable)
+    clocks = shifted_clocks(usable, groups, timezone)
+    if clocks:
+        shift_of = {name: shift for defect, shift in clocks for name in defect.tags}
+        raw = [corrected(one, shift_of[one.tag.name]) if one.tag.name in shift_of else one for one in raw]
+        usable = [one.usable() for one in raw]
+    found += [defect for defect, _ in clocks]
+    found += [defect for one in raw for defect in bad_quality(one)]
+    found += repeated_stamps(raw)
+    doubled = {
+        name: repeated_hours(defect.start_s, defect.end_s, shift.zone)
+        for defect, shift in clocks if shift.zone is not None for name in defect.tags
+    }  # fmt: skip
+    gaps = communication_gaps(usable, groups, doubled)
+    found += gaps
+    series = _without(usable, gaps)
+    switches = unit_switches(panel(series))
+    found += [switch.defect for switch in switches]
+    stuck = [defect for one in series for defect in _stuck(one, switches)]
+    series = [_converted(one, switches) for one in series]
+    latches, stuck = latched(series, stuck)
+    found += latches + stuck
+    series = _without(series, [*latches, *stuck])
+    wet = wet_bulb_defects(series, pressure_kPa)
+    found += wet
+    series = _without(series, wet)
+    swaps = swapped(panel(series), events)
+    for defect in swaps:
+        series = undo_swap(series, defect)
+    found += swaps
+    return Repaired(tuple(series), tuple(sorted(found, key=lambda d: (d.start_s, d.kind, d.tags))))
+
+
+def _stuck(series: Series, switches: Sequence[Switch]) -> list[Defect]:
+    """Return the stuck values of each part between unit switches: the deviation of exception reporting is per unit."""
+    edges = [t for s in switches if series.tag.name in s.defect.tags for t in (s.defect.start_s, s.defect.end_s)]
+    bounds = [-np.inf, *edges, np.inf]
+    parts = [(series.time_s >= low) & (series.time_s < high) for low, high in zip(bounds, bounds[1:], strict=False)]
+    return [defect for rows in parts for defect in stuck_values(series.rows(rows))]
+
+
+def _converted(series: Series, switches: Sequence[Switch]) -> Series:
+    for switch in switches:
+        if series.tag.name in switch.defect.tags:
+            series = converted(series, switch)
+            edges = [[switch.defect.start_s] * 2, [switch.defect.end_s] * 2]
+            series = replace(series, holes=np.concatenate([series.holes, edges]))
+    return series
+
+
+def _without(series: Sequence[Series], defects: Sequence[Defect]) -> list[Series]:
+    """Return the series without the samples inside the defects of their tags."""
+    spans: dict[str, list[tuple[float, float]]] = {}
+    for defect in defects:
+        for name in defect.tags:
+            spans.setdefault(name, []).append((defect.start_s, defect.end_s))
+    return [one.without(spans.get(one.tag.name, [])) for one in series]

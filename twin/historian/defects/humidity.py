@@ -1,0 +1,154 @@
+"""Air instruments that contradict one another: wet bulbs that cannot be, and humidity sensors that latch.
+
+Dry bulb, two humidity sensors and a wet bulb measure two quantities. The one that departs from the others is at fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from twin.historian.defects.panel import Mask, moving_mean, on_grid
+from twin.historian.tags import Array, Defect, Series
+from twin.tower.air import wet_bulb
+
+CLOSURE_K = 0.35
+"""Largest difference between the measured wet bulb and that of dry bulb and humidity (the paper)."""
+STEP_S = 300.0
+SMOOTH = 7
+"""Rows over which a difference is averaged: instruments of different lag differ at each gust."""
+LEAST_S = 2.0 * 3600.0
+JOINED_S = 3.0 * 3600.0
+SATURATED = 97.0
+"""% at which a humidity sensor latches: condensed water on it."""
+APART = 3.0
+"""% by which the other sensor must depart from a latched one (each is good to 2 %)."""
+SCATTERS = 6.0
+"""Robust standard deviations of the closure, by which a wet bulb is off beyond its usual scatter at this site."""
+ROLES = ("relative_humidity", "relative_humidity_redundant")
+
+
+def latched(series: Sequence[Series], stuck: Sequence[Defect]) -> tuple[list[Defect], list[Defect]]:
+    """Return the latched humidities among the stuck values, and the stuck values that remain.
+
+    A humidity that stands at saturation is latched if the other sensor shows dry air meanwhile; if it shows saturation
+    too there was fog, and no defect.
+    """
+    humid = {one.tag.name: one for one in series if one.tag.role in ROLES}
+    found, left = [], []
+    for defect in stuck:
+        one = humid.get(defect.tags[0])
+        if one is None:
+            left.append(defect)
+            continue
+        rows = (one.time_s >= defect.start_s) & (one.time_s <= defect.end_s)
+        level = float(np.median(on_grid(replace(one, holes=one.holes[:0]), one.time_s[rows])))
+        if level < SATURATED:
+            left.append(defect)
+            continue
+        others = [other for other in humid.values() if other is not one]
+        if not others or _departs(others[0], defect, level):
+            found.append(replace(defect, kind="humidity_latched", says=f"{defect.says}, latched at saturation"))
+    return found, left
+
+
+def _departs(other: Series, defect: Defect, level: float) -> bool:
+    """Return whether the other sensor shows drier air within the span; unknown counts as no."""
+    grid = np.arange(defect.start_s, defect.end_s, STEP_S)
+    off = level - on_grid(other, grid)
+    return bool(np.isfinite(off).any() and np.nanquantile(off, 0.9) > APART)
+
+
+def wet_bulb_defects(series: Sequence[Series], pressure_kPa: float) -> list[Defect]:
+    """Return the spans with a wet bulb that cannot be; nothing without dry bulb and one of the others."""
+    by_role: dict[str, Series] = {}
+    for one in series:
+        if len(one.time_s) > 1:
+            by_role.setdefault(one.tag.role, one)
+    dry, wet = by_role.get("dry_bulb_temperature"), by_role.get("wet_bulb_temperature")
+    if dry is None or wet is None:
+        return []
+    grid = np.arange(wet.time_s[0], wet.time_s[-1], STEP_S)
+    t, measured = on_grid(dry, grid), on_grid(wet, grid)
+    pressure = np.full(len(grid), pressure_kPa)
+    if "barometric_pressure" in by_role:
+        seen = on_grid(by_role["barometric_pressure"], grid)
+        pressure = np.where(np.isfinite(seen), seen, pressure)
+    shares = [on_grid(by_role[role], grid) for role in ROLES if role in by_role]
+    offs = [measured - _expected(t, share, pressure) for share in shares]
+    offs = [off - _usual(off, t) for off in offs]
+    return _impossible(grid, wet, measured - t, offs)
+
+
+def _expected(t: Array, share: Array, pressure: Array) -> Array:
+    rows = np.isfinite(t) & np.isfinite(share)
+    found = np.full(len(t), np.nan)
+    if rows.any():
+        found[rows] = wet_bulb(t[rows], share[rows] / 100.0, pressure[rows])
+    return found
+
+
+def _usual(off: Array, t: Array) -> Array:
+    """Return the usual closure: the offsets of the instruments, linear in the temperature, by a robust line."""
+    rows = np.isfinite(off) & np.isfinite(t)
+    if rows.sum() < 50:
+        return np.zeros(len(off))
+    x, y = t[rows] - np.median(t[rows]), off[rows]
+    weight = np.ones(len(x))
+    slope = level = 0.0
+    for _ in range(4):
+        w = weight.sum()
+        mx, my = (weight * x).sum() / w, (weight * y).sum() / w
+        slope = float((weight * (x - mx) * (y - my)).sum() / max((weight * (x - mx) ** 2).sum(), 1e-9))
+        level = float(my - slope * mx)
+        off_line = np.abs(y - level - slope * x)
+        weight = np.minimum(1.0, max(float(np.median(off_line)), 1e-3) / np.maximum(off_line, 1e-9))
+    return np.asarray(level + slope * (t - np.median(t[rows])))
+
+
+def _impossible(grid: Array, wet: Series, above: Array, offs: list[Array]) -> list[Defect]:
+    """Return the spans with a wet bulb above the dry bulb, or off from every humidity sensor on the same side."""
+    wrong = moving_mean(np.nan_to_num(above, nan=-1.0), SMOOTH) > CLOSURE_K
+    worst = np.where(wrong, above, 0.0)
+    if offs:
+        smooth = [moving_mean(off, SMOOTH) for off in offs]
+        limits = [max(2.0 * CLOSURE_K, SCATTERS * _scatter(one)) for one in smooth]
+        known = np.stack([np.isfinite(one) for one in smooth])
+        high = np.stack([one > limit for one, limit in zip(smooth, limits, strict=True)])
+        low = np.stack([one < -limit for one, limit in zip(smooth, limits, strict=True)])
+        # The one that departs is at fault: a wet bulb must depart from every humidity that is known.
+        both = known.any(axis=0) & ((high | ~known).all(axis=0) | (low | ~known).all(axis=0))
+        if len(offs) > 1:
+            both &= known.all(axis=0)
+        wrong |= both
+        size = np.where(known, np.abs(np.stack(smooth)), 0.0).max(axis=0)
+        worst = np.where(both, size, worst)
+    found = []
+    for start, end in _spans(grid, wrong):
+        rows = (grid >= start) & (grid <= end) & wrong
+        says = (
+            f"{wet.tag.name} is up to {float(np.nanmax(worst[rows])):.1f} K off the wet bulb of dry bulb and humidity"
+        )
+        found.append(Defect("impossible_wet_bulb", (wet.tag.name,), start, end, says, "left out"))
+    return found
+
+
+def _scatter(x: Array) -> float:
+    known = x[np.isfinite(x)]
+    return 1.4826 * float(np.median(np.abs(known - np.median(known)))) if len(known) else 0.0
+
+
+def _spans(grid: Array, wrong: Mask) -> list[tuple[float, float]]:
+    """Return the spans of at least two hours of which half is wrong; shorter interruptions join two."""
+    rows = np.flatnonzero(wrong)
+    if len(rows) == 0:
+        return []
+    parts = np.split(rows, np.flatnonzero(np.diff(grid[rows]) > JOINED_S) + 1)
+    found = []
+    for part in parts:
+        start, end = float(grid[part[0]]), float(grid[part[-1]])
+        if end - start >= LEAST_S and len(part) * STEP_S >= 0.5 * (end - start):
+            found.append((start, end))
+    return found

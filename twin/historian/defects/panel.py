@@ -1,0 +1,102 @@
+"""Tags side by side on one grid, and the prediction of one from the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.historian.tags import Array, Series, longest_interval_s
+from twin.historian.units import unit_of
+
+STEP_S = 900.0
+"""Fine beside a basin's and a day's time constants, coarse beside the samples' two to five minutes."""
+ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Values of tags in the record's units (tags, m) at times `grid_s (m,)`; NaN where unknown."""
+
+    series: tuple[Series, ...]
+    grid_s: Array
+    values: Array
+
+    def row(self, name: str) -> int:
+        """Return the row of a tag."""
+        return next(k for k, one in enumerate(self.series) if one.tag.name == name)
+
+
+def panel(series: Sequence[Series], step_s: float = STEP_S) -> Panel:
+    """Return the tags with at least two samples on a grid over their common span."""
+    usable = tuple(one for one in series if len(one.time_s) > 1)
+    if not usable:
+        return Panel((), np.zeros(0), np.zeros((0, 0)))
+    start, end = min(one.time_s[0] for one in usable), max(one.time_s[-1] for one in usable)
+    grid = np.arange(np.ceil(start / step_s) * step_s, end, step_s)
+    return Panel(usable, grid, np.stack([on_grid(one, grid) for one in usable]))
+
+
+def on_grid(series: Series, grid_s: Array) -> Array:
+    """Return a tag in the record's unit at `grid_s`."""
+    unit = unit_of(series.tag.unit)
+    return np.asarray(unit.scale * series.at(grid_s, 1.2 * longest_interval_s(series)) + unit.offset)
+
+
+def design_matrix(values: Array) -> Array:
+    """Return what predicts (m, k + 1): ones, and the rows of `values (k, m)` standardised, the unknown at their
+    mean."""
+    known = np.isfinite(values)
+    count = np.maximum(known.sum(axis=1, keepdims=True), 1)
+    filled = np.where(known, values, 0.0)
+    mean = filled.sum(axis=1, keepdims=True) / count
+    apart = np.where(known, values - mean, 0.0)
+    scale = np.sqrt((apart**2).sum(axis=1, keepdims=True) / count)
+    use = (scale[:, 0] > 0.0) & (known.mean(axis=1) > 0.5)
+    return np.concatenate([np.ones((values.shape[1], 1)), (apart[use] / scale[use]).T], axis=1)
+
+
+def robust_prediction(target: Array, matrix: Array, rounds: int = ROUNDS) -> tuple[Array, float]:
+    """Return the ridge prediction of `target (m,)` by `matrix (m, k)` with Huber weights, and its scatter."""
+    rows = np.isfinite(target)
+    if rows.sum() < 2 * matrix.shape[1]:
+        return np.full(len(target), np.nan), np.inf
+    a, y = matrix[rows], target[rows]
+    weight = np.ones(len(y))
+    centre = float(np.median(y))
+    coefficients: Array = np.zeros(a.shape[1])
+    sigma = np.inf
+    for _ in range(rounds):
+        aw = a * weight[:, None]
+        ridge = 1e-3 * len(y) * np.eye(a.shape[1])
+        ridge[0, 0] = 1e-9
+        coefficients = np.asarray(np.linalg.solve(aw.T @ a + ridge, aw.T @ (y - centre)), dtype=np.float64)
+        off = np.abs(y - centre - a @ coefficients)
+        sigma = max(1.4826 * float(np.median(off)), 1e-6)
+        weight = np.minimum(1.0, 1.5 * sigma / np.maximum(off, 1e-12))
+    return np.asarray(centre + matrix @ coefficients), sigma
+
+
+def largest_sum(gain: Array) -> tuple[int, int, float]:
+    """Return begin, end (exclusive) and value of the run with the largest sum (Kadane's algorithm)."""
+    total = np.concatenate([[0.0], np.cumsum(gain)])
+    lowest = np.minimum.accumulate(total)
+    end = int(np.argmax(total - lowest))
+    low = int(np.argmin(total[: end + 1]))
+    return low, max(end, low + 1), float(total[end] - total[low])
+
+
+def moving_mean(x: Array, width: int) -> Array:
+    """Return the centred mean of what is known in `width` values (m,)."""
+    known = np.isfinite(x)
+    total = np.concatenate([[0.0], np.cumsum(np.where(known, x, 0.0))])
+    count = np.concatenate([[0], np.cumsum(known)])
+    low = np.maximum(np.arange(len(x)) - width // 2, 0)
+    high = np.minimum(np.arange(len(x)) + width // 2 + 1, len(x))
+    n = count[high] - count[low]
+    return np.asarray(np.where(n > 0, (total[high] - total[low]) / np.maximum(n, 1), np.nan))
+
+
+Mask = NDArray[np.bool_]
