@@ -1,1 +1,1 @@
-"""How a signal reaches the wire: rig file, points, codec, read planning, Modbus, CAN, virtual rig."""
+"""Drivers: rig files, signals, Modbus and CAN buses, and the virtual rig."""

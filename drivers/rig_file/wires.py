@@ -1,4 +1,4 @@
-"""Bus sections of a rig file that are one wire or one device, whatever their hosts and lines are called.
+"""Bus sections of a rig file that share one wire or one device, also under different names of host or line.
 
 Sections share a wire only where their host has an address in common and their port is the same. Two addresses of this
 machine (`127.0.0.1` and `127.0.0.2`, or that of an interface) may have two servers behind one port. They keep a
@@ -15,7 +15,7 @@ from drivers.rig_file.host_address import addresses, is_own
 from drivers.rig_file.model import Rig
 
 _known = cache(addresses)
-"""Addresses by host: all parts of one process have to agree on the wires of a rig, and each name is asked for once."""
+"""Addresses by host: all parts of one process must agree on the wires of a rig, and each name is resolved once."""
 
 
 def serial_device(path: str) -> str:

@@ -38,7 +38,7 @@ _ENDINGS = ("finishing", "paused", "suspended", "faulted", "aborted", "done")
 
 
 @dataclass(slots=True)
-class Seen:
+class PointState:
     """Samples that a reader saw in the live journal, and which are so acknowledged: tick -> (wall_s, quality)."""
 
     rows: dict[int, tuple[float, bytes]] = field(default_factory=dict)
@@ -121,7 +121,7 @@ def read_states(path: Path) -> list[tuple[float, str]]:
         database.close()
 
 
-def lost(seen: Seen, journal: Journal) -> int:
+def lost(seen: PointState, journal: Journal) -> int:
     """Samples that were acknowledged and are not in the journal any more, or not the same."""
     kept = dict(zip(journal.ticks, zip(journal.wall_s, journal.raw_quality, strict=True), strict=True))
     return sum(kept.get(tick) != row for tick, row in seen.rows.items())

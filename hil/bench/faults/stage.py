@@ -100,7 +100,7 @@ class Stage:
     own relays have stood still."""
     told_s: float | None = None
     """When the harness said on its terminal that it ends."""
-    seen: judge.Seen = field(default_factory=judge.Seen)
+    seen: judge.PointState = field(default_factory=judge.PointState)
 
     @property
     def pid(self) -> int:
