@@ -16,7 +16,7 @@ from drivers.signals.roles import ROLES
 from drivers.signals.units import canonical_unit
 
 MODBUS, CAN = "plc", "can"
-PLACES = "holding:0, input:12:int16*0.01, 40001:float32:CDAB, or MESSAGE.SIGNAL of a DBC"
+PLACE_SYNTAX = "holding:0, input:12:int16*0.01, 40001:float32:CDAB, or MESSAGE.SIGNAL of a DBC"
 _TABLES = {"0": "coil", "1": "discrete", "3": "input", "4": "holding"}
 _MODBUS_PLACE = re.compile(
     r"(?:(?P<table>coil|discrete|input|holding):(?P<address>\d{1,5})|(?P<modicon>[0134]\d{4,5}))"
@@ -74,7 +74,7 @@ def place_of(text: str) -> Place:
         return Place(CAN, {"message": on_can["message"], "signal": on_can["signal"]})
     found = _MODBUS_PLACE.fullmatch(text)
     if found is None:
-        raise DescriptionError(f"{text!r} is no place of a value; write it like {PLACES}")
+        raise DescriptionError(f"{text!r} is no place of a value; write it like {PLACE_SYNTAX}")
     if found["modicon"] is None:
         table, address = found["table"], int(found["address"])
     else:
@@ -161,7 +161,7 @@ _SAFE = {"heater": (0.0, 0, "off"), "pump": (None, 1, "goes on: the water carrie
          "fan": (None, 2, "goes on")}  # fmt: skip
 
 
-def draft_of(rig: Described, out: Path) -> Draft:
+def draft_of_description(rig: Described, out: Path) -> Draft:
     """Return the draft of a rig file at `out`, with the DBC's path relative to it; raise DescriptionError."""
     points: dict[str, list[DraftPoint]] = {}
     heaters: list[str] = []

@@ -271,7 +271,7 @@ _HEAD = """\
 """
 
 
-def write(draft: Draft, name: str, *, period_s: float = 1.0) -> str:
+def rig_file_text(draft: Draft, name: str, *, period_s: float = 1.0) -> str:
     """Return the rig file's text; `period_s` is its period in s."""
     lines = [draft.head or _HEAD.format(source=_plain(draft.source.name))]
     if draft.notes:

@@ -9,7 +9,7 @@ from drivers.modbus.read_plan import BIT_TABLES, Block, plan_reads
 from drivers.modbus.serial_line import BITS_PER_BYTE, silence_s
 from drivers.rig_file.bus_sections import CanBus, ModbusBusSection, is_rtu
 from drivers.rig_file.model import Point, Rig
-from drivers.rig_file.wires import wires
+from drivers.rig_file.wires import wire_of_bus
 
 MBAP_BYTES = 7
 """Header of a Modbus/TCP frame (Modbus messaging on TCP/IP implementation guide V1.0b, 3.1.3)."""
@@ -47,7 +47,7 @@ def polling(name: str, bus: ModbusBusSection, points: Sequence[Point]) -> Pollin
 def overloads(rig: Rig, polled: Sequence[Polling]) -> list[tuple[tuple[str, ...], str]]:
     """Return buses on which a tick's polling does not fit into the period, with place in the rig file and remedy."""
     found: list[tuple[tuple[str, ...], str]] = []
-    wire = wires(rig)
+    wire = wire_of_bus(rig)
     for one in polled:
         bus = rig.bus[one.bus]
         if one.line_s is None or isinstance(bus, CanBus):

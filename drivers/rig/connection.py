@@ -12,7 +12,7 @@ from drivers.modbus.bus import ModbusBus
 from drivers.modbus.link import ModbusLink
 from drivers.rig_file.bus_sections import CanBus
 from drivers.rig_file.model import Point, Rig
-from drivers.rig_file.wires import wires
+from drivers.rig_file.wires import wire_of_bus
 from drivers.signals.points import DriverError, LinkError, Signal, Snapshot
 
 
@@ -31,7 +31,7 @@ class RigConnection:
         self._buses: dict[str, Bus] = {}
         self._receivers: list[CanReceiver] = []
         self._wires: dict[str, list[ModbusBus]] = {}
-        wire = self._wire_of = wires(rig)
+        wire = self._wire_of = wire_of_bus(rig)
         for name, config in rig.bus.items():
             points = tuple(point for point in rig.point if point.bus == name)
             if isinstance(config, CanBus):

@@ -7,7 +7,7 @@ from typing import Any
 from drivers.rig_file.bus_sections import CanBus, ModbusBusSection
 from drivers.rig_file.interlock_specs import HeaterPowerSpec
 from drivers.rig_file.model import Point, Rig
-from drivers.rig_file.wires import devices, wires
+from drivers.rig_file.wires import device_of_bus, wire_of_bus
 from drivers.signals.codec import CodecError, encode
 
 
@@ -105,7 +105,7 @@ def _watchdog_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
 def _wire_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
     """Return mistakes of sections that share a wire and disagree on it, or that are the same device."""
     found: list[tuple[tuple[Any, ...], str]] = []
-    wire, device = wires(rig), devices(rig)
+    wire, device = wire_of_bus(rig), device_of_bus(rig)
     for name, other in wire.items():
         for key in (
             "transport",

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.can.bus import CanReceiver
-from drivers.modbus.budget import (
+from drivers.can import CanReceiver
+from drivers.modbus import (
     Polling,
     counted,
     missing_declarations,
@@ -17,9 +17,7 @@ from drivers.modbus.budget import (
     short_stale_times,
     unit_of_count,
 )
-from drivers.rig_file.bus_sections import CanBus
-from drivers.rig_file.model import Rig
-from drivers.rig_file.reader import load_rig, located
+from drivers.rig_file import CanBus, Rig, load_rig, located
 from hil.rig.notices import notices
 
 if TYPE_CHECKING:

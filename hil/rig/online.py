@@ -7,10 +7,9 @@ import math
 import signal
 from typing import TYPE_CHECKING, Any
 
-from drivers.rig.watch import BusWatch, PointState, RigWatch
-from drivers.rig_file.bus_sections import CanBus
-from drivers.rig_file.model import Rig
-from drivers.signals.points import Quality
+from drivers.rig import BusWatch, PointState, RigWatch
+from drivers.rig_file import CanBus, Rig
+from drivers.signals import Quality
 
 if TYPE_CHECKING:
     from rich.console import Console

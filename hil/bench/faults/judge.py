@@ -14,10 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.signals.points import Quality
-from drivers.virtual.devices.registers import WATCHDOG_TRIPPED
-from drivers.virtual.devices.truth import Moment
-from drivers.virtual.plant.geometry import CHANNELS
+from drivers.signals import Quality
+from drivers.virtual.devices import WATCHDOG_TRIPPED, Moment
+from drivers.virtual.plant import CHANNELS
 from hil.bench.faults.rig import PERIOD_S, STALE_AFTER_S
 from hil.files.names import connect_read_only
 from hil.journal.writer import JournalReader

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.rig.connection import RigConnection
-from drivers.rig_file.reader import load_rig
-from drivers.virtual.rig import start_virtual_rig
+from drivers.rig import RigConnection
+from drivers.rig_file import load_rig
+from drivers.virtual import start_virtual_rig
 from hil.bench.measure import processes
 from hil.bench.measure.report import Cell, Table
 from hil.journal.profile_clock import profile_times
