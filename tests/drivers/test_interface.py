@@ -1,6 +1,7 @@
 """Public names of the drivers' packages: each can be imported, hil uses no others, and importing loads little."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -71,3 +72,15 @@ def test_importing_the_packages_loads_no_library_of_a_wire() -> None:
 def test_a_public_name_loads_only_what_it_needs() -> None:
     assert _heavy_modules("from drivers.modbus import polling, plan_reads; from drivers import load_rig") == set()
     assert _heavy_modules("from drivers.virtual.plant import load_effects") == set()
+
+
+@pytest.mark.parametrize("name", PACKAGES[1:])
+def test_the_readme_of_a_package_lists_each_of_its_modules(name: str) -> None:
+    folder = PROJECT.joinpath(*name.split("."))
+    listed = re.findall(r"(?m)^\| `(\w+)` \|", (folder / "README.md").read_text(encoding="utf-8"))
+    assert sorted(listed) == sorted({path.stem for path in folder.glob("*.py")} - {"__init__"})
+
+
+def test_the_readme_of_the_drivers_lists_each_package() -> None:
+    listed = re.findall(r"(?m)^\| \[`(\w+)`\]", (PROJECT / "drivers" / "README.md").read_text(encoding="utf-8"))
+    assert sorted(listed) == sorted(name.split(".")[1] for name in PACKAGES if name.count(".") == 1)
