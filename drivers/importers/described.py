@@ -152,8 +152,8 @@ def _unit(signal: DbcSignal) -> str:
 
 _HEAD = """\
 # Rig file of {name}, made by `hil init`. Addresses are zero-based, as they are on the wire.
-# `hil check` explains it and names every mistake, `hil check --online` shows what the rig says. Look at every line that
-# is marked "guessed" before anything is moved: limits, rates, safe values, what is plausible, and what trips.
+# `hil check` explains it and names every mistake, `hil check --online` shows the rig's readings. Before the first run,
+# check every line that is marked "guessed": limits, rates, safe values, plausible ranges and alarms.
 """
 _UNIT = {"heater": "W", "pump": "%", "fan": "%"}
 _NAME = {"heater": "heater_power", "pump": "pump_speed", "fan": "fan_speed"}
@@ -183,7 +183,7 @@ def draft_of_description(rig: Described, out: Path) -> Draft:
             "alarm": [-5.0, rig.trip_C], "stale_after_s": stale.get(str(place.keys.get("message")), 3.0 * rig.period_s),
         }  # fmt: skip
         said = {
-            "plausible": "guessed: beyond it the value is kept, and not believed",
+            "plausible": "guessed: a reading beyond it is recorded as out of range",
             "alarm": "beyond it the run ends",
         }
         points.setdefault(place.bus, []).append(_point(name, place, keys, said))
@@ -255,7 +255,7 @@ def _sections(rig: Described, points: dict[str, list[DraftPoint]], heaters: list
             points.setdefault(place.bus, []).append(_point(names[key], place, keys, {}))
         lines = [f'{key} = "{names[key]}"' for key in rig.heartbeat]
         hint = "# status, trip_mask, watchdog_mask: where the rig says that it has tripped by itself"
-        said.append("\n".join(["[heartbeat]              # how rig and harness watch each other", *lines, hint]))
+        said.append("\n".join(["[heartbeat]              # mutual supervision of rig and harness", *lines, hint]))
     else:
         said.append(
             "# No [heartbeat]: when this computer dies or the link is gone, nothing cuts the heater. Have the rig\n"

@@ -275,7 +275,7 @@ def rig_file_text(draft: Draft, name: str, *, period_s: float = 1.0) -> str:
     """Return the rig file's text; `period_s` is its period in s."""
     lines = [draft.head or _HEAD.format(source=_plain(draft.source.name))]
     if draft.notes:
-        lines += ["# To look at:", *(f"#   {_plain(note)}" for note in draft.notes), ""]
+        lines += ["# To check:", *(f"#   {_plain(note)}" for note in draft.notes), ""]
     lines += ["[rig]", f"name = {_toml(name)}", f"period_s = {_toml(period_s)}"]
     lines += [_line(key, value, remark) for key, (value, remark) in draft.rig.items()]
     for bus in draft.buses:

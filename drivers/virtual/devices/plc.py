@@ -228,7 +228,7 @@ def main() -> int:
     parser.add_argument("--start", type=float, default=0.0, help="rig time in s at which it is switched on, cold")
     parser.add_argument("--unit", type=int, help="specimen whose sensors' offsets these are; default: the seed's")
     parser.add_argument("--with", dest="effects", type=Path, help="file of effects")
-    parser.add_argument("--truth", type=Path, help="keep what is true in this file")
+    parser.add_argument("--truth", type=Path, help="record the true state in this file")
     parser.add_argument("--tls-certificate", type=Path, help="serve Modbus over TLS with this certificate (PEM) ...")
     parser.add_argument("--tls-key", type=Path, help="... and key, ...")
     parser.add_argument("--tls-ca", type=Path, help="... to clients with a certificate of this authority")
