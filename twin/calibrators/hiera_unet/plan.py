@@ -54,7 +54,7 @@ class Plan:
         structure: share of steps, the first, in which only healthy windows are seen and no parameter moves: what the
             twin lacks in a healthy rig belongs to the correction.
         sure: share of steps, the first, without the likelihood.
-        healthy: largest absolute deviation, as a share of its bound, of a healthy window; more is a parameter that moved.
+        healthy: largest absolute deviation of a healthy window, as a share of its bound; more is a moved parameter.
         half: bfloat16 in the network's products; never in losses or the twin.
     """
 
