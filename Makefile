@@ -7,7 +7,7 @@ PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check --require-vir
 
 PYTEST :=
 
-.PHONY: torch demo test test-fast check docs bench clean
+.PHONY: torch demo test test-fast check docs bench results-check clean
 
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -56,6 +56,10 @@ bench: $(STAMP)
 	$(BIN)/hil bench twin --quick
 	$(BIN)/hil bench fit --quick
 	$(BIN)/hil bench paper --quick
+
+# Lists the pages of docs/results whose measured code has changed since, or that name no commit. Old ones are no error.
+results-check: $(STAMP)
+	$(BIN)/python -m hil.bench.measure.results_check
 
 clean:
 	rm -rf $(VENV) build docs/_build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

@@ -14,7 +14,7 @@ USAGE = 2
 
 def exit_code(error: BaseException) -> int | None:
     """2 for a file or an option that is wrong, 1 for a fault found on the rig or in a run, None for a bug."""
-    from drivers.signals.points import ConfigurationError, DriverError
+    from drivers.signals import ConfigurationError, DriverError
     from hil.journal.writer import JournalError
     from hil.run.locks.lock_folder import RigLockError
     from hil.run.locks.rig_lock import RigBusyError

@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 import pytest_asyncio
 
@@ -18,6 +19,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `hil` has it, and for t
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what runs in its background deaf to Ctrl-C, and so would be every process that a test interrupts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# How long one example takes is a matter of the machine, and no test asserts it.
+hypothesis.settings.register_profile("hil", deadline=None)
+hypothesis.settings.load_profile("hil")
 
 PROJECT = Path(__file__).resolve().parents[1]
 

@@ -50,7 +50,9 @@ class PublicApi(SphinxDirective):
             except ImportError as error:  # an extra that is not installed, as torch
                 log.info("%s is left out of the API pages: %s", name, error)
                 continue
-            lines += [name, "-" * len(name), "", f".. automodule:: {name}", "   :members:", "   :imported-members:", ""]
+            if name != self.arguments[0]:  # whose heading is the page's
+                lines += [name, "-" * len(name), ""]
+            lines += [f".. automodule:: {name}", "   :members:", "   :imported-members:", ""]
         if not lines:
             lines = [f"No package of ``{self.arguments[0]}`` declares ``__all__`` yet."]
         section = nodes.section()
@@ -59,6 +61,24 @@ class PublicApi(SphinxDirective):
         return section.children
 
 
+def load_public_names(app: Sphinx) -> None:
+    """Load every public name of every package before one of them is documented.
+
+    autodoc writes the annotations that it finds in sources into the classes, pydantic's `BaseModel` among them. Models
+    that are defined after that fail.
+    """
+    root = Path(app.confdir).parent
+    for top in sorted(file.parent.name for file in root.glob("*/__init__.py")):
+        for name in public_packages(root, top):
+            try:
+                package = importlib.import_module(name)
+                for public in package.__all__:
+                    getattr(package, public)
+            except ImportError as error:  # an extra that is not installed, as torch
+                log.info("%s is not loaded: %s", name, error)
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("public-api", PublicApi)
+    app.connect("builder-inited", load_public_names)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,1 +1,21 @@
-"""Contract of every bus: values with quality and time of arrival."""
+"""Contract of every bus: values with quality and time of arrival.
+
+The names below are the package's interface. Other modules are private to the package.
+"""
+
+from drivers.bus.arrival import Arrivals
+from drivers.bus.contract import Bus, Clock, Readings, judge, judge_of
+from drivers.bus.sensor_watch import SensorWatch, watches
+from drivers.bus.steady_time import steady_s
+
+__all__ = [
+    "Arrivals",
+    "Bus",
+    "Clock",
+    "Readings",
+    "SensorWatch",
+    "judge",
+    "judge_of",
+    "steady_s",
+    "watches",
+]

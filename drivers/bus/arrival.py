@@ -20,7 +20,7 @@ STALL_S = 0.1
 they make a value at most `RECEIVE_TIMEOUT_S + STALL_S` older than its stamp."""
 _UNSEEN_S = RECEIVE_TIMEOUT_S + STALL_S
 REFILL_S = 0.1
-"""An empty queue may fill again from the buffers behind it: a sender's socket, an adapter. It is looked at again after
+"""An empty queue may fill again from the buffers behind it: a sender's socket, an adapter. It is checked again after
 this time, which is longer than a round trip in a local network and than the latency of a USB adapter."""
 RELAY_EMPTIES_IN_S = 1.0
 """The sender's stamps count for so long after the queue was seen empty; then its buffers are empty too, and stamps that
@@ -75,7 +75,7 @@ class Arrivals:
 
     @property
     def in_doubt(self) -> bool:
-        """Return whether frames from before the end of a gap may still be in the queue."""
+        """True while frames from before the end of a gap may still be in the queue."""
         return self._gap is not None
 
     def frame(self, stamp: float) -> float:
@@ -130,7 +130,7 @@ class Arrivals:
         return True
 
     def _aged(self, age_s: float, since: _Moment) -> float:
-        """Return rig time `age_s` ago on the steady clock, but not before `since`."""
+        """Return the rig time `age_s` ago on the steady clock, s, but not before `since`."""
         now = self._seen
         passed_s = now[0] - since[0]
         if age_s <= 0.0 or passed_s <= 0.0:

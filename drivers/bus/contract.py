@@ -1,4 +1,4 @@
-"""What the rig asks of any bus, and the one place where a raw number becomes a value with a quality."""
+"""Contract of a bus, and the conversion of raw numbers to engineering values with a quality."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ _GOOD, _OUT_OF_RANGE, _SENSOR_FAULT = int(Quality.GOOD), int(Quality.OUT_OF_RANG
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """What one bus says on one tick, in the order of its `points`; NaN where nothing was received."""
+    """Readings of one bus on one tick, in the order of its `points`; a value is NaN where nothing was received.
+
+    `quality` holds numbers of `Quality`, `source_time_s` times in s; `fault` is a sentence for the log, or None.
+    """
 
     values: list[float]
     quality: list[int]
@@ -26,39 +29,39 @@ class Readings:
 
 
 class Bus(Protocol):
-    """A bus that is polled once a tick. `points` are the polled ones, in the order of `Readings`."""
+    """Bus that is polled once a tick. `points` are the polled ones, in the order of `Readings`."""
 
     name: str
     points: tuple[Point, ...]
 
     async def connect(self) -> None:
-        """Open the bus; raises a DriverError that says what is wrong and what to do."""
+        """Open the bus; raise a DriverError with the cause and the remedy where that fails."""
 
     async def read(self) -> Readings:
-        """This tick's readings. A lost link is a quality, not an exception."""
+        """Return this tick's readings. A lost link is a quality, not an exception."""
 
     async def write(self, values: Mapping[str, float]) -> None:
-        """Write engineering values by point name; raises a DriverError where that failed."""
+        """Write engineering values by point name; raise a DriverError where that fails."""
 
     async def write_and_read_back(self, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
-        """Write `values`, then ask for writable points `names` as the device holds them; raises a DriverError."""
+        """Write `values`, then return the values of writable points `names` in the device; raise a DriverError."""
 
     async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
-        """Engineering values of writable points as the device holds them; raises a DriverError."""
+        """Return the engineering values of writable points in the device; raise a DriverError."""
 
     async def close(self) -> None:
-        """Close the bus; never raises."""
+        """Close the bus; never raise."""
 
 
 Judge = Callable[[float], tuple[float, int]]
 
 
 def judge_of(point: Point) -> Judge:
-    """What turns a raw number of `point` into its engineering value and quality; made once, since it is asked often.
+    """Return the function that converts a raw number of `point` to its engineering value and quality.
 
     Quality is SENSOR_FAULT (not finite, or one of the point's `invalid`, raw or scaled), OUT_OF_RANGE (no label, or
-    outside the plausible range of the point, else of its unit) or GOOD. What the device gives instead of a value is
-    none: of a SENSOR_FAULT the value is NaN.
+    outside the plausible range of the point, else of its unit) or GOOD. The value of a SENSOR_FAULT is NaN: a sentinel
+    is no measurement.
     """
     scale, offset, sentinels, labels = point.scale, point.offset, point.sentinels, point.label_of
     scaled = tuple((sentinel, 1e-9 * max(1.0, abs(sentinel))) for sentinel in point.invalid)
@@ -79,5 +82,5 @@ def judge_of(point: Point) -> Judge:
 
 
 def judge(point: Point, raw: float) -> tuple[float, int]:
-    """Engineering value and quality of a single raw number."""
+    """Return engineering value and quality of a single raw number."""
     return judge_of(point)(raw)

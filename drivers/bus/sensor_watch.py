@@ -1,11 +1,12 @@
 """Sensor faults that show only over time: stuck sensors and jumps.
 
-A single reading is judged by `drivers.bus.contract`. For these two the rig file says for each point how:
-`stuck_after_s`, after which an instrument with noise that repeats its value to the last bit is stuck, and
-`max_change_per_s`, beyond which the quantity cannot have gone. A reading that jumped is believed again when it is back,
-or when the quantity could have got there since the last one that was believed. After a silence longer than
-`stale_after_s` an instrument that is watched for being stuck has to show that it is not, by a reading that differs from
-the first: it may have got stuck meanwhile, and counting would begin anew.
+A single reading is judged by `drivers.bus.contract`. The rig file enables these two checks for each point.
+`stuck_after_s` is the time after which an instrument with noise is stuck if it repeats its value to the last bit.
+`max_change_per_s` is the fastest change that the quantity can make.
+
+A reading that jumped is accepted again when it is back, or when the quantity could have got there since the last
+accepted one. After a silence longer than `stale_after_s` a watched instrument is STALE until a reading differs from the
+first one: it may have got stuck meanwhile, and the count would begin anew.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ SHORTEST_S = 1.0
 
 
 class SensorWatch:
-    """Memory of one point; values in its unit, times in s of rig time."""
+    """Stuck and jump check of one point; values in its unit, times in s of rig time."""
 
     def __init__(self, point: Point) -> None:
         self._stuck_after_s = math.inf if point.stuck_after_s is None else point.stuck_after_s
@@ -39,9 +40,9 @@ class SensorWatch:
         self._believed_s = 0.0
 
     def judge(self, value: float, quality: int, now_s: float) -> int:
-        """Quality of `value`, read at `now_s` and good as such or not.
+        """Return the quality of `value` (in the point's unit), read at `now_s`, whose own quality is `quality`.
 
-        SENSOR_FAULT where it is stuck or has jumped, STALE where nothing shows yet that it lives.
+        SENSOR_FAULT where it is stuck or has jumped, STALE while no change after a silence shows that it works.
         """
         apart_s = now_s - self._heard_s  # NaN of the first reading
         silent = apart_s > self._stale_after_s and apart_s > LONGER * self._apart_s
@@ -66,7 +67,7 @@ class SensorWatch:
 
 
 def watches(points: tuple[Point, ...]) -> list[SensorWatch | None]:
-    """A watch for each point that asks for one, in the order of `points`."""
+    """Return a watch for each point that asks for one, else None, in the order of `points`."""
     return [
         None if point.stuck_after_s is None and point.max_change_per_s is None else SensorWatch(point)
         for point in points

@@ -1,6 +1,6 @@
-"""CAN frames to values: one receiver behind the contract of a bus.
+"""CAN receiver: frames decoded to values behind the contract of a bus.
 
-A thread of ours receives: python-can's own notifier thread dies silently on a bus error, and its socketcand bus
+A thread of this module receives: python-can's notifier thread dies silently on a bus error, and its socketcand bus
 returns "nothing yet" at once and for ever when the server has gone. The thread decodes each frame by the DBC, keeps
 the latest value of every wanted signal with its arrival, and reopens the bus when it is lost.
 """
@@ -27,12 +27,12 @@ from drivers.signals.points import ConfigurationError, LinkError, Quality
 REOPEN_EVERY_S = 1.0
 _EMPTY_READS_OF_A_DEAD_LINK = 20
 _SETTLE_S = 5e-3
-"""Between two looks at a queue that was found empty after a gap, so that waiting for the third costs nothing."""
+"""Pause, s, between two checks of a queue that was empty after a gap, so that waiting takes no processor time."""
 _STAMPS: dict[str, Stamps] = {"socketcan": "kernel", "socketcand": "sender"}
-"""Whose time stamps the frames of a transport carry; slcan and virtual have none of their own."""
+"""Source of the time stamps of a transport's frames; slcan and virtual have none of their own."""
 _GOOD = int(Quality.GOOD)
 _BUS_OFF = 0x40
-"""CAN_ERR_BUSOFF of linux/can/error.h, in the identifier of an error frame: no interface tells it otherwise."""
+"""CAN_ERR_BUSOFF of linux/can/error.h, in the identifier of an error frame: no interface reports it otherwise."""
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class _Latest:
 
 
 class CanReceiver:
-    """The thermocouple side of a rig: points that arrive by themselves in CAN frames."""
+    """Receiver of points that arrive unasked in CAN frames, as those of thermocouple modules do."""
 
     def __init__(self, name: str, config: CanBus, points: tuple[Point, ...], clock: Clock) -> None:
         self.name = name
@@ -76,11 +76,11 @@ class CanReceiver:
 
     @property
     def cycle_s(self) -> dict[str, float]:
-        """How often the DBC says that each wanted message comes, in s; messages without a cycle time are left out."""
+        """Cycle time of each wanted message by the DBC, in s; messages without a cycle time are left out."""
         return {bound.name: bound.cycle_s for bound in self.messages if bound.cycle_s is not None}
 
     async def connect(self) -> None:
-        """Open the bus and start receiving; raises LinkError when no bound frame comes within the deadline."""
+        """Open the bus and start receiving; raise LinkError where the interface cannot be opened."""
         self._loop = asyncio.get_running_loop()
         self._bus = await asyncio.to_thread(self._open)
         self._stop.clear()
@@ -96,8 +96,8 @@ class CanReceiver:
         """Return the latest values; STALE once older than the point's stale_after, LINK_FAULT while the bus is down."""
         now = self._clock()
         with self._lock:
-            contest = self._contest(now)
-            fault = self._fault or contest
+            conflict = self._sender_conflict(now)
+            fault = self._fault or conflict
             base = self._latest[self._uptime] if self._uptime is not None else None
             device_ahead = base.value - base.arrival_s if base is not None and math.isfinite(base.value) else 0.0
             too_old = int(Quality.LINK_FAULT if fault else Quality.STALE)
@@ -115,7 +115,7 @@ class CanReceiver:
         return Readings(values, quality, source, fault)
 
     async def wait_for_device_time(self, device_time_s: float, timeout_s: float) -> None:
-        """Return once the frames of `device_time_s` (the module's uptime) have come; raises LinkError if late."""
+        """Return once frames of `device_time_s` (the module's uptime, s) are here; raise LinkError at the time-out."""
         assert self._loop is not None
         self._arrivals.in_step = True  # whoever waits so lets the rig go on step by step
         with self._lock:
@@ -132,17 +132,17 @@ class CanReceiver:
             self._waiter = None
 
     async def write(self, values: Mapping[str, float]) -> None:
-        """CAN points are read only; the rig file's check refuses others."""
+        """Refuse: CAN points are read only. Raise ConfigurationError where `values` holds any."""
         if values:
             raise ConfigurationError(f"{self._where}: {', '.join(values)} cannot be written, CAN points are read only")
 
     async def write_and_read_back(self, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
-        """As `write`."""
+        """Refuse as `write` does; return no value."""
         await self.write(values)
         return {}
 
     async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
-        """Nothing on this bus is writable."""
+        """Return no value: nothing on this bus is writable."""
         return {}
 
     async def close(self) -> None:
@@ -203,20 +203,20 @@ class CanReceiver:
             self._bus = None
 
     def _message_of(self, frame: Frame) -> Bound | None:
-        """The message that a frame is, by its identifier."""
+        """Return the message of a frame by its identifier, or None."""
         identifier, extended = frame.arbitration_id, frame.is_extended_id
         found = self._exact.get((identifier, extended))
         if found is None:
             found = next((m for m in self._masked if m.match.matches(identifier, extended)), None)
         return found
 
-    def _contest(self, now: float) -> str | None:
-        """Which messages come from more senders than one, as a sentence."""
+    def _sender_conflict(self, now: float) -> str | None:
+        """Return a sentence about the first message that comes from two senders, or None."""
         for name, senders in self._senders.items():
-            both = senders.contest(now)
+            both = senders.conflict(now)
             if both is not None:
                 return (
-                    f"{self._where}: {name} comes from {both}, and is not used; say which one is meant in a "
+                    f"{self._where}: {name} comes from {both}, and is not used; name the sender that is meant in a "
                     f"[[bus.{self.name}.message]]"
                 )
         return None

@@ -1,4 +1,4 @@
-"""DBC files through cantools: the signals that a file describes, and the messages that points want of it."""
+"""DBC files read by cantools: the signals that a file describes, and the messages that points are read from."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from drivers.signals.units import canonical_unit, known_unit
 _LONGEST = 8
 """Bytes of a frame of classical CAN."""
 _LONGEST_CYCLE_MS = 1e9
-"""A message that comes once in eleven days is no cyclic one."""
+"""Longest cycle time that is taken as one, ms: a message that comes once in eleven days is not cyclic."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +63,10 @@ class DbcSignal:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A signal that a point wants, and the range that the DBC gives it, widened by half a step of its scale: cantools
-    decodes whatever the bits say.
+    """Signal that a point reads, and its range in the DBC, widened by half a step of its scale: cantools decodes
+    whatever the bits say.
 
-    From `missing_from` to `missing_to` it says that the device has no value; NaN where no value says so.
+    Values from `missing_from` to `missing_to` mean that the device has no value; NaN where no value means that.
     """
 
     name: str
@@ -78,9 +78,9 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """A message and what points want of it: index of the point with each signal. `length` in bytes, `cycle_s` in s.
+    """Message and the signals that points read from it, each with its point's index. `length` in bytes, `cycle_s` in s.
 
-    `name` is what the rig file calls it, `match` the frames that are this message.
+    `name` is its name in the rig file, `match` the frames that are this message.
     """
 
     name: str
@@ -90,10 +90,10 @@ class Bound:
     message: Any
     wanted: list[tuple[int, Wanted]]
     parts: list[Any] = field(default_factory=list)
-    """The message once more for every set of signals that share no bit, where some of its signals do."""
+    """Copies of the message, one for each set of signals that share no bit; empty where no signals share bits."""
 
     def decode(self, data: bytes) -> dict[str, float] | None:
-        """Values by signal, of those that are in this frame; None where it cannot be decoded."""
+        """Return the values of the signals that are in this frame, by name; None where it cannot be decoded."""
         found: dict[str, float] = {}
         decoded_any = False
         for part in self.parts or (self.message,):
@@ -110,7 +110,7 @@ class Bound:
 class DbcContents:
     """Signals of a DBC file and the encoding that it was read in.
 
-    `left_out` has the line of each item that cannot be used and why, `notes` what a user should know of the others.
+    `left_out` has line and cause of each item that cannot be used, `notes` has line and text of notes on the others.
     """
 
     signals: list[DbcSignal]
@@ -159,7 +159,7 @@ def describe_dbc(path: Path, encoding: str | None = None) -> list[DbcSignal]:
 
 
 def read_dbc(path: Path, encoding: str | None = None) -> DbcContents:
-    """Return what a DBC file describes, and what of it cannot be read; raise ConfigurationError.
+    """Return the signals of a DBC file and the items that cannot be read; raise ConfigurationError.
 
     Without `encoding` UTF-8 and cp1252 are tried.
     """
@@ -232,7 +232,7 @@ def _unreadable(message: Any) -> str | None:
 
 
 def _of_one_frame(database: Any) -> dict[str, str]:
-    """Return the messages that one frame could be, and why none of them can be told from the others."""
+    """Return the messages whose frames could be another's, by name, each with the cause and the remedy."""
     found: dict[str, str] = {}
     messages = [(message, _match_of(message)) for message in database.messages]
     for number, (one, match) in enumerate(messages):
@@ -240,7 +240,7 @@ def _of_one_frame(database: Any) -> dict[str, str]:
             if match.overlaps(theirs):
                 for name, second in ((one.name, other.name), (other.name, one.name)):
                     found[name] = (
-                        f"a frame could be it and {second}; say which frames are which in a [[bus.NAME.message]], and "
+                        f"a frame could be it and {second}; define the frames of each in a [[bus.NAME.message]], and "
                         "add its points"
                     )
     return found
@@ -275,7 +275,7 @@ def _parts(path: Path, bound: Bound) -> list[Any]:
 
 
 def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
-    """Messages that points of bus `name` want, each with its frames; raises ConfigurationError.
+    """Return the messages that points of bus `name` are read from, each with its frames; raise ConfigurationError.
 
     A point without its message or signal in the DBC is a mistake, and so are two messages that a frame could both be.
     """
@@ -339,7 +339,7 @@ def _is_j1939(message: Any) -> bool:
 
 
 def _match_of(message: Any) -> IdMatch:
-    """Frames of a message as the DBC has it."""
+    """Return the frames of a message by the DBC."""
     if _is_j1939(message):
         return by_j1939(message.frame_id)
     return by_id(message.frame_id, message.is_extended_frame)
@@ -358,9 +358,9 @@ def _wanted(signal: Any, is_j1939: bool) -> Wanted:
 
 
 def _first_indicator(signal: Any) -> int | None:
-    """The first raw number that says "error" or "not available", as do all above it (SAE J1939-71, 5.1.4).
+    """Return the first raw number that means "error" or "not available", as do all above it (SAE J1939-71, 5.1.4).
 
-    States of less than a byte that the DBC names are states.
+    None where the signal has no such number: states of less than a byte that the DBC names are states.
     """
     length = signal.length
     if signal.is_signed or signal.is_float or length == 1:
@@ -386,6 +386,6 @@ def _refuse_overlaps(bus: str, path: Path, database: Any, bound: Sequence[Bound]
 
 def _overlap(bus: str, path: Path, one: Bound, name: str, match: IdMatch) -> ConfigurationError:
     return ConfigurationError(
-        f"{path}: a frame could be both {one.name} ({one.match}) and {name} ({match}); say which frames are which in "
+        f"{path}: a frame could be both {one.name} ({one.match}) and {name} ({match}); define the frames of each in "
         f"the rig file, with a narrower mask or a source, in a [[bus.{bus}.message]]"
     )

@@ -1,4 +1,4 @@
-"""Layout of a DBC message's signals: which fit in its bytes, which share bits, and messages of some of them alone."""
+"""Layout of a DBC message's signals: fit in its bytes, shared bits, and messages of some signals alone."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _is_finite(number: float) -> bool:
 
 
 def shared_bits(message: Any, faults: Mapping[str, str]) -> dict[str, list[str]]:
-    """Return the signals that share bits with others, and with which; those of `faults` do not count."""
+    """Return the signals that share bits, each with the others; those of `faults` do not count."""
     signals = [signal for signal in message.signals if signal.name not in faults]
     found: dict[str, list[str]] = {}
     if is_whole(signals, message):
@@ -50,10 +50,10 @@ def shared_bits(message: Any, faults: Mapping[str, str]) -> dict[str, list[str]]
 def multiplexing_faults(
     message: Any, written: Mapping[tuple[str, str], str], faults: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return the signals of a message that cannot be told from frame to frame, and why.
+    """Return the multiplexed signals of a message whose frames cannot be identified, each with the cause.
 
-    `written` is what the file has behind a signal's name, by message and name: of a signal with `m2` a frame must say
-    that it is there. `faults` are the signals that cannot be decoded.
+    `written` is the file's text behind a signal's name, by message and name: a signal with `m2` is only in the frames
+    whose multiplexor is 2. `faults` are the signals that cannot be decoded.
     """
     by_name = {signal.name: signal for signal in message.signals}
     found: dict[str, str] = {}
@@ -101,7 +101,7 @@ def _chain(signal: Any, message: Any) -> list[Any]:
 
 
 def is_whole(signals: Sequence[Any], message: Any, *, plain: bool = False) -> bool:
-    """Return whether cantools takes these signals as one message: they fit in it, and share no bit."""
+    """Return True where cantools takes these signals as one message: they fit in it, and share no bit."""
     if any(signal.start >= 8 * message.length for signal in signals):
         return False
     try:

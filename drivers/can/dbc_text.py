@@ -26,10 +26,10 @@ _LAST_BIT = 8 * 1785
 
 @dataclass(slots=True)
 class DbcText:
-    """The text of a DBC file without the lines that cannot be used, which are blank, and where everything else is.
+    """Text of a DBC file with blanks for the lines that cannot be used, and the lines of everything else.
 
     `left_out` has line and reason of each that was taken out, `messages` and `signals` the lines of the others;
-    `multiplexing` has what stands behind a signal's name by message and name: M, m2 or m2M.
+    `multiplexing` has the mark behind a signal's name by message and name: M, m2 or m2M.
     """
 
     text: str = ""

@@ -1,6 +1,6 @@
-"""CAN interfaces through python-can: the one module that imports it. Opened, and why that failed, in words.
+"""CAN interfaces opened through python-can, and the causes of failures as sentences. No other module imports it.
 
-What an interface can filter is filtered there (SocketCAN: in the kernel); the receiver matches every frame itself, too.
+Interfaces that can filter frames do so (SocketCAN: in the kernel); the receiver matches every frame itself, too.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from drivers.rig_file.bus_sections import CanBus
 from drivers.rig_file.can_ids import IdMatch
 from drivers.signals.points import LinkError
 
-logging.getLogger("can").setLevel(logging.CRITICAL)  # what it reports, this module raises
+logging.getLogger("can").setLevel(logging.CRITICAL)  # this module raises the errors that it logs
 
 
 Frame = can.Message
 
 
 class CanWire:
-    """An open interface that gives the frames of `wanted`, and perhaps others; raises LinkError that names `where`."""
+    """Open interface that gives the frames of `wanted`, and perhaps others; raises LinkError that names `where`."""
 
     def __init__(self, config: CanBus, where: str, wanted: Sequence[IdMatch]) -> None:
         self._config = config
@@ -31,16 +31,16 @@ class CanWire:
         try:
             self._bus = _opened(config, wanted)
         except (OSError, can.CanError, ValueError) as error:
-            raise LinkError(f"{where} cannot be opened: {why(config, error)}") from error
+            raise LinkError(f"{where} cannot be opened: {failure_reason(config, error)}") from error
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame; None after `timeout_s`, or at once for nothing. Raises LinkError where the bus is lost."""
+        """Return the next frame; None after `timeout_s`, or at once. Raise LinkError where the bus is lost."""
         try:
             # recv() itself spins through its whole time-out on a closed socketcand connection and hides the end;
             # the one call that every interface implements comes back at once
             frame, _ = self._bus._recv_internal(timeout_s)
         except (can.CanError, OSError, ValueError) as error:
-            raise LinkError(f"{self._where}: {why(self._config, error)}") from error
+            raise LinkError(f"{self._where}: {failure_reason(self._config, error)}") from error
         return frame
 
     def close(self) -> None:
@@ -62,7 +62,7 @@ def _opened(config: CanBus, wanted: Sequence[IdMatch]) -> can.BusABC:
         # greeting of whatever else listens there: ask first
         with socket.create_connection((config.host, config.port), timeout=config.timeout_s) as probe:
             if not probe.recv(16).startswith(b"<"):  # "< hi >"
-                raise ValueError("what listens there is no socketcand; correct host and port")
+                raise ValueError("the service that listens there is no socketcand; correct host and port")
         return can.Bus(
             interface="socketcand", channel=config.channel, host=config.host, port=config.port, tcp_tune=True
         )
@@ -71,8 +71,8 @@ def _opened(config: CanBus, wanted: Sequence[IdMatch]) -> can.BusABC:
     return can.Bus(interface=config.transport, channel=config.channel)
 
 
-def why(config: CanBus, error: Exception) -> str:
-    """What is wrong with an interface and what to do, of what opening it or receiving raised."""
+def failure_reason(config: CanBus, error: Exception) -> str:
+    """Return cause and remedy of an error that opening an interface, or receiving on it, raised."""
     if config.transport != "socketcan":
         return f"{error}; is the rig on?"
     name, code = config.channel, getattr(error, "errno", None) or getattr(error, "error_code", None)
@@ -86,4 +86,4 @@ def why(config: CanBus, error: Exception) -> str:
     }
     same = {errno.ENXIO: errno.ENODEV, errno.EACCES: errno.EPERM, errno.EPROTONOSUPPORT: errno.EAFNOSUPPORT}
     said = known.get(same.get(code, code) if code is not None else -1)
-    return said or f"{error}; `ip -details link show {name}` tells what state it is in"
+    return said or f"{error}; `ip -details link show {name}` shows its state"

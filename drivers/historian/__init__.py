@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.historian.protocol import HistorianError, HistorianStore, Samples
+from drivers.historian.protocol import BAD, GOOD, UNCERTAIN, HistorianError, HistorianStore, Samples
 from drivers.historian.stores import open_store
 
-__all__ = ["HistorianError", "HistorianStore", "Samples", "open_store"]
+__all__ = ["BAD", "GOOD", "UNCERTAIN", "HistorianError", "HistorianStore", "Samples", "open_store"]

@@ -1,4 +1,4 @@
-"""A DBC file: every signal of every message becomes a point on a CAN bus."""
+"""Importer of DBC files: every signal of every message becomes a point on a CAN bus."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def import_dbc(path: Path, out: Path, bus: dict[str, Any], *, encoding: str | No
 
 
 def _note(contents: DbcContents, collector: Collector, *, named: bool) -> None:
-    """Note the encoding, what was left out, and how messages are recognised."""
+    """Note the encoding, the items left out, and the identification of J1939 messages."""
     if contents.encoding != "utf-8" and not named:
         collector.notes.append(f"it is no UTF-8 text and was read as {contents.encoding}; look at its names and units")
     for line, why in contents.left_out:

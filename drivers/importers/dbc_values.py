@@ -67,7 +67,7 @@ def value_table(signal: DbcSignal) -> ValueTable:
 
 
 def means_no_value(text: str) -> bool:
-    """Return whether the name of a raw value says that there is no measurement: error, not available, short circuit."""
+    """Return True where the name of a raw value means that there is no measurement: error, not available, short."""
     words = _words(text)
     return _NO_VALUE.search(words) is not None and _NO_FAULT.search(words) is None
 
@@ -91,7 +91,7 @@ def _in_range(signal: DbcSignal, value: float) -> bool:
 
 
 def _is_enumeration(signal: DbcSignal, choices: dict[int, str]) -> bool:
-    """Return whether the names are states: they name nearly all values, or densely those of a short plain signal."""
+    """Return True where the names are states: of nearly all values, or densely of those of a short plain signal."""
     if signal.is_float or signal.scale != 1 or signal.offset != 0:
         return False
     admitted = float(1 << signal.length)

@@ -1,4 +1,4 @@
-"""A rig that a person described, its heaters, pumps, fans and thermocouples, as the draft of a rig file."""
+"""Importer of a description: heaters, pumps, fans and thermocouples of a person's words, as a draft of a rig file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from drivers.signals.roles import ROLES
 from drivers.signals.units import canonical_unit
 
 MODBUS, CAN = "plc", "can"
-PLACES = "holding:0, input:12:int16*0.01, 40001:float32:CDAB, or MESSAGE.SIGNAL of a DBC"
+PLACE_SYNTAX = "holding:0, input:12:int16*0.01, 40001:float32:CDAB, or MESSAGE.SIGNAL of a DBC"
 _TABLES = {"0": "coil", "1": "discrete", "3": "input", "4": "holding"}
 _MODBUS_PLACE = re.compile(
     r"(?:(?P<table>coil|discrete|input|holding):(?P<address>\d{1,5})|(?P<modicon>[0134]\d{4,5}))"
@@ -26,7 +26,7 @@ _CAN_PLACE = re.compile(r"(?P<message>[A-Za-z_]\w*)\.(?P<signal>[A-Za-z_]\w*)")
 
 
 class DescriptionError(ConfigurationError):
-    """A description of a rig that cannot be understood; the message is one plain sentence."""
+    """Error of a description of a rig that cannot be understood; the message is one plain sentence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Actuator:
-    """Something that is driven: where it is written and read back, and the most that it may get, in W or %."""
+    """Heater, pump or fan: places of set-point and read-back, and the largest set-point, in W or %."""
 
     kind: Literal["heater", "pump", "fan"]
     written: Place
@@ -49,7 +49,7 @@ class Actuator:
 
 @dataclass(slots=True)
 class Described:
-    """A rig as a person described it. `modbus` and `can` are keys of the buses; `trip_C` trips any thermocouple."""
+    """Rig as a person described it. `modbus` and `can` are keys of the buses; `trip_C` trips any thermocouple, degC."""
 
     name: str = "rig"
     period_s: float = 1.0
@@ -64,7 +64,7 @@ class Described:
 
 
 def place_of(text: str) -> Place:
-    """A place such as `holding:0*0.1` (counted from zero), `40001:float32:CDAB` (Modicon's number), `MESSAGE.SIGNAL`.
+    """Return the place of a text like `holding:0*0.1` (zero-based), `40001:float32:CDAB` (Modicon), `MESSAGE.SIGNAL`.
 
     Raises DescriptionError.
     """
@@ -74,7 +74,7 @@ def place_of(text: str) -> Place:
         return Place(CAN, {"message": on_can["message"], "signal": on_can["signal"]})
     found = _MODBUS_PLACE.fullmatch(text)
     if found is None:
-        raise DescriptionError(f"{text!r} is no place of a value; write it like {PLACES}")
+        raise DescriptionError(f"{text!r} is no place of a value; write it like {PLACE_SYNTAX}")
     if found["modicon"] is None:
         table, address = found["table"], int(found["address"])
     else:
@@ -96,7 +96,7 @@ def place_of(text: str) -> Place:
 
 
 def words_of(text: str, known: tuple[str, ...]) -> dict[str, str]:
-    """`set=holding:0,read=input:0,max=1000` as a dict; the first may go without its key. Raises DescriptionError."""
+    """Return `set=holding:0,read=input:0,max=1000` as a dict; the first key may be left out. Raise DescriptionError."""
     found: dict[str, str] = {}
     for number, part in enumerate(text.split(",")):
         key, sign, value = part.partition("=")
@@ -109,7 +109,7 @@ def words_of(text: str, known: tuple[str, ...]) -> dict[str, str]:
 
 
 def actuator_of(kind: Literal["heater", "pump", "fan"], text: str) -> Actuator:
-    """A heater, pump or fan of `set=PLACE,read=PLACE,max=NUMBER`; raises DescriptionError."""
+    """Return the heater, pump or fan of `set=PLACE,read=PLACE,max=NUMBER`; raise DescriptionError."""
     words = words_of(text, ("set", "read", "max"))
     if "set" not in words:
         raise DescriptionError(f"{text!r} does not say where the {kind} is written; add set=PLACE")
@@ -124,7 +124,7 @@ def actuator_of(kind: Literal["heater", "pump", "fan"], text: str) -> Actuator:
 
 
 def heartbeat_of(text: str) -> dict[str, Place]:
-    """The places of `point=PLACE,counter=PLACE,arm=PLACE,watchdog=PLACE`; raises DescriptionError."""
+    """Return the places of `point=PLACE,counter=PLACE,arm=PLACE,watchdog=PLACE`; raise DescriptionError."""
     words = words_of(text, ("point", "counter", "arm", "watchdog"))
     if "point" not in words:
         raise DescriptionError(f"{text!r} does not say which register the harness changes; add point=PLACE")
@@ -132,7 +132,7 @@ def heartbeat_of(text: str) -> dict[str, Place]:
 
 
 def temperatures_of(dbc: Path, encoding: str | None = None) -> dict[str, Place]:
-    """Every temperature that a DBC describes, by signal; raises ConfigurationError where there is none."""
+    """Return the places of a DBC's signals in degC, by name; raise ConfigurationError where there are none."""
     found = {
         signal.name: Place(CAN, {"message": signal.message, "signal": signal.name})
         for signal in describe_dbc(dbc, encoding)
@@ -152,8 +152,8 @@ def _unit(signal: DbcSignal) -> str:
 
 _HEAD = """\
 # Rig file of {name}, made by `hil init`. Addresses are zero-based, as they are on the wire.
-# `hil check` explains it and names every mistake, `hil check --online` shows what the rig says. Look at every line that
-# is marked "guessed" before anything is moved: limits, rates, safe values, what is plausible, and what trips.
+# `hil check` explains it and names every mistake, `hil check --online` shows the rig's readings. Before the first run,
+# check every line that is marked "guessed": limits, rates, safe values, plausible ranges and alarms.
 """
 _UNIT = {"heater": "W", "pump": "%", "fan": "%"}
 _NAME = {"heater": "heater_power", "pump": "pump_speed", "fan": "fan_speed"}
@@ -161,8 +161,8 @@ _SAFE = {"heater": (0.0, 0, "off"), "pump": (None, 1, "goes on: the water carrie
          "fan": (None, 2, "goes on")}  # fmt: skip
 
 
-def draft_of(rig: Described, out: Path) -> Draft:
-    """The draft for a rig file at `out`, beside which the DBC is named; raises DescriptionError."""
+def draft_of_description(rig: Described, out: Path) -> Draft:
+    """Return the draft of a rig file at `out`, with the DBC's path relative to it; raise DescriptionError."""
     points: dict[str, list[DraftPoint]] = {}
     heaters: list[str] = []
     for kind in ("heater", "pump", "fan"):
@@ -183,7 +183,7 @@ def draft_of(rig: Described, out: Path) -> Draft:
             "alarm": [-5.0, rig.trip_C], "stale_after_s": stale.get(str(place.keys.get("message")), 3.0 * rig.period_s),
         }  # fmt: skip
         said = {
-            "plausible": "guessed: beyond it the value is kept, and not believed",
+            "plausible": "guessed: a reading beyond it is recorded as out of range",
             "alarm": "beyond it the run ends",
         }
         points.setdefault(place.bus, []).append(_point(name, place, keys, said))
@@ -201,7 +201,7 @@ def draft_of(rig: Described, out: Path) -> Draft:
 
 
 def _driven(one: Actuator, name: str, first: bool, period_s: float) -> list[tuple[str, DraftPoint]]:
-    """The set-point of an actuator, and what it is read back from."""
+    """Return the set-point of an actuator and its read-back, each with its bus."""
     unit = _UNIT[one.kind]
     safe, order, why = _SAFE[one.kind]
     keys: dict[str, Any] = {
@@ -231,7 +231,7 @@ def _point(name: str, place: Place, keys: dict[str, Any], remarks: dict[str, str
 
 
 def _stale_after(rig: Described) -> dict[str, float]:
-    """By CAN message, three of its cycles where the DBC tells them."""
+    """Return three cycles of each CAN message, s, by name; messages without a cycle time in the DBC are left out."""
     if rig.can is None:
         return {}
     signals = describe_dbc(Path(rig.can["dbc"]), rig.can.get("dbc_encoding", "utf-8"))
@@ -245,7 +245,7 @@ def _relative(keys: dict[str, Any], out: Path) -> dict[str, Any]:
 
 
 def _sections(rig: Described, points: dict[str, list[DraftPoint]], heaters: list[str]) -> list[str]:
-    """Heartbeat and interlocks, as they are or as a comment that says what is missing."""
+    """Return heartbeat and interlocks as text, or a comment about the missing heartbeat."""
     said: list[str] = []
     if rig.heartbeat:
         names = {"point": "heartbeat", "counter": "rig_counter", "arm": "arm", "watchdog": "watchdog_timeout"}
@@ -255,7 +255,7 @@ def _sections(rig: Described, points: dict[str, list[DraftPoint]], heaters: list
             points.setdefault(place.bus, []).append(_point(names[key], place, keys, {}))
         lines = [f'{key} = "{names[key]}"' for key in rig.heartbeat]
         hint = "# status, trip_mask, watchdog_mask: where the rig says that it has tripped by itself"
-        said.append("\n".join(["[heartbeat]              # how rig and harness watch each other", *lines, hint]))
+        said.append("\n".join(["[heartbeat]              # mutual supervision of rig and harness", *lines, hint]))
     else:
         said.append(
             "# No [heartbeat]: when this computer dies or the link is gone, nothing cuts the heater. Have the rig\n"

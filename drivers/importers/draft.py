@@ -1,4 +1,4 @@
-"""Points that an import has found, as plain data, and the commented rig file written of them."""
+"""Draft of a rig file: the points of an import as plain data, and the commented file written of them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from drivers.signals.units import canonical_unit, known_unit
 
 
 class ImportFileError(ConfigurationError):
-    """A file that cannot be imported; one sentence with file, line and remedy."""
+    """Error of a file that cannot be imported; one sentence with file, line and remedy."""
 
     def __init__(self, path: Path, line: int | None, what: str) -> None:
         super().__init__(f"{path}{'' if line is None else f', line {line}'}: {_plain(what)}")
@@ -33,7 +33,7 @@ class ImportFileError(ConfigurationError):
 
 @dataclass(slots=True)
 class DraftPoint:
-    """One point as it will be written: the rig file's keys, where it came from, and what is said behind a key."""
+    """Point as it will be written: keys of the rig file, line in the source, and remarks behind keys."""
 
     name: str
     line: int
@@ -44,7 +44,7 @@ class DraftPoint:
 
 @dataclass(slots=True)
 class DraftBus:
-    """One bus of the rig file and its points."""
+    """Bus of the rig file and its points."""
 
     name: str
     keys: dict[str, Any]
@@ -53,10 +53,10 @@ class DraftBus:
 
 @dataclass(slots=True)
 class Draft:
-    """A rig file to be. `notes` are what could not be taken over, for the user's eyes and the file's head.
+    """Rig file before it is written. `notes` are items that were left out or changed, for user and file head.
 
-    `head` stands in for what an import writes at the top, `rig` are further keys of `[rig]` with a remark each, and
-    `sections` are written as they are, before the points.
+    `head` replaces the default text at the top, `rig` are further keys of `[rig]` with a remark each, and `sections`
+    are written as they are, before the points.
     """
 
     source: Path
@@ -107,7 +107,7 @@ def without_zeros(path: Path, text: str) -> str:
 
 
 def number(path: Path, line: int, what: str, value: Any) -> float:
-    """A finite number; raises ImportFileError."""
+    """Return `value` as a finite number; raise ImportFileError."""
     if isinstance(value, str) and (placeholder := placeholder_in(value)) is not None:
         raise ImportFileError(path, line, f"{what} is {placeholder}; write the number that it stands for")
     try:
@@ -120,7 +120,7 @@ def number(path: Path, line: int, what: str, value: Any) -> float:
 
 
 def whole(path: Path, line: int, what: str, value: Any, low: int, high: int) -> int:
-    """A whole number from `low` to `high`; raises ImportFileError."""
+    """Return `value` as a whole number from `low` to `high`; raise ImportFileError."""
     found = number(path, line, what, value)
     if found != int(found) or not low <= found <= high:
         raise ImportFileError(path, line, f"{what} {shown(value)} is no whole number from {low} to {high}; correct it")
@@ -128,7 +128,7 @@ def whole(path: Path, line: int, what: str, value: Any, low: int, high: int) -> 
 
 
 _PLACEHOLDER = re.compile(r"\$\{[^}]*\}|\$[A-Za-z_]\w*|@\{[^}]*\}|\{\{.*?\}\}")
-"""Text that another program fills in: `$VAR` and `${VAR}` of an environment, `@{store:key}` of a secret store, a
+"""Placeholders that another program fills in: `$VAR` and `${VAR}` of a shell, `@{store:key}` of a secret store, and
 `{{ template }}`."""
 
 
@@ -176,7 +176,7 @@ class Collector:
         return ImportFileError(self.path, first.line, f"{first.what}{rest}; there is nothing to import")
 
     def name(self, wanted: str) -> str:
-        """A name that a rig file takes, made of what the source calls a point, and not taken yet."""
+        """Return a valid, unused name of a rig file's point, made of its name in the source."""
         stem = re.sub(r"[^A-Za-z0-9_]+", "_", wanted).strip("_") or "point"
         if not stem[0].isalpha():
             stem = f"p_{stem}"
@@ -198,7 +198,7 @@ class Collector:
             return "1", f"unit in {self.path.name}: {unit.strip()}"
 
     def point(self, bus: str, wanted: str, line: int, keys: dict[str, Any]) -> DraftPoint:
-        """A point that `hil check` accepts; raises ImportFileError with the line that is wrong."""
+        """Return a point that `hil check` accepts; raise ImportFileError with the line of the mistake."""
         placeholder = placeholder_in(wanted)
         if placeholder is not None:
             raise ImportFileError(self.path, line, f"its name holds {placeholder}; write what that stands for")
@@ -242,7 +242,7 @@ class Collector:
 
 
 def _plain(text: str) -> str:
-    """Text on one line without control characters, for a comment."""
+    """Return a text on one line without control characters, for a comment."""
     return "".join(letter if letter.isprintable() else " " for letter in text).strip()
 
 
@@ -263,19 +263,19 @@ def _toml(value: Any) -> str:
 
 _HEAD = """\
 # Rig file made of {source} by `hil init`. Addresses are zero-based, as they are on the wire.
-# `hil check` explains it and names every mistake. What an import cannot know, and a rig should have:
-#   plausible = [low, high]   what a reading may be; beyond it the value is kept and not believed
-#   limits, safe_value, max_rate, readback   of what a profile may drive (access = "rw")
-#   role = "heater_power"     what a point is, by which `hil resume` leads the rig back (docs/reference/rig-file.md)
-#   [heartbeat]               how rig and harness watch each other
+# `hil check` explains it and names every mistake. An import does not know these keys, and a rig should have them:
+#   plausible = [low, high]   range of good readings; a value beyond it is recorded as out of range
+#   limits, safe_value, max_rate, readback   for points that a profile may drive (access = "rw")
+#   role = "heater_power"     function of a point, which the thermal restore of `hil resume` needs
+#   [heartbeat]               mutual supervision of rig and harness (docs/reference/rig-file.md)
 """
 
 
-def write(draft: Draft, name: str, *, period_s: float = 1.0) -> str:
-    """The rig file's text."""
+def rig_file_text(draft: Draft, name: str, *, period_s: float = 1.0) -> str:
+    """Return the rig file's text; `period_s` is its period in s."""
     lines = [draft.head or _HEAD.format(source=_plain(draft.source.name))]
     if draft.notes:
-        lines += ["# To look at:", *(f"#   {_plain(note)}" for note in draft.notes), ""]
+        lines += ["# To check:", *(f"#   {_plain(note)}" for note in draft.notes), ""]
     lines += ["[rig]", f"name = {_toml(name)}", f"period_s = {_toml(period_s)}"]
     lines += [_line(key, value, remark) for key, (value, remark) in draft.rig.items()]
     for bus in draft.buses:

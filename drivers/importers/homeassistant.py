@@ -1,4 +1,4 @@
-"""Home Assistant's `modbus:` section: sensors, binary sensors and switches of its hubs.
+"""Importer of Home Assistant's `modbus:` section: sensors, binary sensors and switches of its hubs.
 
 Facts from the integration's documentation and source (home-assistant/core, components/modbus): addresses are
 zero-based, a value is raw x scale + offset, `swap` is none, byte, word or word_byte. `virtual_count` (once
@@ -72,7 +72,7 @@ def draft_of(path: Path, document: Placed) -> Draft:
 
 
 class _Entry:
-    """A table of the YAML file that remembers which of its keys were used."""
+    """Table of the YAML file that remembers its used keys."""
 
     def __init__(self, path: Path, placed: Placed) -> None:
         self.path = path

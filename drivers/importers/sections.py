@@ -1,4 +1,4 @@
-"""Bus sections of an imported rig file: how a Modbus device is reached, over TCP or on a serial line."""
+"""Bus sections of an imported rig file: Modbus devices over TCP or on a serial line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PARITIES = {"N": "none", "E": "even", "O": "odd"}
 
 
 class Sections:
-    """The buses of an import, one a device, named plc, plc2, ... in the order in which they are met."""
+    """Buses of an import, one a device, named plc, plc2, ... in the order in which they are met."""
 
     def __init__(self) -> None:
         self._buses: dict[tuple[object, ...], DraftBus] = {}
@@ -67,7 +67,7 @@ def tcp(path: Path, line: int, host: str, port: int, device: int, *, rtu: bool =
 def serial(
     path: Path, line: int, port: str, device: int, *, baud: Any, parity: Any, stop_bits: Any, data_bits: Any
 ) -> dict[str, Any]:
-    """A serial line; None for what the source does not say. Raises ImportFileError."""
+    """Return the keys of a serial line; values that the source lacks are None. Raise ImportFileError."""
     on_line(path, line, device)
     if baud is None:
         raise ImportFileError(path, line, f"the serial line {port} has no speed; add what the device is set to")

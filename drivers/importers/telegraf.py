@@ -1,4 +1,4 @@
-"""Telegraf's `[[inputs.modbus]]`: all three styles of its configuration (register, request, metric).
+"""Importer of Telegraf's `[[inputs.modbus]]`: all three styles of configuration (register, request, metric).
 
 Facts from the plugin's documentation and source (influxdata/telegraf, plugins/inputs/modbus): addresses are zero-based
 and a value is raw x scale. In the register style FIXED and UFIXED are integers of as many registers as there are

@@ -124,7 +124,7 @@ def order_of(path: Path, line: int, cells: dict[str, str], kind: str, default: s
 
 
 def number_of(path: Path, line: int, what: str, text: str) -> float:
-    """A number, also with a decimal comma or as a fraction such as 1/10."""
+    """Return a number, also with a decimal comma or as a fraction such as 1/10; raise ImportFileError."""
     bare = text.replace(" ", "")
     fraction = re.fullmatch(r"(-?\d{1,9})/(\d{1,9})", bare)
     if fraction is not None and int(fraction[2]):

@@ -14,11 +14,11 @@ _BARE = re.compile(r"[0-9a-f]{1,5}", re.I)
 
 
 class ColumnError(ValueError):
-    """A column that can be read in two ways; the message says how to settle it."""
+    """Error of a column that can be read in two ways; the message has the remedy."""
 
 
 def is_hexadecimal(cells: Sequence[str]) -> bool:
-    """Return whether the addresses of a column without a base in its heading are hexadecimal.
+    """Return True where the addresses of a column without a base in its heading are hexadecimal.
 
     One cell with a letter A to F and without 0x makes the whole column hexadecimal. Raises ColumnError where some cells
     have the 0x of a hexadecimal number and others a letter without it, or where a cell's digits count the other way:
@@ -48,24 +48,24 @@ def is_hexadecimal(cells: Sequence[str]) -> bool:
 
 
 def has_decimal_comma(cells: Sequence[str]) -> bool:
-    """Return whether the numbers of a column have a decimal comma: one of them can be read in no other way."""
+    """Return True where the numbers of a column have a decimal comma: one of them can be read in no other way."""
     return any(re.fullmatch(r"[x×*·]?-?(?:0,\d+|\d+,\d{1,2}|\d+,\d{4,}|\d{4,},\d+)", cell.strip()) for cell in cells)
 
 
 def has_decimal_point(cells: Sequence[str]) -> bool:
-    """Return whether the numbers of a column have a decimal point: one of them can be read in no other way."""
+    """Return True where the numbers of a column have a decimal point: one of them can be read in no other way."""
     return any(
         re.fullmatch(r"[x×*·]?-?(?:0\.\d+|\d+\.\d{1,2}|\d+\.\d{4,}|\d{4,}\.\d+)", cell.strip()) for cell in cells
     )
 
 
 def ambiguous_thousand(text: str, *, decimal_comma: bool) -> bool:
-    """Return whether a number of a column may be a thousand or a fraction: `1.000` where the comma is decimal."""
+    """Return True where a number of a column may be a thousand or a fraction: `1.000` where the comma is decimal."""
     return decimal_comma and re.fullmatch(r"[x×*·]?-?\d{1,3}(?:\.\d{3})+", text.strip()) is not None
 
 
 def raw_ends(ends: Sequence[float], scale: float, offset: float, unit: str, kind: RegisterType) -> str:
-    """Return what the ends of a range are: `raw` counts, in `unit` (degC, ...), `either`, `neither` or the `same`.
+    """Return the meaning of a range's ends: `raw` counts, in `unit` (degC, ...), `either`, `neither` or the `same`.
 
     They are the same where the type has no scale. They are raw where no reading in the unit is as large (`PLAUSIBLE`)
     or no register of type `kind` holds it, and are so once they are scaled. They are in the unit where they are no

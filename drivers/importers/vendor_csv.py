@@ -1,4 +1,4 @@
-"""A vendor's register table: name, address, table or function code, type, scale, offset, unit, access."""
+"""Importer of vendors' register tables: names, addresses, tables, types, scales, units and access."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _REMEDY = "rename it scale (value = raw x scale) or divisor (value = raw / divis
 
 @dataclass(slots=True)
 class _Columns:
-    """Columns of a table by key; `inside` are words in brackets behind their headings."""
+    """Columns of a table by key; `inside` are the words in brackets behind their headings."""
 
     at: dict[str, int] = field(default_factory=dict)
     inside: dict[str, str] = field(default_factory=dict)
@@ -368,7 +368,7 @@ class _Table:
             return None
 
     def range_of(self, point: DraftPoint, cells: dict[str, str]) -> None:
-        """Remember what the ends of a point's range may mean, until the whole table is known."""
+        """Keep the possible meanings of a point's range until the whole table is known."""
         ends, keys = point.keys.get("plausible"), point.keys
         if ends is not None:
             scale, offset = keys.get("scale", 1.0), keys.get("offset", 0.0)
@@ -376,10 +376,10 @@ class _Table:
             self.ranges.append((point, meant, cells))
 
     def settle_ranges(self) -> None:
-        """Settle the ranges that may be raw counts: a table writes all of them in one way, as some of its lines show.
+        """Settle the ranges that may be raw counts: a table writes all of them in one way, which some lines show.
 
-        Where no line shows it, a point that is only read gets the range that holds both meanings. One that can be
-        written gets none but where its own line shows that the range is in its unit.
+        If no line shows it, a point that is only read gets the range that holds both meanings. A point that can be
+        written gets a range only if its own line shows that the range is in its unit.
         """
         shown = {meant for _, meant, _ in self.ranges} & {"raw", "unit"}
         for point, meant, cells in self.ranges:

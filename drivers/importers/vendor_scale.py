@@ -1,4 +1,4 @@
-"""Factors of a vendor's register table, wherever it keeps them: in a column, in the unit, in a name or a remark.
+"""Factors of a vendor's register table, found in a column, a unit, a name or a remark.
 
 A factor is used only where the table leaves one meaning. `0.1` is the value of one count. `10` is not: some vendors
 mean raw x 10 by it, others that the register holds ten times the value (a manual of compressor modules explains its
@@ -29,7 +29,7 @@ _IN_REMARK = re.compile(
 
 
 class ScaleError(ValueError):
-    """A factor whose meaning is not certain; the message says why, and how to write it so that it is."""
+    """Error of a factor whose meaning is not certain; the message has cause and remedy."""
 
 
 def factor_of(text: str, *, is_exponent_column: bool = False) -> float | None:

@@ -134,7 +134,7 @@ def squeezed(text: str) -> str:
 
 
 def heading_key(cell: str) -> tuple[str | None, str]:
-    """Return what a column holds and the words in brackets behind its heading: `Address (hex)` is an address in hex.
+    """Return the key of a column and the words in brackets behind its heading: `Address (hex)` is an address in hex.
 
     The key is None for a column that is not known, and `?` for one that may change a value and has no agreed meaning.
     """

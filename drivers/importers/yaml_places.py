@@ -1,4 +1,4 @@
-"""A YAML document with the line and the tag of every value. PyYAML reads it, and is asked for where it is missing."""
+"""YAML document with the line and the tag of every value, read by PyYAML; an error asks for it where it is missing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NUMBERS = frozenset(f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "b
 
 @dataclass(slots=True)
 class Placed:
-    """A value of a YAML file and its line; `value` holds `Placed` again inside of lists and tables.
+    """Value of a YAML file and its line; `value` holds `Placed` again inside of lists and tables.
 
     `tag` is a tag that is not YAML's own, `!secret` or `!include`: the text behind it is no value.
     """

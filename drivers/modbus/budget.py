@@ -1,4 +1,4 @@
-"""What a rig file asks of its wires: bytes a tick, time on a serial line, and what it leaves unsaid. Pure, offline."""
+"""Load of a rig file's wires: bytes a tick and time on a serial line; declarations that it lacks. Pure, offline."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.modbus.read_plan import BIT_TABLES, Block, plan_reads
 from drivers.modbus.serial_line import BITS_PER_BYTE, silence_s
 from drivers.rig_file.bus_sections import CanBus, ModbusBusSection, is_rtu
 from drivers.rig_file.model import Point, Rig
-from drivers.rig_file.wires import wires
+from drivers.rig_file.wires import wire_of_bus
 
 MBAP_BYTES = 7
 """Header of a Modbus/TCP frame (Modbus messaging on TCP/IP implementation guide V1.0b, 3.1.3)."""
@@ -18,7 +18,7 @@ _RTU_BYTES = 3  # address and CRC
 
 @dataclass(frozen=True, slots=True)
 class Polling:
-    """What one bus carries on every tick. `line_s` is None where no `serial_baud` says how fast the line is."""
+    """Load of one bus on every tick. `line_s` is the time on the line, s; None where no `serial_baud` is declared."""
 
     bus: str
     blocks: tuple[Block, ...]
@@ -27,7 +27,7 @@ class Polling:
 
 
 def polling(name: str, bus: ModbusBusSection, points: Sequence[Point]) -> Polling:
-    """The read plan of a Modbus bus and what it costs."""
+    """Return the read plan of a Modbus bus and its load."""
     blocks = plan_reads(
         (point for point in points if point.bus == name and point.is_polled),
         max_read=bus.max_read,
@@ -45,9 +45,9 @@ def polling(name: str, bus: ModbusBusSection, points: Sequence[Point]) -> Pollin
 
 
 def overloads(rig: Rig, polled: Sequence[Polling]) -> list[tuple[tuple[str, ...], str]]:
-    """Buses on which a tick's polling does not fit into the period, with their place in the rig file."""
+    """Return buses on which a tick's polling does not fit into the period, with place in the rig file and remedy."""
     found: list[tuple[tuple[str, ...], str]] = []
-    wire = wires(rig)
+    wire = wire_of_bus(rig)
     for one in polled:
         bus = rig.bus[one.bus]
         if one.line_s is None or isinstance(bus, CanBus):
@@ -67,8 +67,8 @@ def overloads(rig: Rig, polled: Sequence[Polling]) -> list[tuple[tuple[str, ...]
     return found
 
 
-def unsaid(rig: Rig) -> list[str]:
-    """What the rig file leaves open and would be missed when something breaks: a sentence each."""
+def missing_declarations(rig: Rig) -> list[str]:
+    """Return a sentence for each optional declaration that the rig file lacks and that matters when something fails."""
     measured = [p for p in rig.point if p.is_polled and p.kind == "measured" and p.labels is None and p.type != "bool"]
     groups = (
         (
@@ -82,7 +82,7 @@ def unsaid(rig: Rig) -> list[str]:
 
 
 def _unwatched(rig: Rig) -> list[str]:
-    """Return the gaps of a heartbeat: nobody else cuts the heater when the link is gone."""
+    """Return the gaps of a heartbeat's watchdog: only the rig itself can cut the heater when the link is gone."""
     if not rig.setpoints or rig.heartbeat is None:
         return []
     if rig.watchdog_s is None:
@@ -99,17 +99,20 @@ def _unwatched(rig: Rig) -> list[str]:
 
 
 def unit_of_count(block: Block) -> str:
-    """What a block counts: bit or register."""
+    """Return the unit in which a block is counted: bit or register."""
     return "bit" if block.table in BIT_TABLES else "register"
 
 
 def counted(count: int, what: str) -> str:
-    """`1 read`, `2 reads`."""
+    """Return a count with its noun, in the plural where it is not 1: `1 read`, `2 reads`."""
     return f"{count} {what}" + ("" if count == 1 else "s")
 
 
-def too_short(rig: Rig, name: str, cycle_s: dict[str, float]) -> list[tuple[tuple[str | int, ...], str]]:
-    """Points of a CAN bus that are stale before their next frame is due; `cycle_s` by message, from the DBC."""
+def short_stale_times(rig: Rig, name: str, cycle_s: dict[str, float]) -> list[tuple[tuple[str | int, ...], str]]:
+    """Return the points of a CAN bus that are stale before their next frame is due, with place and remedy.
+
+    `cycle_s` is the DBC's cycle time of each message, s.
+    """
     found: list[tuple[tuple[str | int, ...], str]] = []
     if not isinstance(rig.bus[name], CanBus):
         return found

@@ -1,4 +1,4 @@
-"""One Modbus device behind the contract of a bus, whatever wire it is on: what is read, written and believed."""
+"""Modbus device behind the contract of a bus, on any wire: reads, writes, retries and quality of readings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from drivers.modbus.protocol.pdu import (
     check_written,
     write_request,
 )
-from drivers.modbus.protocol.reply_offset import Steps
+from drivers.modbus.protocol.reply_offset import OpenRequests
 from drivers.modbus.read_plan import MAX_READ_WRITE, Block, ReadPlan, plan_reads
 from drivers.modbus.writes import Writes, values_of
 from drivers.rig_file.bus_sections import ModbusBusSection, ModbusRtuBus
@@ -42,7 +42,7 @@ _Slot = tuple[int, int, Callable[[Sequence[int], int], float], Judge]
 _BUSY_RETRIES = 2
 _BUSY_WAIT_S = 0.05
 CONNECT_PATIENCE_S = (1.0, 3.5)
-"""So long a first and a second connection may be silent before the device counts as mute: gateways start up, or serve
+"""Time, s, that a first and a second connection may be silent before the device is mute: gateways start up, or serve
 the connection before the last; more than their sum needs `connect_delay_s`."""
 _LONGER = 1.5
 """A device that was deaf on one connection may be deaf for so many times as long on the next."""
@@ -51,7 +51,7 @@ _MUTE_AFTER = 2
 
 
 class ModbusBus:
-    """One device: its polled points are read in as few blocks as the limits admit.
+    """Modbus device whose polled points are read in as few blocks as the limits admit.
 
     Without `link` it has a wire of its own. `exceptions` counts exception replies by code, `missed` deadlines.
     """
@@ -85,22 +85,22 @@ class ModbusBus:
         self._uptime = order.get(config.uptime) if config.uptime is not None else None
         self._writes = Writes(self._all, config)
         self._has_read_write = config.read_write
-        self._steps = Steps(numbered=self.link.is_numbered and config.serial_baud is None)
+        self._open_requests = OpenRequests(numbered=self.link.is_numbered and config.serial_baud is None)
         self._silences = 0
         self._again_at = 0.0
 
     @property
     def reconnects(self) -> int:
-        """How often the wire was lost and opened again."""
+        """Number of times that the wire was lost and opened again."""
         return self.link.reconnects
 
     @property
     def is_mute(self) -> bool:
-        """Whether it left its last requests without an answer."""
+        """True where the device left its last requests without an answer."""
         return self._silences > 0
 
     async def connect(self) -> None:
-        """Connect and read each block once; raises LinkError, or ConfigurationError where the map is wrong.
+        """Connect and read each block once; raise LinkError, or another DriverError where the register map is wrong.
 
         A device that is deaf after connecting is waited for, on the same connection and on a second one.
         """
@@ -122,7 +122,7 @@ class ModbusBus:
         raise failure if failure is not None else AssertionError("no connection was tried")
 
     async def _heard_within(self, patience_s: float) -> LinkError | None:
-        """None once all was read; else why not, as soon as waiting longer is of no use."""
+        """Return None once all is read; else the failure, as soon as waiting longer is of no use."""
         end = steady_s() + patience_s
         while True:
             try:
@@ -136,7 +136,7 @@ class ModbusBus:
                 return self._with_remedy(failure)
 
     def _with_remedy(self, failure: LinkError) -> LinkError:
-        """A silence with what may be done about it."""
+        """Return the failure, with a remedy where it is a silence after connecting."""
         if not isinstance(failure, DeadlineError) or self.link.has_answered or not self.link.heard_nothing:
             return failure
         serial = isinstance(self._config, ModbusRtuBus)
@@ -148,7 +148,7 @@ class ModbusBus:
         )
 
     async def _read_once(self) -> None:
-        """Each block once: a block that is refused is split, and a single value that is refused is a mistake."""
+        """Read each block once. Split refused blocks; raise DeviceExceptionError for refused single values."""
         pending = list(self._plan.blocks)
         first: DeviceExceptionError | None = None
         while pending:
@@ -192,7 +192,7 @@ class ModbusBus:
         )
 
     def _slots_of(self, block: Block) -> list[_Slot]:
-        """Where the readings of a block go: index among the polled points, offset in the reply, decoder and judge."""
+        """Return index among the polled points, offset in the reply, decoder and judge of each reading of a block."""
         slots = self._slots.get(block)
         if slots is None:
             slots = [
@@ -203,14 +203,14 @@ class ModbusBus:
         return slots
 
     def _forget(self) -> None:
-        """After the link was lost another device may answer."""
+        """Forget refusals and plans: after the link was lost another device may answer."""
         self._plan.forget()
         self._slots.clear()
         self._reads.clear()
         self._has_read_write = self._config.read_write
 
     async def read(self) -> Readings:
-        """All polled points; LINK_FAULT for those of a block that failed, and a reconnection is set going."""
+        """Return all polled points; LINK_FAULT for those of a block that failed. A lost link begins to reconnect."""
         count = len(self.points)
         values, quality, source = [math.nan] * count, [int(Q.LINK_FAULT)] * count, [math.nan] * count
         fault: str | None = None
@@ -245,12 +245,12 @@ class ModbusBus:
         return Readings(values, quality, source, fault)
 
     async def write(self, values: Mapping[str, float]) -> None:
-        """Write by point name, touching registers in one request (function 16); raises DriverError."""
+        """Write engineering values by point name, adjacent registers in one request (16); raise DriverError."""
         for block, raw in self._writes.of(values):
             await self._write(block, raw)
 
     async def write_and_read_back(self, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
-        """Write `values`, then ask for writable points `names`; the last write reads back, too, where it can (23)."""
+        """Write `values`, then return writable points `names` as held; the last write reads back where it can (23)."""
         found: dict[str, float] = {}
         asked = self._planned((self._all[name] for name in names), max_gap=0)
         written = self._writes.of(values)
@@ -263,7 +263,7 @@ class ModbusBus:
         return found | await self._held(asked)
 
     async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
-        """Writable points as the device holds them."""
+        """Return writable points as the device holds them; raise DriverError."""
         return await self._held(self._planned((self._all[name] for name in names), max_gap=0))
 
     async def _write(self, block: Block, raw: Sequence[int]) -> None:
@@ -276,7 +276,7 @@ class ModbusBus:
                 await self._busy(error, tries_left)
 
     async def _write_and_read(self, block: Block, raw: Sequence[int], read: Block, found: dict[str, float]) -> bool:
-        """Write `block` and put what `read` then holds into `found`, in one request; False where that takes two."""
+        """Write `block` and add the values of `read` to `found`, in one request; return False where that takes two."""
         if not self._has_read_write or block.table != "holding" or len(raw) > MAX_READ_WRITE:
             return False
         exchange = ReadBack(block, raw, read)
@@ -301,14 +301,14 @@ class ModbusBus:
         await self.link.close()
 
     async def _request(self, block: Block) -> Sequence[int]:
-        """The registers of a block, or its bits as 0 and 1; raises DriverError."""
+        """Return the registers of a block, or its bits as 0 and 1; raise DriverError."""
         read = self._reads.get(block)
         if read is None:
             read = self._reads[block] = Read(block)
         return await self._answered(read)
 
     async def _answered(self, read: Read | ReadBack) -> Sequence[int]:
-        """The registers that a request is answered with, asked for again while the device is busy."""
+        """Return the registers of the answer to a request, which is repeated while the device is busy."""
         for tries_left in reversed(range(_BUSY_RETRIES + 1)):
             try:
                 return read.raw_of(await self._ask(read.request), self._where)
@@ -317,36 +317,36 @@ class ModbusBus:
                     raise
             except DeviceExceptionError as error:
                 if error.code == GATEWAY_SILENCE:
-                    self._steps.doubt(read.request)
+                    self._open_requests.doubt(read.request)
                 await self._busy(error, tries_left)
             except ProtocolError:
-                self._steps.doubt(read.request)
+                self._open_requests.doubt(read.request)
                 raise
         raise AssertionError("the last try returns or raises")
 
     async def _busy(self, error: DeviceExceptionError, tries_left: int) -> None:
-        """Wait before another try where the device is only busy; else raise what it answered."""
+        """Wait before another try where the device is only busy; else raise its exception."""
         self.exceptions[error.code] += 1
         if error.code != BUSY or tries_left == 0:
             raise error
         await asyncio.sleep(_BUSY_WAIT_S)
 
     async def _ask(self, request: bytes) -> bytes:
-        """The reply to a request of a device that is in step; raises LinkError, or ProtocolError of a garbled line."""
-        steps = self._steps
+        """Return the reply to a request, after a probe where the device may be a reply behind; raise DriverError."""
+        open_requests = self._open_requests
         if self._silences and asyncio.get_running_loop().time() < self._again_at:
             raise LinkError(f"{self._where}: gives no answer; asked again every {RECONNECT_EVERY_S:g} s")
-        if steps.open:
-            probe = steps.probe(self._plan.planned)
+        if open_requests.open:
+            probe = open_requests.probe(self._plan.planned)
             if probe is not None:
                 read = Read(probe)
                 read.raw_of(await self._exchange(read.request), self._where)
-                steps.found()
+                open_requests.found()
         return await self._exchange(request)
 
     async def _exchange(self, request: bytes) -> bytes:
         config = self._config
-        self._steps.asked(request)
+        self._open_requests.asked(request)
         try:
             reply = await self.link.ask(config.device_id, request, config.timeout_s, self._where)
         except LateReplyError:
@@ -357,6 +357,6 @@ class ModbusBus:
             if self._silences >= _MUTE_AFTER and (self.link.is_rtu or self.link.devices > 1):
                 self._again_at = asyncio.get_running_loop().time() + RECONNECT_EVERY_S
             raise
-        self._steps.answered()
+        self._open_requests.answered()
         self._silences = 0
         return reply

@@ -1,11 +1,11 @@
-"""One wire and whoever speaks on it: one request at a time, answered by its own reply within its deadline, or not.
+"""Wire with one request at a time, each answered by its own reply within its deadline or not at all.
 
 Deadlines count on a clock that goes on while this process is stopped or the machine suspended: a reply that is read
 after such a gap was measured before it, and is no answer.
 
-Over TCP a reply is known by its transaction. In RTU frames there is none, and there are devices that answer with 0:
-after a request that was not answered in its way the line must fall silent before the next one goes out, and
-`unanswered` tells the bus that its device may be a reply behind (the bus then makes it show that it is not).
+Over TCP a reply is identified by its transaction. RTU frames have none, and some devices answer with 0. After a request
+without a valid answer the line must then fall silent before the next one goes out. `unanswered` reports to the bus that
+its device may be a reply behind; the bus then sends a probe (`drivers.modbus.protocol.reply_offset`).
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
 AT_ONCE_S = 1e-3
 """A reply within this time comes at once: the next is waited for without the event loop, which costs more than that."""
 _PATIENCE_S = 10e-3
-"""How long, before the loop takes over. A shorter time-out makes the kernel set a timer, which costs more."""
+"""Time, s, before the loop takes over. A shorter time-out makes the kernel set a timer, which costs more."""
 _LATE_AT_MOST = 3
-"""Replies in a row that did not come at once, after which none is waited for so until one does again."""
+"""Replies in a row that did not come at once, after which the loop waits for them until one comes at once again."""
 LATE_S = 0.25
-"""A reply may be read so long after its deadline: a busy machine may take that long to wake this process."""
+"""Time, s, after its deadline at which a reply may still be read: a busy machine wakes this process late."""
 _YIELD_EVERY_S = 5e-3
 _QUIET_S = 0.05
 _QUIET_AT_MOST_S = 0.5
@@ -42,10 +42,10 @@ Opener = Callable[[ModbusBusSection, ssl.SSLContext | None, Received, Lost], Awa
 
 
 class ModbusLink:
-    """The only user of a wire. Devices that share it take turns; a wire that is lost is opened again by itself.
+    """Only user of a wire. Devices that share it take turns; a wire that is lost is opened again automatically.
 
-    `unanswered` counts requests that were not answered as they should have been since the last that was. `patience_s`
-    is how long a connection that has answered nothing yet is kept, for a device that is deaf after connecting.
+    `unanswered` counts the requests without a valid answer since the last one that had one. `patience_s` is the time
+    that a connection without any answer is kept, for a device that is deaf after connecting.
     """
 
     def __init__(self, config: ModbusBusSection, *, opener: Opener = open_wire) -> None:
@@ -55,14 +55,14 @@ class ModbusLink:
         self.unanswered = 0
         self.patience_s = 0.0
         self.has_answered = False
-        """Whether anything was answered on this connection."""
+        """True once anything was answered on this connection."""
         self.heard_nothing = False
-        """Whether not a byte came of the last request that was not answered."""
+        """True where not a byte came after the last unanswered request."""
         self.deaf_s = 0.0
-        """How long this connection was silent before its first answer, where requests were lost meanwhile."""
+        """Silence, s, of this connection before its first answer, where requests were lost meanwhile."""
         self.on_reopened: list[Callable[[], None]] = []
         self.exhausted: str | None = None
-        """Why this machine, and not the device, keeps the wire from being opened: no descriptor or memory is left."""
+        """Sentence where this machine, not the device, prevents opening the wire: no descriptor or memory is left."""
         self.is_rtu = is_rtu(config)
         self.is_numbered = is_numbered(config)
         self._opener = opener
@@ -80,7 +80,7 @@ class ModbusLink:
         self._reply: bytes | None = None
         self._refused: str | None = None
         self._cause: str | None = None
-        """Why the last connection was closed."""
+        """Cause of the end of the last connection."""
         self._closed_by_device = False
         self._opened_s = self._answered_s = 0.0
         self._waiter: asyncio.Future[None] | None = None
@@ -91,11 +91,11 @@ class ModbusLink:
 
     @property
     def connected(self) -> bool:
-        """Whether the wire is open, as far as has been noticed."""
+        """True while the wire is open, as far as has been noticed."""
         return self._wire is not None
 
     async def open(self, where: str) -> None:
-        """Open the wire, where it is not open yet; raises LinkError that names `where`."""
+        """Open the wire, unless it is open; raise LinkError that names `where`."""
         async with self._opening:
             if self._wire is None:
                 await self._open(where)
@@ -120,13 +120,11 @@ class ModbusLink:
         self._wire = wire
         self.exhausted = None
         self._opened_s = self._quiet_since = steady_s()
-        self._unquiet = (
-            not self.is_numbered
-        )  # adapters give noise when they are opened, and converters what was late before
+        self._unquiet = not self.is_numbered  # adapters give noise when they are opened, and converters late replies
         self._late = 0
 
     async def explain(self, where: str) -> None:
-        """Raise the reason why TLS was refused, where that is why there is no connection."""
+        """Raise LinkError with the cause where TLS was refused; return where TLS is not the cause."""
         if self._tls is None or not isinstance(self.config, ModbusTlsBus):
             return
         why = await why_refused(self.config, self._tls)
@@ -149,10 +147,10 @@ class ModbusLink:
         await asyncio.sleep(0)
 
     async def ask(self, device: int, pdu: bytes, timeout_s: float, where: str) -> bytes:
-        """PDU of the reply to a request; raises DeadlineError, LinkError, or ProtocolError of a garbled line.
+        """Return the PDU of the reply to a request; raise DeadlineError, LinkError, or ProtocolError of a garbled line.
 
-        A device that closes the connection after each reply is connected to again at once, and asked again where it
-        closed while the request was under way.
+        A device that closes the connection after each reply is reconnected at once. The request is repeated where the
+        device closed before it answered.
         """
         async with self._lock:
             reply = await self._asked(device, pdu, timeout_s, where)
@@ -166,7 +164,7 @@ class ModbusLink:
             return reply
 
     async def _asked(self, device: int, pdu: bytes, timeout_s: float, where: str) -> bytes | None:
-        """The reply to a request that is sent once; None where none came that is one."""
+        """Send a request once and return its reply; None where no valid one came."""
         wire = await self._ready_wire(timeout_s, where)
         now = steady_s
         if self._gap_s > 0.0:
@@ -209,7 +207,7 @@ class ModbusLink:
         return self._reply
 
     async def _ready_wire(self, timeout_s: float, where: str) -> Wire:
-        """The open wire; raises LinkError where there is none, and sees to it that there will be."""
+        """Return the open wire; raise LinkError where there is none, and begin to reconnect."""
         if self._wire is None and self._closes_itself:
             was, self._closed_by_device = self._answered_s, False
             with contextlib.suppress(LinkError, TimeoutError):
@@ -226,16 +224,16 @@ class ModbusLink:
 
     @property
     def _closes_itself(self) -> bool:
-        """Whether the device has answered on the last connection and then closed it."""
+        """True where the device has answered on the last connection and then closed it."""
         return self._closed_by_device and self.has_answered and not isinstance(self.config, ModbusRtuBus)
 
     @property
     def _may_ask_again(self) -> bool:
-        """Whether the device closed the connection instead of answering a request, after it had answered others."""
+        """True where the device closed the connection instead of answering a request, after it had answered others."""
         return self._wire is None and self._closes_itself
 
     def _too_late(self, where: str, after_s: float) -> LateReplyError:
-        """What to raise for a reply that was read too late: no answer, though the connection may stay."""
+        """Return the error of a reply that was read too late: it is no answer, though the connection may stay."""
         self.unanswered += 1
         if not self.is_numbered:
             self._unquiet = True
@@ -248,7 +246,7 @@ class ModbusLink:
         )
 
     def _line_s(self, frame: bytes, pdu: bytes) -> float:
-        """Time that request and reply take on the line itself."""
+        """Return the time, s, that request and reply take on the line itself."""
         if self._byte_s == 0.0:
             return 0.0
         count = int.from_bytes(pdu[3:5], "big") if pdu[0] in (1, 2, 3, 4, 23) else 0
@@ -271,7 +269,7 @@ class ModbusLink:
             self._waiter.set_result(None)
 
     def _failure(self, where: str, timeout_s: float) -> Exception:
-        """What to raise for a request without a reply, after doing with the wire what it needs."""
+        """Return the error of a request without a valid reply, after closing or keeping the wire."""
         why = self._refused
         if why is None:
             why = self._frames.unused
@@ -299,12 +297,12 @@ class ModbusLink:
 
     @property
     def _may_be_deaf(self) -> bool:
-        """Whether this connection is so young that its device may not listen yet."""
+        """True while this connection is so young that its device may not listen yet."""
         is_young = steady_s() - self._opened_s < self.patience_s
         return is_young and self.heard_nothing and not self.has_answered
 
     async def _fall_silent(self, wire: Wire) -> None:
-        """Wait until nothing has arrived for a while, where something did: it is the end of what went before."""
+        """Wait until nothing has arrived for a while, where something did: it belongs to an earlier request."""
         if wire.take(0.0):
             self._quiet_since, self._unquiet = steady_s(), True
         if not self._unquiet:
@@ -320,7 +318,7 @@ class ModbusLink:
         if self._waiting is None:
             self._quiet_since = steady_s()
             if not self.is_numbered:
-                self._unquiet = True  # someone speaks who was not asked
+                self._unquiet = True  # bytes without a request
                 return
             device, pdu = 0, b"\0"
         else:
@@ -333,7 +331,7 @@ class ModbusLink:
         except ProtocolError as error:
             self._refused = self._cause = str(error)
             if not self.is_rtu:
-                self.drop()  # where the next frame of the stream begins is not known any more
+                self.drop()  # the beginning of the stream's next frame is not known any more
         if self._reply is not None:
             self._unquiet = False
         if self._reply is not None or self._refused is not None:
@@ -351,7 +349,7 @@ class ModbusLink:
         self.drop()
 
     async def _reopened(self, timeout_s: float) -> Wire | None:
-        """The wire, if the reconnection that goes on succeeds soon: another device's silence has closed it."""
+        """Return the wire if the reconnection under way succeeds soon: another device's silence has closed it."""
         if self._supervisor is not None:
             await asyncio.wait((self._supervisor,), timeout=min(timeout_s, 0.2))
         return self._wire

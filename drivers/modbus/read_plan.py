@@ -1,4 +1,4 @@
-"""Which registers and bits to ask for in one request: pure planning, no I/O.
+"""Planning of requests: registers and bits of points joined to blocks. Pure, no I/O.
 
 Requests are made of whole points: a value is never split, and a hole that the rig file declares never crossed. Limits
 are the protocol's (Modbus application protocol V1.1b3, 6.1 to 6.4, 6.11 and 6.12) or the device's, if narrower.
@@ -25,7 +25,7 @@ _BITS_PER_REGISTER = 16
 
 
 class Hole(Protocol):
-    """Addresses `first` to `last` of `table` that the device has not: it refuses a request that touches one."""
+    """Addresses `first` to `last` of `table` that the device lacks: it refuses a request that touches one."""
 
     @property
     def table(self) -> str: ...
@@ -35,7 +35,7 @@ class Hole(Protocol):
     def last(self) -> int: ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)  # a request is itself: comparing and hashing points takes long
+@dataclass(frozen=True, slots=True, eq=False)  # compared by identity: comparing and hashing points takes long
 class Block:
     """One request: `count` registers (or bits) of `table` from `address`, holding `points` in address order."""
 
@@ -46,7 +46,7 @@ class Block:
 
     @property
     def unused(self) -> int:
-        """Registers or bits that are asked for and belong to no point."""
+        """Number of registers or bits that are read and belong to no point."""
         return self.count - len({a for p in self.points for a in range(_start(p), _end(p))})
 
     @property
@@ -84,14 +84,14 @@ def plan_reads(
     max_read_bits: int = MAX_READ_BITS,
     holes: Sequence[Hole] = (),
 ) -> list[Block]:
-    """Fewest read requests for `points`, joining neighbours over at most `max_gap` unused registers (16 bits each)."""
+    """Return the fewest read requests for `points`, with at most `max_gap` unused registers (16 bits each) in a gap."""
     return _plan(points, max_read, max_read_bits, max_gap, holes)
 
 
 def plan_writes(
     points: Iterable[Point], *, max_write: int = MAX_WRITE, max_write_bits: int = MAX_WRITE_BITS
 ) -> list[Block]:
-    """Fewest write requests for `points`: only registers that touch are joined, so none is written unasked."""
+    """Return the fewest write requests for `points`; only adjacent registers are joined, so none is written unasked."""
     return _plan(points, max_write, max_write_bits, 0, ())
 
 
@@ -131,7 +131,7 @@ def _block(table: str, run: Sequence[Point]) -> Block:
 
 
 def split(block: Block) -> list[Block]:
-    """The parts in which a refused block is asked for: at its gaps where it has any, else in halves.
+    """Return the parts in which a refused block is read: split at its gaps where it has any, else in halves.
 
     One part only where the block cannot be split: a single value, or bit fields of the same register.
     """
@@ -154,10 +154,10 @@ def split(block: Block) -> list[Block]:
 
 
 class ReadPlan:
-    """The read plan of one device for one run: what it refused is asked for in parts from then on.
+    """Read plan of one device for one run: a refused block is read in parts from then on.
 
-    `blocks` is what to ask for on a tick; `refused` are blocks of single values that the device has not, with the time
-    of the refusal in s. They are asked for again after `again_after_s`, for a device that was only starting up.
+    `blocks` are the reads of a tick; `refused` are blocks of single values that the device lacks, with the time of the
+    refusal in s. They are read again after `again_after_s`, for a device that was only starting up.
     """
 
     def __init__(self, blocks: Iterable[Block], *, again_after_s: float = 30.0) -> None:
@@ -167,8 +167,8 @@ class ReadPlan:
         self._again_after_s = again_after_s
 
     def refuse(self, block: Block, now_s: float) -> list[Block]:
-        """Exception 02 to `block`: its parts, to be asked for now; none where it cannot be split."""
-        if block not in self.blocks:  # the plan was forgotten since it was asked for
+        """Replace a block that the device refused by its parts; return these, none where the block has only one."""
+        if block not in self.blocks:  # the plan was forgotten since the request
             return []
         parts = split(block)
         at = self.blocks.index(block)
@@ -180,7 +180,7 @@ class ReadPlan:
         return parts
 
     def due(self, now_s: float) -> list[Block]:
-        """What to ask for on a tick at `now_s`: the blocks, and refused ones whose time has come again."""
+        """Return the blocks to read on a tick at `now_s`, with refused ones that are due again."""
         for block in [b for b, since in self.refused.items() if now_s - since >= self._again_after_s]:
             del self.refused[block]
             self.blocks.append(block)

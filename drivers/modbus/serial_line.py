@@ -1,4 +1,4 @@
-"""How long bytes and silences take on a serial line (Modbus over serial line V1.02, 2.5.1)."""
+"""Times of bytes and silences on a serial line (Modbus over serial line V1.02, 2.5.1)."""
 
 BITS_PER_BYTE = 11
 """Start, eight, parity or a second stop bit, stop."""
@@ -6,5 +6,5 @@ _SILENCE_ABOVE_19200_S = 1.75e-3
 
 
 def silence_s(baud: int) -> float:
-    """The gap between two frames at `baud` bit/s, in s (2.5.1.1)."""
+    """Return the gap between two frames at `baud` bit/s, in s (2.5.1.1)."""
     return 3.5 * BITS_PER_BYTE / baud if baud <= 19200 else _SILENCE_ABOVE_19200_S

@@ -1,6 +1,6 @@
 """TLS for Modbus/TCP: certificates both ways, TLS 1.2 or later (Modbus/TCP Security protocol specification, v21).
 
-Paths stand in the rig file, keys in files of their own that only their owner may read. A refusal is told in one
+Paths stand in the rig file, keys in files of their own that only their owner may read. A refusal is reported as one
 sentence with its remedy.
 """
 
@@ -25,11 +25,11 @@ _THEIRS = {
     "HANDSHAKE_FAILURE": "it does not take {certificate}",
     "DECRYPT_ERROR": "it does not take {certificate}",
 }
-"""What the rig's alert means (RFC 8446, 6.2)."""
+"""Meaning of the rig's TLS alert (RFC 8446, 6.2)."""
 
 
 def client_context(config: ModbusTlsBus) -> ssl.SSLContext:
-    """Our half of the handshake; raises ConfigurationError naming the file that cannot be used, and what to do."""
+    """Return the client's TLS context; raise ConfigurationError with the file that cannot be used, and the remedy."""
     for name in ("ca", "certificate", "key"):
         path = getattr(config, name)
         if not path.is_file():
@@ -75,7 +75,7 @@ def check_valid(path: Path) -> None:
 
 
 def validity(path: Path) -> tuple[datetime.datetime, datetime.datetime]:
-    """From when to when the first certificate of a PEM file is valid (RFC 5280, 4.1.2.5); raises ValueError."""
+    """Return begin and end of the validity of a PEM file's first certificate (RFC 5280, 4.1.2.5); raise ValueError."""
     text = read_regular(path).decode("ascii")
     end = text.index(_END) + len(_END)
     der = ssl.PEM_cert_to_DER_cert(text[text.index("-----BEGIN CERTIFICATE-----") : end])
@@ -89,7 +89,7 @@ _END = "-----END CERTIFICATE-----"
 
 
 def _parts(der: bytes) -> list[tuple[int, bytes]]:
-    """Tags and contents of what stands beside one another in DER (X.690, 8.1)."""
+    """Return tags and contents of consecutive elements in DER (X.690, 8.1)."""
     found = []
     while der:
         tag, size, at = der[0], der[1], 2
@@ -109,7 +109,7 @@ def _time(tag: int, value: bytes) -> datetime.datetime:
 
 
 async def why_refused(config: ModbusTlsBus, context: ssl.SSLContext) -> str | None:
-    """Why there is no TLS with the rig, as a sentence; None where TLS is not the reason. Opens a connection to ask."""
+    """Open a connection; return a sentence with the cause of failing TLS, or None where TLS is not the cause."""
     try:
         async with asyncio.timeout(config.timeout_s + 1.0):
             reader, writer = await asyncio.open_connection(config.host, config.port, ssl=context)

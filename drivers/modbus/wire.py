@@ -1,8 +1,8 @@
-"""Wires that Modbus goes over: a socket, a serial line, TLS. Bytes in and out, nothing of the protocol.
+"""Wires of Modbus: a socket, a serial line, TLS. Bytes in and out, nothing of the protocol.
 
-Sockets and serial lines are read here without asyncio's transports, so that a reply which comes at once can be taken at
-once: on the machine of a virtual rig the event loop costs more than the rig's answer. The one module that imports
-pyserial. POSIX only, as the rest of the project.
+Sockets and serial lines are read without asyncio's transports, so that a reply can be taken as soon as it is here: on
+the machine of a virtual rig the event loop takes longer than the rig's answer. No other module imports pyserial. POSIX
+only, as the rest of the project.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ Lost = Callable[[str], None]
 
 
 class Wire(Protocol):
-    """An open wire. What arrives is handed over from the event loop; an end is told once, with its reason."""
+    """Open wire. The event loop hands over the bytes that arrive; an end is reported once, with its reason."""
 
     def send(self, data: bytes) -> None:
-        """Send all of it; raises OSError."""
+        """Send all of `data`; raise OSError."""
 
     def take(self, seconds: float) -> bytes:
-        """What arrives within `seconds`, waited for without the event loop; nothing where that is not possible."""
+        """Return bytes that arrive within `seconds`, without the event loop; none where that is not possible."""
 
     def close(self) -> None:
         """Close; harmless when repeated."""
 
 
 class DescriptorWire:
-    """A socket or a serial port, by its file descriptor."""
+    """Socket or serial port, by its file descriptor."""
 
     def __init__(self, file: socket.socket | serial.Serial, received: Received, lost: Lost) -> None:
         self._file = file
@@ -54,14 +54,14 @@ class DescriptorWire:
         self._open = True
 
     def send(self, data: bytes) -> None:
-        """Send a frame, which is small: a wire that does not take it at once has not taken many before."""
+        """Send a frame; raise OSError. A frame is small: a wire that does not take all of it took none before."""
         if not self._open:  # the number of a closed descriptor may be another file's by now
             raise OSError("the wire is closed")
         if os.write(self._descriptor, data) != len(data):
             raise OSError("the wire takes nothing any more")
 
     def take(self, seconds: float) -> bytes:
-        """What arrives within `seconds`, which are whole milliseconds."""
+        """Return bytes that arrive within `seconds`, which are whole milliseconds."""
         return self._read() if self._open and self._poll.poll(1000.0 * seconds) else b""
 
     def close(self) -> None:
@@ -127,7 +127,7 @@ class _TlsWire(asyncio.Protocol):
 
 
 async def open_wire(config: ModbusBusSection, tls: ssl.SSLContext | None, received: Received, lost: Lost) -> Wire:
-    """Open the wire of a bus section; raises OSError, or ssl.SSLError which is one."""
+    """Open and return the wire of a bus section; raise OSError (ssl.SSLError is one)."""
     if isinstance(config, ModbusRtuBus):
         return DescriptorWire(_serial_port(config), received, lost)
     assert isinstance(config, ModbusTcpBus)
@@ -153,12 +153,12 @@ def _serial_port(config: ModbusRtuBus) -> serial.Serial:
 
 _Endpoint = tuple[socket.AddressFamily, socket.SocketKind, int, Any]
 _reached: dict[tuple[str, int], _Endpoint] = {}
-"""Where a host was reached last: a name server that is gone must not keep a device that is there from being reached."""
+"""Endpoint at which a host was reached last: a reachable device must not depend on a name server that is gone."""
 
 
 async def _connected(host: str, port: int) -> socket.socket:
-    """Return a connection without Nagle's delay: to where the host was reached last, else to the first address of it
-    that answers; raises OSError."""
+    """Return a connection without Nagle's delay: to the endpoint that answered last, else to the host's first address
+    that answers; raise OSError."""
     known = _reached.get((host, port))
     if known is not None:
         try:

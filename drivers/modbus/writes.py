@@ -1,4 +1,4 @@
-"""What is written: which registers, what goes into them, and which values a device then holds. Pure."""
+"""Writes of points: blocks, their raw registers, and the values that a device then holds. Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _Put = tuple[str, float, float, Callable[[float], list[int]]]
 
 
 class Writes:
-    """Blocks to write by the names of what is written, planned once each."""
+    """Blocks to write, planned once for each set of point names."""
 
     def __init__(self, points: Mapping[str, Point], config: ModbusBusSection) -> None:
         self._points = points
@@ -23,7 +23,7 @@ class Writes:
         self._plans: dict[tuple[str, ...], list[tuple[Block, list[_Put]]]] = {}
 
     def of(self, values: Mapping[str, float]) -> list[tuple[Block, list[int]]]:
-        """Blocks and their registers, or bits as 0 and 1; raises ConfigurationError of a value that does not fit."""
+        """Return blocks with registers, or bits as 0 and 1; raise ConfigurationError where a value does not fit."""
         names = tuple(values)
         plan = self._plans.get(names)
         if plan is None:
@@ -48,7 +48,7 @@ def _raw(puts: list[_Put], values: Mapping[str, float]) -> list[int]:
 
 
 def values_of(block: Block, registers: Sequence[int]) -> dict[str, float]:
-    """Engineering values of a block's points."""
+    """Return the engineering values of a block's points, by name."""
     found: dict[str, float] = {}
     for point in block.points:
         at = (point.address or 0) - block.address

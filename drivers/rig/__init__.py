@@ -1,1 +1,14 @@
-"""Rig: all buses of a rig file together."""
+"""Rig: all buses of a rig file together.
+
+The names below are the package's interface. Other modules are private to the package.
+"""
+
+from drivers.rig.connection import RigConnection
+from drivers.rig.watch import BusWatch, PointState, RigWatch
+
+__all__ = [
+    "BusWatch",
+    "PointState",
+    "RigConnection",
+    "RigWatch",
+]

@@ -1,4 +1,4 @@
-"""A rig as the engine sees it: all buses of a rig file, opened together, polled together, written by point name."""
+"""Connection to a rig: all buses of a rig file, opened together, polled together, written by point name."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from drivers.modbus.bus import ModbusBus
 from drivers.modbus.link import ModbusLink
 from drivers.rig_file.bus_sections import CanBus
 from drivers.rig_file.model import Point, Rig
-from drivers.rig_file.wires import wires
+from drivers.rig_file.wires import wire_of_bus
 from drivers.signals.points import DriverError, LinkError, Signal, Snapshot
 
 
 async def _read_in_turn(sharing: list[ModbusBus]) -> dict[str, Readings]:
-    """Readings of devices on one wire; those that gave no answer come last, for what they cost the others."""
+    """Return readings of devices on one wire; mute devices are read last, since others wait for their deadlines."""
     if len(sharing) > 1:
         sharing = sorted(sharing, key=lambda bus: bus.is_mute)
     return {bus.name: await bus.read() for bus in sharing}
@@ -31,7 +31,7 @@ class RigConnection:
         self._buses: dict[str, Bus] = {}
         self._receivers: list[CanReceiver] = []
         self._wires: dict[str, list[ModbusBus]] = {}
-        wire = self._wire_of = wires(rig)
+        wire = self._wire_of = wire_of_bus(rig)
         for name, config in rig.bus.items():
             points = tuple(point for point in rig.point if point.bus == name)
             if isinstance(config, CanBus):
@@ -50,7 +50,7 @@ class RigConnection:
         self._bus_of = {point.name: point.bus for point in rig.point}
 
     async def connect(self) -> None:
-        """Open all buses at once; one LinkError tells of every bus that failed, and those that opened are closed."""
+        """Open all buses at once; raise one LinkError that names every bus that failed, after closing the others."""
         results = await asyncio.gather(*(bus.connect() for bus in self._all), return_exceptions=True)
         failed = [result for result in results if isinstance(result, BaseException)]
         if not failed:
@@ -64,7 +64,7 @@ class RigConnection:
         raise LinkError("\n".join(str(error) for error in failed))
 
     async def read(self) -> Snapshot:
-        """Readings of all polled points on this tick: wires at the same time, devices on one wire in turn."""
+        """Return this tick's readings of all polled points: wires concurrently, devices on one wire in turn."""
         snapshot = Snapshot([], [], [])
         heard: dict[str, Readings] = {}
         wires = list(self._wires.values())
@@ -84,7 +84,7 @@ class RigConnection:
 
     @property
     def exhausted(self) -> str | None:
-        """Why this machine has no descriptor or memory left to reach a device, as a sentence; None while it has."""
+        """Sentence where this machine has no descriptor or memory left to reach a device; None while it has."""
         links = {id(bus.link): bus.link for sharing in self._wires.values() for bus in sharing}
         return next((link.exhausted for link in links.values() if link.exhausted is not None), None)
 
@@ -96,16 +96,16 @@ class RigConnection:
         return [tuple(group) for group in found.values()]
 
     async def write(self, values: Mapping[str, float]) -> None:
-        """Write engineering values by point name, one request where registers touch; raises a DriverError."""
+        """Write engineering values by point name, one request for adjacent registers; raise a DriverError."""
         for name, bus in self._buses.items():
             mine = {point: value for point, value in values.items() if self._bus_of[point] == name}
             if mine:
                 await bus.write(mine)
 
     async def write_and_read_back(self, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
-        """Write `values`, then ask for writable points `names` as the devices hold them; raises a DriverError.
+        """Write `values`, then return writable points `names` as the devices hold them; raise a DriverError.
 
-        One request where a device is said to have function 23 and all is in reach of it.
+        This is one request where the device has function 23 and all points are within its limits.
         """
         owners = {self._bus_of[point] for point in values}
         if len(owners) != 1:
@@ -117,7 +117,7 @@ class RigConnection:
         return found | await self.read_back(tuple(point for point in names if self._bus_of[point] != owner))
 
     async def read_back(self, names: tuple[str, ...]) -> dict[str, float]:
-        """Writable points as the devices hold them; raises a DriverError."""
+        """Return writable points as the devices hold them; raise a DriverError."""
         found: dict[str, float] = {}
         for name, bus in self._buses.items():
             mine = tuple(point for point in names if self._bus_of[point] == name)
@@ -126,12 +126,12 @@ class RigConnection:
         return found
 
     async def wait_for_device_time(self, device_time_s: float, timeout_s: float) -> None:
-        """Return once every bus that sends by itself has delivered the samples of `device_time_s`."""
+        """Return once every bus that sends unasked has delivered samples of `device_time_s` (s); raise LinkError."""
         for receiver in self._receivers:
             await receiver.wait_for_device_time(device_time_s, timeout_s)
 
     async def first_complete(self, timeout_s: float) -> Snapshot:
-        """The first snapshot in which every point has been heard of; raises LinkError naming those that were not."""
+        """Return the first snapshot with every point received; raise LinkError naming the missing."""
         loop = asyncio.get_running_loop()
         deadline = loop.time() + timeout_s
         while True:
@@ -147,5 +147,5 @@ class RigConnection:
             await asyncio.sleep(0.02)
 
     async def close(self) -> None:
-        """Close all buses; never raises."""
+        """Close all buses; never raise."""
         await asyncio.gather(*(bus.close() for bus in self._all), return_exceptions=True)

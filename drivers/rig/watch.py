@@ -1,6 +1,6 @@
-"""All buses of a rig looked at without moving anything: what each device sends, raw and judged, and what is wrong.
+"""Read-only observation of a rig: the values of every bus, raw and judged, and its faults.
 
-Unlike `drivers.rig.connection` this goes on where a bus is down: it is tried again, and the others are shown meanwhile.
+Unlike `drivers.rig.connection` it goes on where a bus is down: it tries again, and reports the others meanwhile.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ FASTEST_S, SLOWEST_S = 0.1, 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """One point now. `raw` is what came over the wire, registers or frame in hexadecimal, empty where nothing did.
+class PointState:
+    """Present state of one point. `raw` are its registers or its frame in hexadecimal, empty where nothing came.
 
-    `value` is NaN where none is known, `text` that of a string or label; `age_s` since it came, infinite where it
-    never did.
+    `value` is NaN where none is known, `text` that of a string or label; `age_s` is the time since it came, infinite
+    where it never did.
     """
 
     point: Point
@@ -44,7 +44,7 @@ class Seen:
 
     @property
     def fault(self) -> str | None:
-        """What is wrong with it as a sentence, or None."""
+        """Sentence about the point's fault, or None."""
         name, unit = self.point.name, self.point.unit
         if not math.isfinite(self.age_s):
             return f"{name}: nothing heard of it"
@@ -59,7 +59,7 @@ class Seen:
 
 
 class _Registers(ModbusBus):
-    """A Modbus bus that keeps what came over the wire: (table, address) -> register or bit, and when."""
+    """Modbus bus that keeps the words of its replies: (table, address) -> register or bit, and its time."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -73,7 +73,7 @@ class _Registers(ModbusBus):
         return registers
 
     def came(self, point: Point) -> tuple[str, float]:
-        """Registers of a point in hexadecimal, its bit as it is, and when they came."""
+        """Return a point's registers in hexadecimal, or its bit, and the time of the oldest."""
         first = point.address or 0
         found = [self.raw.get((str(point.table), at)) for at in range(first, first + point.width)]
         known = [item for item in found if item is not None]
@@ -84,7 +84,7 @@ class _Registers(ModbusBus):
 
 
 class _Frames(CanReceiver):
-    """A CAN bus that keeps the last frame of each message: name -> bytes, and when."""
+    """CAN bus that keeps the last frame of each message: name -> bytes, and its time."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -98,20 +98,20 @@ class _Frames(CanReceiver):
             self.raw[found.name] = bytes(frame.data), came
 
     def came(self, point: Point) -> tuple[str, float]:
-        """Frame of a point in hexadecimal, and when it came."""
+        """Return the frame of a point in hexadecimal, and its time."""
         data, at = self.raw.get(point.message or "", (b"", -math.inf))
         return data.hex(" ").upper(), at
 
 
 class BusWatch:
-    """One bus: opened within a deadline, tried again where it is down, polled every `period_s`. Nothing is written."""
+    """Observed bus: opened within a deadline, tried again where it is down, polled every period. Nothing is written."""
 
     def __init__(self, name: str, rig: Rig) -> None:
         config = rig.bus[name]
         self.name = name
         self.points = tuple(point for point in rig.point if point.bus == name)
         self.opened_s: float | None = None
-        """How long opening took; None while it is down."""
+        """Time that opening took, s; None while the bus is down."""
         self._refusal: str | None = None
         self._fault: str | None = None
         delay_s = 0.0 if isinstance(config, CanBus) else config.connect_delay_s
@@ -124,16 +124,16 @@ class BusWatch:
         self._came: dict[str, tuple[str, float]] = {}
         self._known: dict[str, tuple[float, int]] = {}
         self.looked = asyncio.Event()
-        """Set once it has been asked for everything, and what comes by itself has come."""
+        """Set once every point was read, and every point that arrives unasked has arrived."""
         self._task: asyncio.Task[None] | None = None
 
     @property
     def failures(self) -> list[str]:
-        """Why it is down, or what the device answers otherwise than the rig file has it."""
+        """Sentences: the cause of a bus that is down, and contradictions between device and rig file."""
         return [text for text in dict.fromkeys((self._refusal, self._fault)) if text is not None]
 
     async def open(self) -> None:
-        """Open the bus; what went wrong is among `failures`, and it is tried again until `close`."""
+        """Open the bus; a failure is added to `failures`, and the bus is tried again until `close`."""
         await self._open()
         self._task = asyncio.create_task(self._poll(), name=f"watch {self.name}")
 
@@ -172,7 +172,7 @@ class BusWatch:
             await asyncio.sleep(max(0.0, began + period_s - time.monotonic()))
 
     async def _read(self) -> Readings:
-        """What the bus says, with the frames that it says it of: a thread receives them meanwhile."""
+        """Return the readings and keep the frames that belong to them: a thread receives frames meanwhile."""
         while True:
             before = {name: self._bus.came(point) for name, point in self._of_frames.items()}
             readings = await self._bus.read()
@@ -181,7 +181,7 @@ class BusWatch:
                 return readings
 
     async def _hold(self) -> str | None:
-        """Ask what the device holds of what can be written; what went wrong, or None."""
+        """Read the writable points back; return the failure as a sentence, or None."""
         if not self._held:
             return None
         try:
@@ -192,24 +192,24 @@ class BusWatch:
         self._known |= {name: (value, int(Quality.GOOD)) for name, value in held.items()}
         return None
 
-    def seen(self) -> list[Seen]:
-        """Every point of the bus that can be read, in the order of the rig file."""
+    def seen(self) -> list[PointState]:
+        """Return the state of every point of the bus that can be read, in the order of the rig file."""
         return [self._seen(point) for point in self.points if point.access != "w"]
 
-    def _seen(self, point: Point) -> Seen:
+    def _seen(self, point: Point) -> PointState:
         raw, came = self._came.get(point.name, ("", -math.inf))
         age_s = time.monotonic() - came
         texts = self._bus.texts if isinstance(self._bus, _Registers) else {}
         if point.type == "string":
             text = texts.get(point.name, "")
-            return Seen(point, raw, math.nan, text, Quality.GOOD if text else Quality.LINK_FAULT, age_s)
+            return PointState(point, raw, math.nan, text, Quality.GOOD if text else Quality.LINK_FAULT, age_s)
         value, quality = self._known.get(point.name, (math.nan, int(Quality.LINK_FAULT)))
         labels = point.label_of or {}
         text = labels.get(round(value), "") if math.isfinite(value) else ""
-        return Seen(point, raw, value, text, Quality(quality), age_s)
+        return PointState(point, raw, value, text, Quality(quality), age_s)
 
     async def close(self) -> None:
-        """Stop looking."""
+        """Stop polling and close the bus."""
         if self._task is not None:
             self._task.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -218,7 +218,7 @@ class BusWatch:
 
 
 class RigWatch:
-    """All buses of `rig`, opened at once and polled side by side, as an asynchronous context. Nothing is written."""
+    """All buses of `rig`, opened and polled concurrently, as an asynchronous context. Nothing is written."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
@@ -236,14 +236,14 @@ class RigWatch:
     async def __aexit__(self, *_: object) -> None:
         await asyncio.gather(*(bus.close() for bus in self.buses))
 
-    def seen(self) -> list[Seen]:
-        """Every point that can be read, bus by bus."""
+    def seen(self) -> list[PointState]:
+        """Return the state of every point that can be read, bus by bus."""
         return [seen for bus in self.buses for seen in bus.seen()]
 
     def faults(self) -> dict[str, list[str]]:
-        """What is wrong now, by bus: why it is down, else what is wrong with its points; nothing of a bus that is well.
+        """Return the present faults by bus: the failures of the bus and the faults of its points; none of a good bus.
 
-        Points of a bus that was never open are not told one by one.
+        Points of a bus that was never open are not listed one by one.
         """
         found: dict[str, list[str]] = {}
         for bus in self.buses:

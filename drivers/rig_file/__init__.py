@@ -1,1 +1,81 @@
-"""Rig file: its model, its checks, and messages with the line of each mistake."""
+"""Rig file: its model, its checks, and messages with the line of each mistake.
+
+The names below are the package's interface. Other modules are private to the package.
+"""
+
+from drivers.rig_file.bus_sections import (
+    CanBus,
+    CanMessage,
+    Hole,
+    ModbusBusSection,
+    ModbusRtuBus,
+    ModbusRtuTcpBus,
+    ModbusTcpBus,
+    ModbusTlsBus,
+    is_numbered,
+    is_rtu,
+)
+from drivers.rig_file.can_ids import IdMatch, Senders
+from drivers.rig_file.checks import cross_checks
+from drivers.rig_file.encodings import decoded
+from drivers.rig_file.host_address import addresses, is_own
+from drivers.rig_file.interlock_specs import (
+    HeaterPowerSpec,
+    InterlockSpec,
+    Level,
+    LimitSpec,
+    NoFlowSpec,
+    RateOfRiseSpec,
+    ResidualSpec,
+    SensorSpec,
+)
+from drivers.rig_file.messages import mistake
+from drivers.rig_file.model import Heartbeat, Point, Rig
+from drivers.rig_file.plain_values import checked_host
+from drivers.rig_file.reader import RigFileError, file_sha256, load_rig, located
+from drivers.rig_file.regular_file import read_regular, refuse_irregular
+from drivers.rig_file.toml_lines import line_of, tables_of
+from drivers.rig_file.wires import device_of_bus, serial_device, wire_of_bus
+
+__all__ = [
+    "CanBus",
+    "CanMessage",
+    "Heartbeat",
+    "HeaterPowerSpec",
+    "Hole",
+    "IdMatch",
+    "InterlockSpec",
+    "Level",
+    "LimitSpec",
+    "ModbusBusSection",
+    "ModbusRtuBus",
+    "ModbusRtuTcpBus",
+    "ModbusTcpBus",
+    "ModbusTlsBus",
+    "NoFlowSpec",
+    "Point",
+    "RateOfRiseSpec",
+    "ResidualSpec",
+    "Rig",
+    "RigFileError",
+    "Senders",
+    "SensorSpec",
+    "addresses",
+    "checked_host",
+    "cross_checks",
+    "decoded",
+    "device_of_bus",
+    "file_sha256",
+    "is_numbered",
+    "is_own",
+    "is_rtu",
+    "line_of",
+    "load_rig",
+    "located",
+    "mistake",
+    "read_regular",
+    "refuse_irregular",
+    "serial_device",
+    "tables_of",
+    "wire_of_bus",
+]

@@ -1,4 +1,4 @@
-"""Sections of a rig file that say how a bus is reached, `[bus.NAME]`: one class a transport, validated."""
+"""Bus sections of a rig file, `[bus.NAME]`: transport, address and limits. One validated class a transport."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.rig_file.plain_values import checked_host, refuse_quoted_numbers
 
 
 class Section(BaseModel):
-    """One section of a rig file: unknown keys are mistakes, and so are infinite numbers."""
+    """Section of a rig file: unknown keys are mistakes, and so are infinite numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -28,7 +28,7 @@ Table = Literal["coil", "discrete", "holding", "input"]
 
 
 class Hole(Section):
-    """Addresses `first` to `last` of a table that the device has not; no request crosses them."""
+    """Addresses `first` to `last` of a table that the device lacks; no request crosses them."""
 
     table: Table
     first: Annotated[int, Field(ge=0, le=65535)]
@@ -42,14 +42,14 @@ class Hole(Section):
 
 
 class ModbusBusSection(Section, ABC):
-    """A Modbus device, however it is reached. Sections of the same line, or the same host and port, share that wire.
+    """Modbus device on any transport. Sections of the same line, or the same host and port, share that wire.
 
-    `timeout_s` is what the device may take to answer, without the time that bytes take on a slow line; `gap_s` the
-    silence that it wants before a request, where that is longer than the protocol's; `connect_delay_s` the time after
-    connecting in which it would swallow requests, so that none is sent. `uptime` names the point that
+    `timeout_s` is the longest time to an answer, without the time that bytes take on a slow line. `gap_s` is the
+    silence that the device needs before a request, where that is longer than the protocol's. `connect_delay_s` is the
+    time after connecting in which no request is sent, since the device would lose it. `uptime` names the point that
     carries the device's own clock. `serial_baud` is the speed in bit/s of the serial line, or of that behind a gateway:
-    what is polled must fit on it (`hil check`). `read_write` says that the device has function 23: what is written and
-    read back is then one request.
+    all polling must fit on it (`hil check`). `read_write` declares function 23: a write and its read-back are then one
+    request.
     """
 
     device_id: Annotated[int, Field(ge=0, le=255)] = 1
@@ -69,16 +69,16 @@ class ModbusBusSection(Section, ABC):
     @property
     @abstractmethod
     def place(self) -> str:
-        """Protocol and address, as a person reads them."""
+        """Protocol and address as text for messages."""
 
     @property
     def where(self) -> str:
-        """Protocol, address and device."""
+        """Protocol, address and device number as text for messages."""
         return f"{self.place}, device {self.device_id}"
 
 
 class ModbusTcpBus(ModbusBusSection):
-    """A Modbus/TCP server and the device behind it.
+    """Modbus/TCP server and the device behind it.
 
     `transaction` is `zero` for a device that answers every request with transaction 0: read as a serial line is.
     `frame_length` is `ignored` for one whose headers announce another length than its replies have: these then are as
@@ -103,7 +103,7 @@ class ModbusTcpBus(ModbusBusSection):
 
 
 class ModbusTlsBus(ModbusTcpBus):
-    """The same over TLS with certificates both ways (Modbus/TCP Security protocol specification, v21).
+    """Modbus/TCP server over TLS with certificates both ways (Modbus/TCP Security protocol specification, v21).
 
     `certificate` and `key` are ours, `ca` signs the device's: PEM files, beside the rig file unless their paths say
     otherwise. The device's certificate must name `host`.
@@ -122,7 +122,7 @@ class ModbusTlsBus(ModbusTcpBus):
 
 
 class ModbusRtuTcpBus(ModbusTcpBus):
-    """A serial line behind a converter that passes RTU frames over TCP as they are."""
+    """Serial line behind a converter that passes RTU frames over TCP as they are."""
 
     transport: Literal["modbus_rtu_tcp"]  # type: ignore[assignment]
     device_id: Annotated[int, Field(ge=1, le=247)] = 1
@@ -141,7 +141,7 @@ class ModbusRtuTcpBus(ModbusTcpBus):
 
 
 class ModbusRtuBus(ModbusBusSection):
-    """A serial line of this machine (Modbus over serial line V1.02: even parity unless the device has another)."""
+    """Serial line of this machine (Modbus over serial line V1.02: even parity unless the device has another)."""
 
     transport: Literal["modbus_rtu"]
     serial_port: str
@@ -152,16 +152,16 @@ class ModbusRtuBus(ModbusBusSection):
 
     @property
     def place(self) -> str:
-        """Protocol, line, speed and character."""
+        """Protocol, line, speed and character format as text for messages."""
         character = f"8{self.parity[0].upper()}{self.stop_bits}"
         return f"Modbus RTU {self.serial_port}, {self.serial_baud} bit/s {character}"
 
 
 class CanMessage(Section):
-    """Which frames are a message, where the DBC does not say it: an identifier with a mask, or a PGN of J1939.
+    """Frames of a message that the DBC does not identify: an identifier with a mask, or a PGN of J1939.
 
-    `name` is what points call it; its layout is that of `dbc_message`, by itself the DBC's message of the same name.
-    Bits that are 0 in `mask` may be anything. A PGN matches at any priority, from `source` and to `destination`.
+    `name` is its name in points; its layout is that of `dbc_message`, by default the DBC's message of the same name.
+    Bits that are 0 in `mask` may have any value. A PGN matches at any priority, from `source` and to `destination`.
     """
 
     name: str
@@ -202,18 +202,18 @@ class CanMessage(Section):
 
     @property
     def match(self) -> IdMatch:
-        """The frames that are this message."""
+        """Identifiers of this message's frames."""
         if self.pgn is not None:
             return by_pgn(self.pgn, self.source, self.destination)
         return by_id(self.id or 0, bool(self.extended), self.mask)
 
 
 class CanBus(Section):
-    """A CAN bus reached through python-can, its frames described by a DBC file beside the rig file.
+    """CAN bus reached through python-can, its frames described by a DBC file.
 
     `channel` is the interface (socketcan), the daemon's bus (socketcand), the serial port of the adapter (slcan) or any
     name (virtual, within one process). `bitrate` in bit/s is set by slcan alone: elsewhere it is the system's.
-    `message` says which frames are a message, of those of which the DBC does not say it well enough.
+    `message` identifies the frames of messages for which the DBC does not suffice.
     """
 
     transport: Literal["socketcand", "socketcan", "slcan", "virtual"]
@@ -235,18 +235,18 @@ class CanBus(Section):
 
     @property
     def place(self) -> str:
-        """Interface and channel."""
+        """Interface and channel as text for messages."""
         daemon = f"{self.host}:{self.port}/" if self.transport == "socketcand" else ""
         return f"{self.transport} {daemon}{self.channel}"
 
 
 def is_rtu(bus: ModbusBusSection) -> bool:
-    """Whether requests go out in RTU frames, which carry no number that a reply could be known by."""
+    """Return True where requests go out in RTU frames, which carry no transaction number."""
     return isinstance(bus, ModbusRtuBus | ModbusRtuTcpBus)
 
 
 def is_numbered(bus: ModbusBusSection) -> bool:
-    """Whether a reply carries the number of its request."""
+    """Return True where a reply carries the transaction number of its request."""
     return isinstance(bus, ModbusTcpBus) and not is_rtu(bus) and bus.transaction == "checked"
 
 

@@ -1,4 +1,4 @@
-"""Mistakes of a rig file that need more than one of its sections to be seen: names, addresses, what watches what."""
+"""Checks of a rig file across its sections: names, addresses, wires, heartbeat and interlocks."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 from drivers.rig_file.bus_sections import CanBus, ModbusBusSection
 from drivers.rig_file.interlock_specs import HeaterPowerSpec
 from drivers.rig_file.model import Point, Rig
-from drivers.rig_file.wires import devices, wires
+from drivers.rig_file.wires import device_of_bus, wire_of_bus
 from drivers.signals.codec import CodecError, encode
 
 
 def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
-    """Mistakes that need more than one section, with their place in the document."""
+    """Return mistakes that concern more than one section, each with its place in the document and the remedy."""
     found: list[tuple[tuple[Any, ...], str]] = []
     names: dict[str, int] = {}
     taken = Layout()
@@ -77,7 +77,7 @@ def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
 
 
 def _watchdog_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
-    """Why the rig's watchdog cannot be given its time-out."""
+    """Return the mistake that prevents setting the time-out of the rig's watchdog, if any."""
     heartbeat, place = rig.heartbeat, ("heartbeat", "watchdog")
     if heartbeat is not None and heartbeat.watchdog is None and heartbeat.watchdog_s is not None:
         return [(("heartbeat", "watchdog_s"), "heartbeat: watchdog_s is written to a point; name it as watchdog")]
@@ -105,7 +105,7 @@ def _watchdog_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
 def _wire_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
     """Return mistakes of sections that share a wire and disagree on it, or that are the same device."""
     found: list[tuple[tuple[Any, ...], str]] = []
-    wire, device = wires(rig), devices(rig)
+    wire, device = wire_of_bus(rig), device_of_bus(rig)
     for name, other in wire.items():
         for key in (
             "transport",
@@ -139,7 +139,7 @@ def _spelled(rig: Rig, one: str, other: str) -> str:
 
 
 def _message_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
-    """Entries of CAN messages that are not read, are there twice, or take one another's frames."""
+    """Return mistakes of CAN message entries: not read, declared twice, or with frames in common."""
     found: list[tuple[tuple[Any, ...], str]] = []
     for bus, config in rig.bus.items():
         if not isinstance(config, CanBus):
@@ -162,7 +162,7 @@ def _message_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
 
 
 def unwritable(point: Point) -> str | None:
-    """Return why a Modbus point cannot be written where its access says so; None where there is no contradiction."""
+    """Return the cause where a Modbus point cannot be written although its access demands it, else None."""
     if point.access == "r" or point.table not in ("input", "discrete"):
         return None
     which, other = ("input registers", "holding") if point.table == "input" else ("discrete inputs", "coil")
@@ -170,7 +170,7 @@ def unwritable(point: Point) -> str | None:
 
 
 def misplaced(point: Point, bus: ModbusBusSection) -> list[tuple[str, str]]:
-    """Key and mistake of a Modbus point that its bus cannot carry."""
+    """Return key and mistake of a Modbus point that its bus cannot carry."""
     first = point.address or 0
     last = first + point.width - 1
     found: list[tuple[str, str]] = []
@@ -186,7 +186,7 @@ def misplaced(point: Point, bus: ModbusBusSection) -> list[tuple[str, str]]:
 
 
 class Layout:
-    """Which addresses belong to whom. Bit fields may share registers where their bits differ."""
+    """Addresses and the points that use them. Bit fields may share registers where their bits differ."""
 
     def __init__(self) -> None:
         self._taken: dict[tuple[str, str, int], list[Point]] = {}
@@ -201,7 +201,7 @@ class Layout:
         return None
 
     def taken_by(self, point: Point) -> tuple[str, int] | None:
-        """Take the addresses of a Modbus point; name and address of another point that has one of them already."""
+        """Take the addresses of a Modbus point; return name and address of a point that has one already, or None."""
         clash = self.clash(point)
         first = point.address or 0
         for address in range(first, first + point.width):
@@ -217,7 +217,7 @@ def _share(one: Point, other: Point) -> bool:
 
 
 def _interlock_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
-    """Interlocks that watch what there is not."""
+    """Return mistakes of interlocks: points that do not exist or are of the wrong kind."""
     found: list[tuple[tuple[Any, ...], str]] = []
     points = {point.name: point for point in rig.point}
     for index, spec in enumerate(rig.interlock):

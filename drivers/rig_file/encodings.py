@@ -10,7 +10,7 @@ def decoded(raw: bytes, encoding: str | None = None) -> tuple[str, str]:
     """Return text and encoding of a file's bytes; raise ValueError with the mistake and the remedy.
 
     Without `encoding` (or with `utf-8`, which says no more than the default) a byte order mark decides, then UTF-8 and
-    then cp1252 are tried. Another encoding is taken at its word.
+    then cp1252 are tried. Any other encoding is used as given.
     """
     if encoding is not None and encoding.lower().replace("_", "-") not in ("utf-8", "utf8"):
         tries: tuple[str, ...] = (encoding,)

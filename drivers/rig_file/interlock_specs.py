@@ -1,9 +1,9 @@
-"""Interlocks as a rig file declares them, `[[interlock]]`: what is watched, how far it may go, what follows.
+"""Interlock sections of a rig file, `[[interlock]]`: watched points, limits, and warning or alarm.
 
-A `warning` suspends the run (safe outputs, the profile's clock stands) and lets it go on by itself; an `alarm` latches
-a trip. Deadband and delays are those of ANSI/ISA-18.2: a condition must hold for `on_delay_s` before it counts, and be
-gone by `deadband` for `off_delay_s` before it is over. A point that is stale or faulty counts as beyond its limit after
-the rig's `abort_after_s`.
+A `warning` suspends the run (safe outputs, the profile's clock stands) until it clears; an `alarm` latches a trip.
+Deadband and delays are those of ANSI/ISA-18.2: a condition must hold for `on_delay_s` before it counts, and be gone by
+`deadband` for `off_delay_s` before it is over. A point that is stale or faulty counts as beyond its limit after the
+rig's `abort_after_s`.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ class _Spec(BaseModel):
 
     @property
     def points(self) -> dict[str, str]:
-        """Key -> name of each point that this interlock reads."""
+        """Names of the points that this interlock reads, by key."""
         keys = ("point", "heater", "flow", "setpoint")
         return {key: getattr(self, key) for key in keys if hasattr(self, key)}
 
 
 class LimitSpec(_Spec):
-    """`point` must stay between `low` and `high`, in its unit."""
+    """Limit: `point` must stay between `low` and `high`, in its unit."""
 
     kind: Literal["limit"]
     point: str
@@ -57,7 +57,7 @@ class LimitSpec(_Spec):
 
 
 class RateOfRiseSpec(_Spec):
-    """`point` must not rise faster than `high` of its unit a second, over `window_s`."""
+    """Rate of rise: `point` must not rise faster than `high` of its unit a second, over `window_s`."""
 
     kind: Literal["rate_of_rise"]
     point: str
@@ -76,16 +76,16 @@ class NoFlowSpec(_Spec):
 
 
 class SensorSpec(_Spec):
-    """`point` must be good: neither stale, implausible nor faulty for longer than the rig's `abort_after_s`."""
+    """Sensor check: `point` must not be stale, implausible or faulty for longer than the rig's `abort_after_s`."""
 
     kind: Literal["sensor"]
     point: str
 
 
 class HeaterPowerSpec(_Spec):
-    """What `setpoint` asks for and what its `readback` measures must not be further apart than `tolerance`.
+    """Heater power check: `setpoint` and its `readback` must not differ by more than `tolerance`, in their unit.
 
-    `on_delay_s` None: the set-point's `readback_within_s`, for the lag of the actuator.
+    An `on_delay_s` of None stands for the set-point's `readback_within_s`, for the lag of the actuator.
     """
 
     kind: Literal["heater_power"]
@@ -95,9 +95,10 @@ class HeaterPowerSpec(_Spec):
 
 
 class ResidualSpec(_Spec):
-    """Measured minus `twin`'s prediction of `sensor` (a name of the twin file) must stay within `high` kelvin.
+    """Residual check: measured minus predicted `sensor` (a name of the twin file) must stay within `high` kelvin.
 
-    A warning only: that a twin is wrong is no danger. It is a mean over the calibrator's block of some seconds.
+    It is a warning only, since a wrong twin is no danger. The residual is a mean over the calibrator's block of some
+    seconds.
     """
 
     kind: Literal["residual"]

@@ -1,4 +1,4 @@
-"""Sentences for the mistakes that pydantic finds in a rig file: line, key, mistake and remedy in our own words."""
+"""Sentences for the mistakes that pydantic finds in a rig file: line, key, mistake and remedy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.rig_file.interlock_specs import KINDS
 from drivers.rig_file.toml_lines import line_of
 
 _TAGS = (*TRANSPORTS, *KINDS)
-"""Which member of a union was meant: pydantic puts it into the place of a mistake."""
+"""Tags of union members: pydantic puts the tag into the place of a mistake."""
 _REMEDY = {
     "missing": "is missing; add it",
     "extra_forbidden": "is not a key of this section; check its spelling",
@@ -62,7 +62,7 @@ def sentence(path: Path, text: str, item: Any) -> str:
 
 
 def mistake(item: Any) -> str:
-    """Return what is wrong with the value of an error, and the remedy."""
+    """Return the mistake of an error's value, and the remedy."""
     kind, given = str(item["type"]), item["input"]
     context = item.get("ctx", {})
     if kind in _REMEDY:

@@ -1,4 +1,4 @@
-"""What a rig file says, parsed: points, heartbeat and the rig as a whole, as frozen, validated objects.
+"""Model of a rig file: points, heartbeat and the whole rig as frozen, validated objects.
 
 Addresses are PDU addresses, zero-based (Modbus application protocol V1.1b3, 4.4).
 """
@@ -32,7 +32,7 @@ Interval = tuple[float, float]
 
 
 class Point(Section):
-    """One quantity on a bus: where it is, how its raw value becomes an engineering value, and what it may be.
+    """Quantity on a bus: its place, the conversion of its raw value, its limits and its checks.
 
     engineering value = raw * scale + offset. A point with `access` `w` or `rw` is a set-point when it has `limits`.
     `bits` takes the lowest and the highest bit of an unsigned register, bit 0 being the least significant; `labels`
@@ -46,7 +46,7 @@ class Point(Section):
     access: Literal["r", "w", "rw"] = "r"
     role: str | None = None
     doc: str = ""
-    # where: Modbus
+    # place on Modbus
     table: Table | None = None
     address: Annotated[int, Field(ge=0, le=65535)] | None = None
     type: RegisterType = "uint16"
@@ -57,10 +57,10 @@ class Point(Section):
     labels: dict[str, str] | None = None
     length: Annotated[int, Field(ge=1, le=125)] | None = None
     expect: str | None = None
-    # where: CAN
+    # place on CAN
     message: str | None = None
     signal: str | None = None
-    # what a reading may be
+    # checks of readings
     kind: Literal["measured", "status"] = "measured"
     invalid: tuple[Annotated[float, Field(allow_inf_nan=True)], ...] = ()
     plausible: Interval | None = None
@@ -68,7 +68,7 @@ class Point(Section):
     stuck_after_s: Annotated[float, Field(gt=0)] | None = None
     max_change_per_s: Annotated[float, Field(gt=0)] | None = None
     alarm: Interval | None = None
-    # what may be written
+    # limits of writes
     limits: Interval | None = None
     max_rate: Annotated[float, Field(gt=0)] | None = None
     safe_value: float | None = None
@@ -123,7 +123,7 @@ class Point(Section):
         return self
 
     def _mistaken_type(self) -> str | None:
-        """What type, bits, labels and length say against one another, or None."""
+        """Return the contradiction between type, bits, labels and length, or None."""
         if self.table in ("coil", "discrete") and self.type != "bool":
             return f"a {self.table} is one bit and has no type {self.type}; take type out"
         if (self.length is not None) != (self.type == "string"):
@@ -151,7 +151,7 @@ class Point(Section):
         return None
 
     def _mistaken_number(self) -> str | None:
-        """A limit or safe value that cannot be written, or a sentinel that cannot come; None where all can."""
+        """Return a sentence about a limit or safe value out of the type's range or an impossible sentinel, or None."""
         if self.table is None or self.type == "string":
             return None
         written = [*(self.limits or ()), *([] if self.safe_value is None else [self.safe_value])]
@@ -170,22 +170,22 @@ class Point(Section):
 
     @property
     def is_setpoint(self) -> bool:
-        """Whether profiles may drive this point."""
+        """True where profiles may drive this point."""
         return self.limits is not None
 
     @property
     def width(self) -> int:
-        """Number of registers; of a coil or a discrete input one bit."""
+        """Number of registers; 1 (bit) for a coil or a discrete input."""
         return WIDTH[self.type] if self.length is None else self.length
 
     @property
     def is_polled(self) -> bool:
-        """Whether it is read on every tick."""
+        """True where it is read on every tick."""
         return self.access == "r" and self.type != "string"
 
     @cached_property
     def sentinels(self) -> frozenset[float]:
-        """Raw numbers that say that the sensor is faulty."""
+        """Raw numbers that mean a faulty sensor."""
         return raw_sentinels(self.invalid, self.type if self.table is not None else "float64")
 
     @cached_property
@@ -194,21 +194,21 @@ class Point(Section):
         return None if self.labels is None else {int(key): text for key, text in self.labels.items()}
 
     def as_signal(self) -> Signal:
-        """The point without its address."""
+        """Return the point without its address."""
         kind: Literal["measured", "setpoint", "status"] = "setpoint" if self.is_setpoint else self.kind
         return Signal(self.name, self.unit, kind, self.role, self.bus, self.plausible, self.doc)
 
 
 class Heartbeat(Section):
-    """How rig and harness watch each other: the harness changes `point` each tick, the rig's `counter` must advance.
+    """Mutual supervision of rig and harness: the harness changes `point` each tick, the rig's `counter` must advance.
 
-    `arm` is the point that lets outputs go live when 1 is written. The rig says on `status` that it has tripped by
-    itself: any bit of `trip_mask`. Those of `watchdog_mask` say no more than that the heartbeat stayed away, as it does
-    after every run; any other must be acknowledged before the next one starts. `counter` must advance within
-    `timeout_s`.
+    `arm` is the point that enables the outputs when 1 is written. The rig reports its own trip on `status`: any bit of
+    `trip_mask`. A bit of `watchdog_mask` means only that the heartbeat stopped, as it does after every run; any other
+    bit must be acknowledged before the next run starts. `counter` must advance within `timeout_s`.
 
-    `watchdog` is the point, in s, that says how long the rig waits for a beat before it cuts its heater itself. Where
-    it is named the harness sets it before it arms (`Rig.watchdog_s`), and arms no rig that does not hold it.
+    `watchdog` is the point that holds the rig's time-out in s: the rig waits so long for a beat before it cuts its
+    heater itself. If it is named, the harness sets it before it arms (`Rig.watchdog_s`), and arms no rig that does not
+    hold it.
     """
 
     point: str
@@ -223,13 +223,13 @@ class Heartbeat(Section):
 
 
 class Rig(Section):
-    """A whole rig file. `twin` is the twin file that runs beside this rig unless another is named.
+    """Whole rig file. `twin` is the twin file of this rig, unless a command names another.
 
-    A run that an alarm has tripped waits `acknowledge_within_s` at safe values for an operator; 0 ends it at once. One
-    that a warning suspends waits `suspend_at_most_s` for it to go away; 0 is for as long as it takes.
+    A run that an alarm has tripped waits `acknowledge_within_s` at safe values for an operator; 0 ends it at once. A
+    run that a warning suspends waits `suspend_at_most_s` for it to clear; 0 means without limit.
 
-    The clock of the rig runs `time_scale` times real time, as that of a simulated device may. Every time in the file is
-    in the rig's time but those of a bus, which are of the wire.
+    The clock of the rig runs `time_scale` times real time, as that of a simulated device may. All times in the file are
+    in rig time, except those of a bus, which are in real time.
     """
 
     name: str
@@ -252,9 +252,9 @@ class Rig(Section):
 
     @property
     def watchdog_s(self) -> float | None:
-        """Time-out that the harness gives the rig's own watchdog, s; None where it is not told how.
+        """Time-out that the harness sets for the rig's own watchdog, s; None where no watchdog point is declared.
 
-        As the rig file says, else `abort_after_s`: with the link gone the rig need not wait longer than the harness.
+        It is the rig file's, else `abort_after_s`: with the link gone the rig need not wait longer than the harness.
         Rounded down to what the point can hold.
         """
         if self.heartbeat is None or self.heartbeat.watchdog is None:
@@ -265,18 +265,18 @@ class Rig(Section):
         return math.floor((wanted - point.offset) / point.scale + 1e-9) * point.scale + point.offset
 
     def get(self, name: str) -> Point:
-        """The point called `name`; KeyError where there is none."""
+        """Return the point called `name`; raise KeyError where there is none."""
         for point in self.point:
             if point.name == name:
                 return point
         raise KeyError(name)
 
     def setpoint_of_column(self, name: str) -> Point | None:
-        """The set-point that a profile calls `name`: its own name or the name of the point it moves."""
+        """Return the set-point for a profile's column `name` (its own name or its readback's), or None."""
         return next((p for p in self.setpoints if name in (p.name, p.readback)), None)
 
     def with_ports(self, ports: dict[str, int]) -> Rig:
-        """The same rig with other TCP ports, by bus name."""
+        """Return the same rig with other TCP ports, by bus name."""
         buses = {
             name: bus.model_copy(update={"port": ports[name]}) if name in ports else bus
             for name, bus in self.bus.items()

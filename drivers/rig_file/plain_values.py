@@ -29,7 +29,7 @@ def refuse_quoted_numbers(section: type[BaseModel], data: Any) -> None:
 
 
 def _mistaken_number(value: Any, annotation: Any) -> str | None:
-    """Return what is wrong with a value of a key of type `annotation`, or None."""
+    """Return the mistake of a value of a key of type `annotation`, or None."""
     types = _types(annotation)
     if any(kind in types for kind in (str, Path, bool)) or not any(kind in types for kind in (int, float)):
         return None

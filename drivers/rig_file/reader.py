@@ -1,4 +1,4 @@
-"""Reads a rig file: TOML that says what is on the rig.
+"""Reader of rig files: TOML text to a validated `Rig`.
 
 Every mistake is reported with the file, the line, the key and what to do about it; all mistakes of a file come in one
 `RigFileError`.
@@ -23,14 +23,14 @@ from drivers.signals.points import ConfigurationError
 
 
 class RigFileError(ConfigurationError):
-    """The rig file cannot be used; one sentence a mistake, each with line, key and remedy."""
+    """Rig file that cannot be used; one sentence a mistake, each with line, key and remedy."""
 
 
 _FILES = ("dbc", "ca", "certificate", "key")
 
 
 def load_rig(path: Path) -> Rig:
-    """Read and validate a rig file; raises RigFileError with every mistake in it."""
+    """Read and validate a rig file; raise RigFileError with every mistake in it."""
     try:
         text, document = tables_of(read_regular(path))
     except FileNotFoundError:
@@ -84,11 +84,11 @@ def _misshapen(document: dict[str, Any]) -> list[tuple[tuple[Any, ...], str]]:
 
 
 def located(path: Path, mistakes: Sequence[tuple[Sequence[Any], str]]) -> RigFileError:
-    """The error of mistakes that were found in a rig file after it was read, each with its place in the document."""
+    """Return the error of mistakes found in a rig file after it was read, each with its place in the document."""
     text = read_regular(path).decode("utf-8")
     return RigFileError("\n".join(f"{path}, line {line_of(text, place)}: {what}" for place, what in mistakes))
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
+    """Return the SHA-256 of a file's bytes, in hexadecimal; raise OSError."""
     return hashlib.sha256(read_regular(path, MOST_DESCRIPTION)).hexdigest()

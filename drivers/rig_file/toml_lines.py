@@ -67,7 +67,7 @@ def key_lines(text: str) -> dict[Place, int]:
 
 
 class _Scanner:
-    """A reader of TOML that keeps places and lines only. The text has been found valid before."""
+    """Reader of valid TOML that keeps places and lines only."""
 
     def __init__(self, text: str) -> None:
         self.text = text

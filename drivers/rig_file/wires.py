@@ -1,8 +1,8 @@
-"""Bus sections of a rig file that are one wire or one device, whatever their hosts and lines are called.
+"""Bus sections of a rig file that share one wire or one device, also under different names of host or line.
 
 Sections share a wire only where their host has an address in common and their port is the same. Two addresses of this
 machine (`127.0.0.1` and `127.0.0.2`, or that of an interface) may have two servers behind one port. They keep a
-connection each, and only count as one host where the same device would be driven twice (`devices`).
+connection each, and only count as one host where the same device would be driven twice (`device_of_bus`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from drivers.rig_file.host_address import addresses, is_own
 from drivers.rig_file.model import Rig
 
 _known = cache(addresses)
-"""Addresses by host: all parts of one process have to agree on the wires of a rig, and each name is asked for once."""
+"""Addresses by host: all parts of one process must agree on the wires of a rig, and each name is resolved once."""
 
 
 def serial_device(path: str) -> str:
@@ -23,7 +23,7 @@ def serial_device(path: str) -> str:
     return os.path.realpath(path)
 
 
-def wires(rig: Rig) -> dict[str, str]:
+def wire_of_bus(rig: Rig) -> dict[str, str]:
     """Return the wire of each Modbus section, as the name of the first section on it.
 
     Host names are resolved only where two sections with the same port give their host in different words. May wait for
@@ -36,13 +36,13 @@ def wires(rig: Rig) -> dict[str, str]:
     return found
 
 
-def devices(rig: Rig) -> dict[str, str]:
+def device_of_bus(rig: Rig) -> dict[str, str]:
     """Return the device of each Modbus section, as the name of the first section that reaches it.
 
     Beside sections of one wire with the same `device_id`, sections with the same port at any two addresses of this
     machine are one device.
     """
-    wire, found = wires(rig), dict[str, str]()
+    wire, found = wire_of_bus(rig), dict[str, str]()
     for name, bus in _modbus(rig).items():
         same = (
             other

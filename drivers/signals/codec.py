@@ -1,9 +1,9 @@
-"""Registers to numbers and texts and back: pure functions, no I/O.
+"""Codec of registers: numbers and texts to registers and back. Pure functions, no I/O.
 
 A value of w registers travels as 2w bytes. `order` names the sequence of the bytes A (most significant) to D on the
 wire, as Telegraf and most gateways do: ABCD is the Modbus standard (Modbus application protocol V1.1b3, 4.2), CDAB has
 the low word first, BADC and DCBA have their bytes swapped within each register. For 64-bit values the same rule is
-applied to words and bytes. Of a text only the bytes within each register may be swapped.
+applied to words and bytes. Texts may only have the bytes within each register swapped.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _packed(registers: Sequence[int], order: ByteOrder) -> bytes:
 
 
 def decode_exact(registers: Sequence[int], kind: str, order: ByteOrder = "ABCD") -> int | float:
-    """The raw number in `registers` (0..65535 each, as many as `WIDTH[kind]`), integers exact; raises CodecError."""
+    """Return the raw number in `registers` (0..65535, as many as `WIDTH[kind]`), integers exact; raise CodecError."""
     if kind not in WIDTH:
         raise CodecError(f"{kind} is no type of number")
     if len(registers) != WIDTH[kind]:
@@ -73,9 +73,9 @@ def decode_exact(registers: Sequence[int], kind: str, order: ByteOrder = "ABCD")
 def decode(
     registers: Sequence[int], kind: str, order: ByteOrder = "ABCD", bits: tuple[int, int] | None = None
 ) -> float:
-    """The raw number in `registers`, or that of its `bits` (lowest and highest, bit 0 the least significant).
+    """Return the raw number in `registers`, or that in its `bits` (lowest and highest, bit 0 the least significant).
 
-    A float, as all readings are: of a 64-bit integer beyond 2^53 it is the nearest one. Raises CodecError.
+    It is a float, as all readings are: the nearest one for a 64-bit integer beyond 2^53. Raises CodecError.
     """
     number = decode_exact(registers, kind, order)
     return float(number if bits is None else field_of(number, *bits))
@@ -85,7 +85,7 @@ def decode(
 def decoder(
     kind: str, order: ByteOrder = "ABCD", bits: tuple[int, int] | None = None
 ) -> Callable[[Sequence[int], int], float]:
-    """`decode` made once for a type: takes the registers of a reply, 0..65535 each, and where in them the value is."""
+    """Return `decode` for one type, as a function of a reply's registers (0..65535) and the value's index in them."""
     width = WIDTH[kind]
     if bits is not None or kind == "bool":
         return lambda registers, at: decode(registers[at : at + width], kind, order, bits)
@@ -100,14 +100,14 @@ def decoder(
 
 
 def field_of(number: int | float, lowest: int, highest: int) -> int:
-    """The unsigned number in bits `lowest` to `highest` of an integer; raises CodecError of anything else."""
+    """Return the unsigned number in bits `lowest` to `highest` of an integer; raise CodecError for any other number."""
     if not isinstance(number, int) or number < 0 or not 0 <= lowest <= highest:
         raise CodecError(f"{number} has no bits {lowest} to {highest}")
     return number >> lowest & (1 << (highest - lowest + 1)) - 1
 
 
 def encode(value: float, kind: str, order: ByteOrder = "ABCD") -> list[int]:
-    """Registers of the raw number `value`, rounded for integers; raises CodecError where it does not fit."""
+    """Return the registers of the raw number `value`, rounded for integers; raise CodecError where it does not fit."""
     if kind not in WIDTH:
         raise CodecError(f"{kind} is no type of number")
     return encoder(kind, order)(value)
@@ -115,7 +115,7 @@ def encode(value: float, kind: str, order: ByteOrder = "ABCD") -> list[int]:
 
 @lru_cache(maxsize=64)
 def encoder(kind: str, order: ByteOrder = "ABCD") -> Callable[[float], list[int]]:
-    """`encode` made once for a type."""
+    """Return `encode` for one type, as a function of the raw number."""
     if kind == "bool":
         return lambda value: _arranged([_bit(value)], order)
     pack, unpack = struct.Struct(">" + _FORMAT[kind]).pack, struct.Struct(f">{WIDTH[kind]}H").unpack
@@ -143,7 +143,7 @@ def _bit(value: float) -> int:
 
 
 def decode_text(registers: Sequence[int], order: ByteOrder = "ABCD") -> str:
-    """The UTF-8 text in `registers`, without the zeros or blanks that fill it up; raises CodecError."""
+    """Return the UTF-8 text in `registers`, without the zeros or blanks that fill it up; raise CodecError."""
     raw = _packed(registers, _text_order(order)).split(b"\0", 1)[0]
     try:
         text = raw.decode("utf-8").rstrip(" ")
@@ -155,7 +155,7 @@ def decode_text(registers: Sequence[int], order: ByteOrder = "ABCD") -> str:
 
 
 def encode_text(text: str, length: int, order: ByteOrder = "ABCD") -> list[int]:
-    """`length` registers with `text` in UTF-8, filled up with zeros; raises CodecError where it does not fit."""
+    """Return `length` registers with `text` in UTF-8, filled up with zeros; raise CodecError where it does not fit."""
     raw = text.encode("utf-8")
     if not text.isprintable() or text != text.rstrip(" "):
         raise CodecError(f"{text!r} is no printable text, or ends in blanks, which would not come back")
@@ -172,7 +172,7 @@ def _text_order(order: ByteOrder) -> ByteOrder:
 
 
 def raw_bounds(kind: str, bits: tuple[int, int] | None = None) -> tuple[float, float]:
-    """Least and greatest finite raw number of a type."""
+    """Return the least and the greatest finite raw number of a type, or of its `bits`."""
     if bits is not None:
         return 0.0, float((1 << (bits[1] - bits[0] + 1)) - 1)
     if kind == "bool":
@@ -187,10 +187,10 @@ def raw_bounds(kind: str, bits: tuple[int, int] | None = None) -> tuple[float, f
 
 
 def raw_sentinels(declared: Iterable[float], kind: str) -> frozenset[float]:
-    """The raw numbers that sentinels of a rig file mean, as `decode` gives them.
+    """Return the raw numbers of a rig file's sentinels, as `decode` gives them.
 
-    0x8000 in an int16 decodes to -32768, and 9999.9 in a float32 to the nearest float32: taken literally neither
-    would ever be met.
+    0x8000 in an int16 decodes to -32768, and 9999.9 in a float32 to the nearest float32: no reading would equal the
+    number as it is written.
     """
     found: set[float] = set()
     for sentinel in declared:

@@ -1,4 +1,4 @@
-"""What crosses the wall between a bus and the harness: signals, their quality, and one tick's readings."""
+"""Signals, their quality, one tick's readings, and the errors of drivers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drivers.signals.units import column_name
 
 
 class Quality(enum.IntEnum):
-    """How far a value can be trusted. Anything but GOOD is kept with its reason and never fed to a twin."""
+    """Quality of a value. A value that is not GOOD is recorded with its quality and never given to a twin."""
 
     GOOD = 0
     STALE = 1  # older than the point's stale_after
@@ -21,10 +21,10 @@ class Quality(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """One named quantity of the rig as the rest of the project sees it, without its address.
+    """Named quantity of the rig, without its address.
 
-    `kind` is `measured` for what the rig reports, `setpoint` for what the harness writes, `status` for counters
-    and bit fields that no twin and no plot wants.
+    `kind` is `measured` for readings, `setpoint` for values that the harness writes, `status` for counters and bit
+    fields, which no twin and no plot uses. `plausible` is a range in `unit`.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Snapshot:
     """Readings of one tick, in the order of the rig's signals.
 
     `source_time_s` is the rig's own clock where it has one, else the harness's; NaN where nothing arrived yet.
-    A value whose quality is not GOOD is what was received (or NaN), never the last good one.
+    A value whose quality is not GOOD is the received one (or NaN), never the last good one.
     """
 
     values: list[float]
@@ -56,31 +56,31 @@ class Snapshot:
 
 
 class DriverError(Exception):
-    """Root of everything a driver raises; foreign exceptions are converted at the edge."""
+    """Base of all errors of drivers; exceptions of libraries are converted to them."""
 
 
 class ConfigurationError(DriverError, ValueError):
-    """The rig file, a DBC or a request is wrong; retrying cannot help."""
+    """Error of a rig file, a DBC or a request; retrying cannot help."""
 
 
 class LinkError(DriverError, ConnectionError):
-    """The wire is down, mute or closed."""
+    """Error of a wire that is down, mute or closed."""
 
 
 class DeadlineError(LinkError, TimeoutError):
-    """No answer within the deadline."""
+    """Error of a request without an answer within its deadline."""
 
 
 class LateReplyError(DeadlineError):
-    """A reply that lay in a queue while this process did not run: it says how things were before."""
+    """Error of a reply that waited in a queue while this process did not run: its values are old."""
 
 
 class ProtocolError(DriverError):
-    """The device answered something that the request does not admit."""
+    """Error of an answer that the request does not admit."""
 
 
 class DeviceExceptionError(ProtocolError):
-    """The device answered a Modbus exception; `code` is the exception code (Modbus application protocol, 7)."""
+    """Error of a Modbus exception reply; `code` is the exception code (Modbus application protocol, 7)."""
 
     def __init__(self, message: str, code: int) -> None:
         super().__init__(message)

@@ -177,7 +177,7 @@ def known_unit(text: str) -> str | None:
 
 
 def canonical_unit(unit: str) -> str:
-    """The symbol this project uses for `unit`; raises ValueError with the nearest known symbol."""
+    """Return this project's symbol for `unit`; raise ValueError with the nearest known symbol."""
     symbol = _ALIASES.get(unit, unit)
     if symbol in SUFFIX_OF_UNIT:
         return symbol
@@ -212,18 +212,18 @@ def _meant(bare: str) -> str | None:
 
 
 def plausible_range(unit: str) -> tuple[float, float]:
-    """Return the range in which a reading in `unit` is believed unless its point declares another, in that unit."""
+    """Return the default plausible range of readings in `unit`, in that unit."""
     return PLAUSIBLE.get(unit, PLAUSIBLE["1"])
 
 
 def column_name(name: str, unit: str) -> str:
-    """Column of a record for a signal called `name` in `unit`, e.g. `("flow", "L/min")` -> `flow_L_per_min`."""
+    """Return the record column of signal `name` in `unit`, e.g. `("flow", "L/min")` -> `flow_L_per_min`."""
     suffix = SUFFIX_OF_UNIT[canonical_unit(unit)]
     return f"{name}_{suffix}" if suffix else name
 
 
 def split_column(column: str) -> tuple[str, str] | None:
-    """Name and unit of a record's column, or None where it ends in no known suffix."""
+    """Return name and unit of a record's column, or None where it ends in no known suffix."""
     for unit, suffix in sorted(SUFFIX_OF_UNIT.items(), key=lambda item: -len(item[1])):
         if suffix and column.endswith("_" + suffix) and len(column) > len(suffix) + 1:
             return column[: -len(suffix) - 1], unit

@@ -1,4 +1,4 @@
-"""Starts, watches and ends the two processes of the virtual rig.
+"""Start, supervision and end of the virtual rig's two processes.
 
     rig = await start_virtual_rig(mode="lockstep", seed=7)
     async with rig:
@@ -27,29 +27,29 @@ Mode = Literal["real", "scaled", "lockstep"]
 Server = Literal["own", "pymodbus"]
 
 START_TIMEOUT_S = 120.0
-"""The first start on a machine compiles the physics."""
+"""Time-out of the start, s: the first start on a machine compiles the physics."""
 END_TIMEOUT_S = 3.0
 _TLS = ("--tls-certificate", "--tls-key", "--tls-ca")
 _PORTS = ("modbus_port", "can_port", "control_port", "rtu_port", "serial_port")
 
 
 class VirtualRigError(Exception):
-    """The virtual rig cannot be started, or ended by itself."""
+    """Error of a virtual rig that cannot be started, or that ended unasked."""
 
 
 class PortInUseError(VirtualRigError, OSError):
-    """A port of the virtual rig cannot be opened."""
+    """Error of a port of the virtual rig that cannot be opened."""
 
 
 class _Child:
-    """One process of the rig and what it says on stdout."""
+    """Process of the rig and the JSON lines of its standard output."""
 
     def __init__(self, name: str, process: asyncio.subprocess.Process) -> None:
         self.name, self.process = name, process
         self.last: dict[str, Any] = {}
 
     async def read_line(self) -> dict[str, Any] | None:
-        """Next JSON line; None at the end of the stream."""
+        """Return the next JSON line; None at the end of the stream."""
         assert self.process.stdout is not None
         while line := await self.process.stdout.readline():
             with contextlib.suppress(json.JSONDecodeError):
@@ -58,7 +58,7 @@ class _Child:
         return None
 
     async def until_ready(self) -> dict[str, Any]:
-        """The readiness line, or an error that says why there is none."""
+        """Return the readiness line; raise VirtualRigError or PortInUseError where there is none."""
         line = await self.read_line()
         if line is None:
             code = await self.process.wait()
@@ -77,7 +77,7 @@ class _Child:
         await self.process.wait()
 
     async def end(self) -> None:
-        """End of stdin asks; SIGTERM and SIGKILL insist."""
+        """End the process: close its standard input, then send SIGTERM, then SIGKILL."""
         if self.process.stdin is not None:
             self.process.stdin.close()
         for insist in (self.process.terminate, self.process.kill):
@@ -91,7 +91,7 @@ class _Child:
 
 
 class VirtualRig:
-    """A running virtual rig. Ends with `stop`, at the end of `async with`, and whenever this process dies."""
+    """Running virtual rig. It ends with `stop`, at the end of `async with`, and whenever this process dies."""
 
     def __init__(self, host: str, mode: Mode, period_s: float, children: list[_Child], ports: dict[str, Any]) -> None:
         self.host, self.mode, self.period_s = host, mode, period_s
@@ -101,7 +101,7 @@ class VirtualRig:
         self.rtu_port: int | None = ports.get("rtu_port")
         self.serial_port: str | None = ports.get("serial_port")
         self.failure: str | None = None
-        """Why the rig ended, where nobody here asked it to."""
+        """Sentence about the cause, where the rig ended unasked."""
         self._children = children
         self._stopping = False
         self._ended = asyncio.Event()
@@ -114,11 +114,11 @@ class VirtualRig:
 
     @property
     def running(self) -> bool:
-        """Both processes are alive, as far as has been noticed."""
+        """True while both processes are alive, as far as has been noticed."""
         return not self._ended.is_set()
 
     async def wait(self) -> str | None:
-        """Until the rig ends; returns `failure` (None after `stop` or a `quit` on the control port)."""
+        """Wait until the rig ends; return `failure` (None after `stop` or a `quit` on the control port)."""
         await self._ended.wait()
         return self.failure
 
@@ -137,7 +137,7 @@ class VirtualRig:
         await self.stop()
 
     async def _watch(self) -> None:
-        """Follow both processes to their end. The first to go takes the other with it; then judge who is to blame."""
+        """Follow both processes to their end; when one ends, end the other and note which of them failed."""
         follow = [asyncio.create_task(child.until_end()) for child in self._children]
         await asyncio.wait(follow, return_when=asyncio.FIRST_COMPLETED)
         asked = self._stopping
@@ -156,17 +156,17 @@ class VirtualRigOptions:
     """Options of a virtual rig.
 
     Attributes:
-        seed: of noise, offsets and draughts.
-        mode: whether the rig's time is real, `speed` times as fast, or granted step by step on the control port.
+        seed: seed of noise, offsets and draughts.
+        mode: real time, `speed` times as fast, or granted step by step on the control port.
         speed: times real time, in scaled mode.
         period_s: seconds between samples, 0.02 to 10.
         modbus_port, can_port, control_port: 0 takes a free one.
-        rtu_port: where Modbus is served in RTU frames over TCP as well; None for nowhere.
-        serial: whether it is served on a pseudo-terminal as well.
+        rtu_port: port of a second Modbus server with RTU frames over TCP; None for no such server.
+        serial: True for a third one on a pseudo-terminal.
         effects: file of effects that no twin knows of.
         host: address to listen on.
         unit: specimen; the same one has the same sensors' offsets. None takes another one for every seed.
-        truth: file in which the rig keeps what is true (see `devices.truth`).
+        truth: file in which the rig records its true state (see `devices.truth`).
         tls: files of certificate, key and authority; Modbus is then served over TLS to clients of that authority.
         start_s: rig time at the start, s: room and effects are as then, the rig itself is cold.
         server: the project's own Modbus server, or that of pymodbus.
@@ -275,7 +275,7 @@ async def start_virtual_rig(options: VirtualRigOptions | None = None, **changes:
 
 
 async def _spawn(name: str, arguments: list[str], link: socket.socket) -> _Child:
-    """One process of the rig, out of reach of the terminal's Ctrl-C: the parent decides how it ends."""
+    """Start one process of the rig, out of reach of the terminal's Ctrl-C: the parent decides how it ends."""
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",
@@ -292,9 +292,9 @@ async def _spawn(name: str, arguments: list[str], link: socket.socket) -> _Child
 
 
 def serve(*, say: Callable[[str], None] = print, **options: Any) -> int:
-    """Run a virtual rig until Ctrl-C or SIGTERM. Takes `start_virtual_rig`'s options; returns an exit code.
+    """Run a virtual rig until Ctrl-C or SIGTERM, with the options of `start_virtual_rig`; return an exit code.
 
-    Start-up errors propagate; a rig that dies returns 1 after a sentence.
+    Errors of the start propagate; a rig that dies gives a sentence and exit code 1.
     """
     return asyncio.run(_serve(say, options))
 

@@ -133,17 +133,15 @@ def _named(file: Path, checker: Callable[[Path, Path, Console], None]) -> Iterat
 
 def _has_rig(file: Path) -> bool:
     """Return True for a TOML file with a table that only rig files have."""
-    from drivers.rig_file.regular_file import read_regular
-    from drivers.rig_file.toml_lines import tables_of
+    from drivers.rig_file import read_regular, tables_of
 
     return not {"rig", "bus", "point"}.isdisjoint(tables_of(read_regular(file))[1])
 
 
 def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
     if file.suffix == ".toml":
-        from drivers.rig_file.regular_file import read_regular
-        from drivers.rig_file.toml_lines import tables_of
-        from drivers.signals.points import ConfigurationError
+        from drivers.rig_file import read_regular, tables_of
+        from drivers.signals import ConfigurationError
 
         try:
             keys = set(tables_of(read_regular(file))[1])
@@ -188,7 +186,7 @@ def _readings(file: Path, rig: Path) -> list[str]:
     in_degC = ("degC", "degF")
     found = [name for name in names if _TEMPERATURE.search(name) or (name_and_unit(name) or ("", ""))[1] in in_degC]
     if found and names[0] == "time_s":
-        from drivers.rig_file.reader import load_rig
+        from drivers.rig_file import load_rig
         from hil.run.session.request import setpoint_limits
 
         limits = setpoint_limits(load_rig(rig))
@@ -270,7 +268,7 @@ def _catalogue(file: Path, out: Console) -> None:
 
 
 def _effects(file: Path, _: Path, out: Console) -> None:
-    from drivers.virtual.plant.effects import load_effects
+    from drivers.virtual.plant import load_effects
 
     for number, effect in enumerate(load_effects(file), 1):
         sizes = {effect.magnitude: effect.value, **effect.shape}
@@ -295,7 +293,7 @@ def _scenario(file: Path, _: Path, out: Console) -> None:
 
 
 def _profile(file: Path, rig: Path, out: Console) -> None:
-    from drivers.rig_file.reader import load_rig
+    from drivers.rig_file import load_rig
     from hil.profile.load_profile import WINDOW_S, read_profile, validate
     from hil.run.session.request import setpoint_limits
 

@@ -12,9 +12,8 @@ import click
 from hil.cli.options.paths import INPUT_FILE
 
 if TYPE_CHECKING:
-    from drivers.importers.described import Place
-    from drivers.importers.draft import Draft
-    from drivers.rig_file.model import Rig
+    from drivers.importers import Draft, Place
+    from drivers.rig_file import Rig
 
 
 _LAST_PORT = 65535
@@ -106,7 +105,7 @@ def command(
         draft = _imported(source, out, addressing, order, encoding, bus, can)
         name = name or source.stem
     else:
-        from drivers.importers.described import Described, actuator_of, draft_of, heartbeat_of, place_of
+        from drivers.importers import Described, actuator_of, draft_of_description, heartbeat_of, place_of
 
         if said:
             rig = Described(name or out.stem, period, modbus=bus, trip_C=trip_at)
@@ -127,7 +126,7 @@ def command(
                 "say what is on the rig (--heater, --pump, --thermocouple ...), give a file with --from, or call it "
                 "in a terminal to be asked; `hil init --help` has examples"
             )
-        draft, name, period = draft_of(rig, out), rig.name, rig.period_s
+        draft, name, period = draft_of_description(rig, out), rig.name, rig.period_s
     _write(draft, out, name, period, source)
 
 
@@ -146,19 +145,19 @@ def _imported(
 ) -> Draft:
     suffix = source.suffix.lower()
     if suffix in (".csv", ".tsv", ".txt"):
-        from drivers.importers.vendor_csv import import_csv
+        from drivers.importers import import_csv
 
         return import_csv(source, addressing, bus, order=order, encoding=encoding)  # type: ignore[arg-type]
     if suffix in (".toml", ".conf"):
-        from drivers.importers.telegraf import import_telegraf
+        from drivers.importers import import_telegraf
 
         return import_telegraf(source)
     if suffix in (".yaml", ".yml"):
-        from drivers.importers.homeassistant import import_homeassistant
+        from drivers.importers import import_homeassistant
 
         return import_homeassistant(source)
     if suffix == ".dbc":
-        from drivers.importers.dbc import import_dbc
+        from drivers.importers import import_dbc
 
         return import_dbc(source, out, can, encoding=encoding)
     raise click.UsageError(f"{source}: is no .csv, .toml, .yaml or .dbc file; nothing here knows how to import it")
@@ -166,7 +165,7 @@ def _imported(
 
 def _thermocouples(said: tuple[str, ...], dbc: Path | None, encoding: str | None) -> dict[str, Place]:
     """Return the named thermocouples, and where none of them is on CAN every temperature of the DBC."""
-    from drivers.importers.described import CAN, place_of, temperatures_of
+    from drivers.importers import CAN, place_of, temperatures_of
 
     found: dict[str, Place] = {}
     for text in said:
@@ -190,7 +189,7 @@ def _address(text: str) -> dict[str, Any]:
 
 def _host(option: str, host: str) -> str:
     """Return the name or address of a host; raise click.UsageError with the remedy where it is none."""
-    from drivers.rig_file.plain_values import checked_host
+    from drivers.rig_file import checked_host
 
     try:
         return checked_host(host)
@@ -201,24 +200,24 @@ def _host(option: str, host: str) -> str:
 
 def _bind_messages(rig: Rig) -> None:
     """Find the messages of every point on CAN in its DBC, as `hil check` does; raise ConfigurationError."""
-    from drivers.rig_file.bus_sections import CanBus
+    from drivers.rig_file import CanBus
 
     for name, bus in rig.bus.items():
         if isinstance(bus, CanBus):
-            from drivers.can.dbc import bind
+            from drivers.can import bind
 
             bind(name, bus, [point for point in rig.point if point.bus == name])
 
 
 def _write(draft: Draft, out: Path, name: str, period_s: float, source: Path | None) -> None:
     """Write the rig file, unless it would be one that `hil check` refuses."""
-    from drivers.importers.draft import ImportFileError, write
-    from drivers.rig_file.reader import load_rig
-    from drivers.signals.points import ConfigurationError
+    from drivers.importers import ImportFileError, rig_file_text
+    from drivers.rig_file import load_rig
+    from drivers.signals import ConfigurationError
     from hil.files.atomic import replacing
 
     with replacing(out) as unfinished:
-        unfinished.write_text(write(draft, name, period_s=period_s), encoding="utf-8")
+        unfinished.write_text(rig_file_text(draft, name, period_s=period_s), encoding="utf-8")
         try:
             rig = load_rig(unfinished)
             _bind_messages(rig)

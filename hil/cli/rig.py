@@ -54,7 +54,7 @@ def command(
       cantools monitor -i socketcand -c vcan0 --bus-kwargs host=127.0.0.1 port=29536 -- \\
           profiles/rigs/thermocouples.dbc
     """
-    from drivers.virtual.rig import serve
+    from drivers.virtual import serve
 
     tls = None
     if tls_certificate is not None and tls_key is not None and tls_ca is not None:

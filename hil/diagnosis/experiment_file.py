@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.rig_file.reader import file_sha256, load_rig
+from drivers.rig_file import file_sha256, load_rig
 from hil.profile.load_profile import Profile, SetpointLimit, validate, write_profile
 from hil.run.outputs.setpoints import setpoint_columns
 from twin.discovery.diagnosis import Diagnosis

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.rig_file.reader import file_sha256
+from drivers.rig_file import file_sha256
 from hil.record.reader import Record, write_record
 from twin.network import Network, TwinFileError
 from twin.revisions import chain

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drivers.signals.points import ConfigurationError, Quality
+from drivers.signals import ConfigurationError, Quality
 from hil.journal.rows import Samples
 from hil.journal.writer import JournalReader, JournalWriter
 from hil.record.segments import Parts

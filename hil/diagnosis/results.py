@@ -7,7 +7,7 @@ import platform
 from importlib import metadata
 from pathlib import Path
 
-from drivers.rig_file.reader import file_sha256
+from drivers.rig_file import file_sha256
 from hil import __version__
 from hil.diagnosis.store import CURVES, curves_of, write_curves, write_document
 from twin.discovery.diagnosis import Diagnosis

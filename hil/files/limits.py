@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.rig_file.regular_file import refuse_irregular
+from drivers.rig_file import refuse_irregular
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from drivers.bus.steady_time import steady_s
-from drivers.rig_file.model import Rig
-from drivers.signals.points import LinkError
+from drivers.bus import steady_s
+from drivers.rig_file import Rig
+from drivers.signals import LinkError
 from hil.guardian.plan import plan_of
 from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, SILENCE_S, takes_s
 

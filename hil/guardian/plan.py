@@ -8,22 +8,22 @@ from __future__ import annotations
 
 from typing import Any
 
-from drivers.modbus.protocol.pdu import Read, write_request
-from drivers.modbus.read_plan import plan_reads
-from drivers.modbus.writes import Writes
-from drivers.rig_file.bus_sections import (
+from drivers.modbus import Writes, plan_reads
+from drivers.modbus.protocol import Read, write_request
+from drivers.rig_file import (
     CanBus,
     ModbusBusSection,
     ModbusRtuBus,
     ModbusTcpBus,
     ModbusTlsBus,
+    Point,
+    Rig,
+    addresses,
     is_numbered,
     is_rtu,
+    wire_of_bus,
 )
-from drivers.rig_file.host_address import addresses
-from drivers.rig_file.model import Point, Rig
-from drivers.rig_file.wires import wires
-from drivers.signals.codec import WIDTH, encoder
+from drivers.signals import WIDTH, encoder
 from hil.run.outputs.heaters import safe_limit
 from hil.run.outputs.setpoints import Setpoints
 from hil.run.outputs.time_to_safe import SILENCE_S
@@ -37,7 +37,7 @@ def plan_of(rig: Rig) -> dict[str, Any] | None:
     safe = Setpoints(rig).safe_values()
     if not safe:
         return None
-    first = wires(rig)
+    first = wire_of_bus(rig)
     found: dict[str, dict[str, Any]] = {}
     for name, value in safe.items():
         point = rig.get(name)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.points import Quality
+from drivers.signals import Quality
 from hil.files.atomic import replacing
 from hil.journal.profile_clock import profile_times
 from hil.journal.writer import JournalReader

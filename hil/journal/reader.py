@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.points import Signal
+from drivers.signals import Signal
 from hil.files.names import LONGEST_DATABASE_PATH, connect_read_only
 from hil.journal.check import WRONG, checked_reader, on_one_line, require_header, require_tables, sentences
 from hil.journal.documents import ShapeError

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.points import Signal
+from drivers.signals import Signal
 
 
 class JournalError(Exception):

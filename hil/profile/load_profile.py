@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.units import SUFFIX_OF_UNIT, column_name, split_column
+from drivers.signals import SUFFIX_OF_UNIT, column_name, split_column
 from hil.files.atomic import replacing
 from hil.files.limits import require_size
 from hil.files.names import component

@@ -18,10 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from drivers.rig_file.messages import mistake
-from drivers.rig_file.regular_file import read_regular
-from drivers.rig_file.toml_lines import line_of
-from drivers.signals.units import split_column
+from drivers.rig_file import line_of, mistake, read_regular
+from drivers.signals import split_column
 from hil.profile.load_profile import Profile
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drivers.signals.units import split_column
+from drivers.signals import split_column
 from hil.profile.scenario import Scenario, dissipation
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.signals.units import column_name, split_column
+from drivers.signals import column_name, split_column
 from hil.files.limits import require_columns
 from hil.record.annotated import is_annotated, read_annotated
 from hil.record.csv_dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 
-from drivers.signals.units import column_name, known_unit, split_column
+from drivers.signals import column_name, known_unit, split_column
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times.names import SECONDS_PER, is_time_name
 from twin.column_names import celsius_conversion

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from drivers.signals.units import split_column
+from drivers.signals import split_column
 from hil.files.limits import require_cells
 from hil.record.heading_units import suffixed, unit_of
 from hil.record.quality import usable_by

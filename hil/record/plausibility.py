@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.units import plausible_range, split_column
+from drivers.signals import plausible_range, split_column
 
 Values = NDArray[np.float64]
 

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.points import Quality
-from drivers.signals.units import split_column
+from drivers.signals import Quality, split_column
 from hil.record.values.numbers import trimmed
 
 ENDINGS = ("_quality", "_status")

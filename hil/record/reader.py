@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.points import Quality
-from drivers.signals.units import column_name, split_column
+from drivers.signals import Quality, column_name, split_column
 from hil.files.atomic import replacing
 from hil.journal.export import Exported, export_record
 from hil.profile.load_profile import WRITTEN_UNITS

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.points import Quality
+from drivers.signals import Quality
 from hil.files.atomic import replacing
 from hil.files.html import Html, document, element, joined, table
 from hil.journal.rows import Samples, TwinOutput

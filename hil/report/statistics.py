@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.points import Quality
+from drivers.signals import Quality
 from hil.journal.rows import Header, Samples
 from hil.report.actuators import pair_actuators
 

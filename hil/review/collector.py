@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.points import Quality
+from drivers.signals import Quality
 from hil.journal.rows import CalibrationRow, Samples, TwinOutput
 from hil.journal.writer import JournalReader
 from hil.review.batches import Batch, Estimates, Rows, States, Texts

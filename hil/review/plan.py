@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import itertools
 
-from drivers.signals.points import Quality
+from drivers.signals import Quality
 from hil.journal.rows import Header
 from hil.report.actuators import pair_actuators
 from hil.review.legends import with_room_for_legends

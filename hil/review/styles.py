@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from drivers.signals.points import Quality
+from drivers.signals import Quality
 from hil.journal.rows import Header
 from hil.journal.states import State
 

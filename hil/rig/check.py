@@ -7,11 +7,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.can.bus import CanReceiver
-from drivers.modbus.budget import Polling, counted, overloads, polling, too_short, unit_of_count, unsaid
-from drivers.rig_file.bus_sections import CanBus
-from drivers.rig_file.model import Rig
-from drivers.rig_file.reader import load_rig, located
+from drivers.can import CanReceiver
+from drivers.modbus import (
+    Polling,
+    counted,
+    missing_declarations,
+    overloads,
+    polling,
+    short_stale_times,
+    unit_of_count,
+)
+from drivers.rig_file import CanBus, Rig, load_rig, located
 from hil.rig.notices import notices
 
 if TYPE_CHECKING:
@@ -30,7 +36,7 @@ def checked(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]
         if isinstance(bus, CanBus):
             mine = tuple(point for point in rig.point if point.bus == name)
             receivers[name] = CanReceiver(name, bus, mine, lambda: 0.0)  # matches every point with the DBC
-            mistakes += too_short(rig, name, receivers[name].cycle_s)
+            mistakes += short_stale_times(rig, name, receivers[name].cycle_s)
         else:
             polled[name] = polling(name, bus, rig.point)
     mistakes += overloads(rig, tuple(polled.values()))
@@ -52,7 +58,7 @@ def show(file: Path, out: Console) -> None:
         out.print(f"the rig's clock runs {rig.time_scale:g} times real time: a tick every {tick_s:g} s of real time")
     if rig.watchdog_s is not None:
         out.print(f"the rig's own watchdog is set to {rig.watchdog_s:g} s when it is armed, and read back")
-    for note in (*notices(rig, file), *unsaid(rig)):
+    for note in (*notices(rig, file), *missing_declarations(rig)):
         out.print(f"note: {note}", soft_wrap=True, markup=False)
     out.print(f"{file}: no mistakes found", style="green")
 
@@ -154,6 +160,6 @@ def as_json(file: Path) -> str:
     found = {
         "rig": rig.name, "period_s": rig.period_s, "time_scale": rig.time_scale, "modbus": plan, "can_cycle_s": cycles,
         "can_frames": frames,
-        "notes": [*notices(rig, file), *unsaid(rig)],
+        "notes": [*notices(rig, file), *missing_declarations(rig)],
     }  # fmt: skip
     return json.dumps(found, indent=2)

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.rig_file.bus_sections import ModbusTcpBus
-from drivers.rig_file.model import Point, Rig
-from drivers.rig_file.regular_file import read_regular
-from drivers.rig_file.toml_lines import line_of
-from drivers.signals.roles import HEATER, ROLES, nearest_role
+from drivers.rig_file import ModbusTcpBus, Point, Rig, line_of, read_regular
+from drivers.signals import HEATER, ROLES, nearest_role
 from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, takes_s
 from hil.run.restore.thermal_restore import has_memory, role_of, unled
 

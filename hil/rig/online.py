@@ -7,10 +7,9 @@ import math
 import signal
 from typing import TYPE_CHECKING, Any
 
-from drivers.rig.watch import BusWatch, RigWatch, Seen
-from drivers.rig_file.bus_sections import CanBus
-from drivers.rig_file.model import Rig
-from drivers.signals.points import Quality
+from drivers.rig import BusWatch, PointState, RigWatch
+from drivers.rig_file import CanBus, Rig
+from drivers.signals import Quality
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -130,7 +129,7 @@ def _words(quality: Quality) -> str:
     return quality.name.lower().replace("_", " ")
 
 
-def _value(seen: Seen) -> str:
+def _value(seen: PointState) -> str:
     if seen.point.type == "string":
         return seen.text
     number = f"{seen.value:.6g}" if math.isfinite(seen.value) else "-"
@@ -141,7 +140,7 @@ def _age(age_s: float) -> str:
     return f"{age_s:.1f} s" if math.isfinite(age_s) else "-"
 
 
-def _limits(seen: Seen) -> str:
+def _limits(seen: PointState) -> str:
     point = seen.point
     found = (("", point.limits), ("", point.plausible), ("alarm ", point.alarm))
     return ", ".join(f"{what}{limits[0]:g} to {limits[1]:g}" for what, limits in found if limits is not None)

@@ -17,7 +17,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from drivers.rig_file.reader import file_sha256
+from drivers.rig_file import file_sha256
 from hil import __version__
 from hil.files.atomic import replacing
 from hil.files.folder_check import read_json, require_plain

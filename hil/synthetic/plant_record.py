@@ -8,13 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.rig_file.model import Rig
-from drivers.virtual.devices.registers import THERMOSTAT_C
-from drivers.virtual.plant.effects import Effect
-from drivers.virtual.plant.geometry import CHANNELS, Array
-from drivers.virtual.plant.instruments import Instruments
-from drivers.virtual.plant.plant import Plant
-from drivers.virtual.plant.thermocouple_module import FRAME_IDS, OPEN_CIRCUIT, ThermocoupleModule
+from drivers.rig_file import Rig
+from drivers.virtual.devices import THERMOSTAT_C
+from drivers.virtual.plant import (
+    CHANNELS,
+    FRAME_IDS,
+    OPEN_CIRCUIT,
+    Array,
+    Effect,
+    Instruments,
+    Plant,
+    ThermocoupleModule,
+)
 from hil.profile.load_profile import Profile
 from hil.record.reader import Record
 from hil.run.outputs.setpoints import Setpoints, bind

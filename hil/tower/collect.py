@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drivers.historian import HistorianStore, Samples
-from drivers.historian.protocol import BAD, GOOD, UNCERTAIN
-from drivers.rig.connection import RigConnection
-from drivers.rig_file.model import Rig
-from drivers.signals.points import LinkError, Quality
+from drivers.historian import BAD, GOOD, UNCERTAIN, HistorianStore, Samples
+from drivers.rig import RigConnection
+from drivers.rig_file import Rig
+from drivers.signals import LinkError, Quality
 
 CODES = {
     Quality.GOOD: GOOD,

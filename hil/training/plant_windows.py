@@ -15,11 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.rig_file.reader import load_rig
-from drivers.virtual.plant.effects import Effect, load_effects
-from drivers.virtual.plant.geometry import CHANNELS, MODULES, Cells, build_cells
-from drivers.virtual.plant.plant import Plant
-from drivers.virtual.plant.thermocouple_module import ThermocoupleModule
+from drivers.rig_file import load_rig
+from drivers.virtual.plant import CHANNELS, MODULES, Cells, Effect, Plant, ThermocoupleModule, build_cells, load_effects
 from hil.synthetic.hidden_effects import LOADS, Setting, Truth, effects_text, profile, truth
 from hil.synthetic.plant_record import direct_run
 from twin.calibrators.hiera_unet.campaigns import AMISS, Campaign

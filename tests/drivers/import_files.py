@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from drivers.importers.draft import Draft, ImportFileError, write
+from drivers.importers.draft import Draft, ImportFileError, rig_file_text
 from drivers.rig_file.model import Rig
 from drivers.rig_file.reader import load_rig
 
@@ -35,7 +35,7 @@ def complaint(importing: Callable[[], Draft]) -> str:
 
 def written(tmp_path: Path, draft: Draft) -> Rig:
     path = tmp_path / "made.toml"
-    path.write_text(write(draft, "made"), encoding="utf-8")
+    path.write_text(rig_file_text(draft, "made"), encoding="utf-8")
     return load_rig(path)
 
 

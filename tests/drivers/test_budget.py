@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from drivers.modbus.budget import polling, unsaid
+from drivers.modbus.budget import missing_declarations, polling
 from drivers.modbus.serial_line import silence_s
 from drivers.rig_file.bus_sections import ModbusTcpBus
 from drivers.rig_file.model import Point
@@ -87,6 +87,6 @@ def test_what_cannot_work_is_said_with_its_line(tmp_path, old, new, said):
 def test_what_a_rig_file_leaves_unsaid_is_noted():
     rig = load_rig(VIRTUAL)
     bare = tuple(point.model_copy(update={"plausible": None, "max_rate": None}) for point in rig.point)
-    notes = unsaid(rig.model_copy(update={"point": bare}))
+    notes = missing_declarations(rig.model_copy(update={"point": bare}))
     assert any("no plausible range" in note and "flow" in note for note in notes)
     assert any("no max_rate" in note and "heater_power_set" in note for note in notes)

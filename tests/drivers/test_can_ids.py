@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from drivers.can.bus import CanReceiver
-from drivers.can.wire import CanWire, why
+from drivers.can.wire import CanWire, failure_reason
 from drivers.rig.watch import RigWatch
 from drivers.rig_file.bus_sections import CanMessage
 from drivers.rig_file.can_ids import EXTENDED_BITS, STANDARD_BITS, IdMatch, by_id, by_j1939, by_pgn, is_pdu1, pgn_of
@@ -377,14 +377,14 @@ async def test_a_missing_interface_is_one_plain_sentence(tmp_path):
         (errno.ENETDOWN, "can0 is down; bring it up: `ip link set can0 up type can bitrate 500000`"),
         (errno.EPERM, "this user may not open can0"),
         (errno.EAFNOSUPPORT, "the kernel has no CAN"),
-        (errno.EIO, "`ip -details link show can0` tells what state it is in"),
+        (errno.EIO, "`ip -details link show can0` shows its state"),
     ],
 )
 def test_what_is_wrong_with_an_interface_of_the_kernel_has_its_remedy(tmp_path, number, words):
     config = section(dbc_in(tmp_path), transport="socketcan")
-    assert words in why(config, OSError(number, "no"))
-    assert words in why(config, can.CanOperationError("Error receiving: no", number))
-    assert "is the rig on?" in why(section(dbc_in(tmp_path)), OSError(number, "no"))
+    assert words in failure_reason(config, OSError(number, "no"))
+    assert words in failure_reason(config, can.CanOperationError("Error receiving: no", number))
+    assert "is the rig on?" in failure_reason(section(dbc_in(tmp_path)), OSError(number, "no"))
 
 
 def test_a_kernel_without_can_is_said_and_leaves_nothing_open(tmp_path):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from drivers.importers.draft import Collector, Draft, DraftBus, ImportFileError
+from drivers.importers.draft import Collector, Draft, DraftBus, ImportFileError, placeholder_in
 from drivers.importers.vendor_csv import import_csv
 from drivers.rig_file.reader import load_rig
 from hil.cli.check import command as check
@@ -310,6 +310,7 @@ def test_a_good_table_with_a_few_odd_cells_is_imported_well_or_refused(tmp_path_
 
 @given(name=st.text(), doc=st.text(), unit=st.text(max_size=5))
 def test_whatever_a_point_is_called_its_file_is_read_again(tmp_path_factory, name, doc, unit):
+    assume(not any(placeholder_in(text) for text in (name, doc, unit)))  # those are refused
     path = tmp_path_factory.mktemp("names") / "x\n.csv"
     collector = Collector(path)
     keys = {"table": "input", "address": 1, "unit": unit, "doc": doc}

@@ -136,9 +136,9 @@ def test_a_wrong_interlock_is_named_with_its_line(tmp_path, kind, level, rest, s
     assert line > len(text.splitlines())
 
 
-def test_the_point_that_the_readme_shows_is_a_point():
-    text = (PROJECT / "README.md").read_text(encoding="utf-8")
-    example = re.search(r'```\n(\[\[point\]\]\nname = "pump_state".*?)```', text, re.DOTALL)
+def test_the_point_that_the_guide_of_register_tables_shows_is_a_point():
+    text = (PROJECT / "docs/how-to/import-a-register-table.md").read_text(encoding="utf-8")
+    example = re.search(r'```toml file=pump_state.toml\n(\[\[point\]\]\nname = "pump_state".*?)```', text, re.DOTALL)
     assert example is not None
     (keys,) = tomllib.loads(example[1])["point"]
     point = Point(**keys)

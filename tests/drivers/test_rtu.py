@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.modbus.protocol.pdu import Read
 from drivers.modbus.protocol.pymodbus_codec import rtu_frame
-from drivers.modbus.protocol.reply_offset import Steps
+from drivers.modbus.protocol.reply_offset import OpenRequests
 from drivers.modbus.protocol.rtu import RtuGuard
 from drivers.modbus.read_plan import plan_reads
 from drivers.rig_file.model import Point
@@ -84,26 +84,26 @@ def test_the_question_that_shows_the_step_has_a_length_that_nothing_open_has(add
     planned = plan_reads(
         [Point(name=f"p{a}", bus="b", unit="1", table="holding", address=2 * a, type="int32") for a in addresses]
     )
-    steps, seen = Steps(numbered=False), []
+    open_requests, seen = OpenRequests(numbered=False), []
     for number in range(misses):
         request = Read(planned[number % len(planned)]).request
-        steps.asked(request)
+        open_requests.asked(request)
         seen.append(request[3:5])
-    probe = steps.probe(planned)
+    probe = open_requests.probe(planned)
     if probe is None:
         ends = {(p.address or 0) + p.width - b.address for b in planned for p in b.points}
         assert ends <= {int.from_bytes(count, "big") for count in seen}
         return
     assert struct.pack(">H", probe.count) not in seen
     assert probe.count % 2 == 0 and any(b.address == probe.address and probe.count <= b.count for b in planned)
-    steps.asked(Read(probe).request)
-    steps.answered()
-    assert steps.open
-    steps.found()
-    assert not steps.open
+    open_requests.asked(Read(probe).request)
+    open_requests.answered()
+    assert open_requests.open
+    open_requests.found()
+    assert not open_requests.open
 
 
 def test_replies_that_carry_a_number_need_no_such_question():
-    steps = Steps(numbered=True)
-    steps.asked(REQUEST)
-    assert not steps.open
+    open_requests = OpenRequests(numbered=True)
+    open_requests.asked(REQUEST)
+    assert not open_requests.open

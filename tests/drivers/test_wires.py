@@ -12,7 +12,7 @@ import pytest
 from drivers.rig.connection import RigConnection
 from drivers.rig_file.host_address import addresses, is_own
 from drivers.rig_file.reader import RigFileError, load_rig
-from drivers.rig_file.wires import devices, wires
+from drivers.rig_file.wires import device_of_bus, wire_of_bus
 from tests.contract.test_shared_lines import Line, good
 
 HOSTS = ("127.0.0.1", "localhost", "127.1")
@@ -76,15 +76,15 @@ def test_two_addresses_of_this_machine_are_one_device_and_two_wires(tmp_path):
     with pytest.raises(RigFileError, match="bus d2 and bus d1 are the same device on one port of this machine"):
         load_rig(rig_file(tmp_path, ("127.0.0.1", "127.0.0.2"), ids=(1, 1)))
     apart = load_rig(rig_file(tmp_path, ("127.0.0.1", "127.0.0.2")))
-    assert wires(apart) == devices(apart) == {"d1": "d1", "d2": "d2"}
+    assert wire_of_bus(apart) == device_of_bus(apart) == {"d1": "d1", "d2": "d2"}
 
 
 def test_other_hosts_and_other_ports_are_other_wires(tmp_path, name_server):
     rig = load_rig(rig_file(tmp_path, ("plc-a.lan", "plc-b.lan", "both.lan")))
-    assert wires(rig) == {"d1": "d1", "d2": "d2", "d3": "d2"}  # one address of both.lan is plc-b's
+    assert wire_of_bus(rig) == {"d1": "d1", "d2": "d2", "d3": "d2"}  # one address of both.lan is plc-b's
     name_server.clear()
     rig = rig.with_ports({"d1": 5021, "d2": 5022})
-    assert wires(rig) == {"d1": "d1", "d2": "d2", "d3": "d3"}
+    assert wire_of_bus(rig) == {"d1": "d1", "d2": "d2", "d3": "d3"}
     assert not name_server  # nothing to compare, nothing to ask
 
 

@@ -172,7 +172,7 @@ def test_a_value_may_be_as_old_as_the_staleness_limit_and_no_older():
 
 def test_a_lost_and_a_changed_sample_are_counted():
     kept = journal([30.0] * 4)
-    seen = judge.Seen({k: (0.1 * k, b"\0") for k in range(4)})
+    seen = judge.PointState({k: (0.1 * k, b"\0") for k in range(4)})
     assert judge.lost(seen, kept) == 0
     seen.rows[4] = (0.4, b"\0")
     seen.rows[1] = (0.1, b"\3")

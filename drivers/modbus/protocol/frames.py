@@ -25,7 +25,7 @@ class TcpFrames:
         self._device = 0
 
     def frame(self, device: int, pdu: bytes) -> bytes:
-        """Frame of a request."""
+        """Return the frame of a request."""
         if not self._numbered or self._by_content:
             self._guard.clear()
         self._transaction = self._transaction % 65535 + 1
@@ -33,12 +33,12 @@ class TcpFrames:
         return tcp_frame(device, self._transaction, pdu)
 
     def feed(self, data: bytes, device: int, pdu: bytes) -> bytes | None:
-        """PDU of the reply to that request, once it is whole; raises ProtocolError."""
+        """Return the PDU of the reply to that request, or None until it is whole; raise ProtocolError."""
         frames = self._guard.feed(data, self._transaction, device, pdu)
         if self._numbered or not frames:
             return frames[0][HEADER.size :] if frames else None
         if len(frames) > 1 or self._guard.holds:
-            raise ProtocolError("more than one reply to one request: which is ours is not known")
+            raise ProtocolError("more than one reply to one request: none of them is used")
         reply = frames[0][HEADER.size :]
         if not answers(reply, pdu):
             raise ProtocolError("a reply to another request")
@@ -46,7 +46,7 @@ class TcpFrames:
 
     @property
     def unused(self) -> str | None:
-        """Sentence about what came and was no answer to the request; None where nothing did."""
+        """Sentence about bytes that came and were no answer to the request; None where none came."""
         guard = self._guard
         begun = guard.unfinished(self._transaction, self._device)
         if begun is not None or guard.others is None:
@@ -71,13 +71,13 @@ class RtuFrames:
         self._came = b""
 
     def frame(self, device: int, pdu: bytes) -> bytes:
-        """Frame of a request."""
+        """Return the frame of a request."""
         self._guard.clear()
         self._came = b""
         return rtu_frame(device, pdu)
 
     def feed(self, data: bytes, device: int, pdu: bytes) -> bytes | None:
-        """PDU of the reply to that request, once it is whole; raises ProtocolError."""
+        """Return the PDU of the reply to that request, or None until it is whole; raise ProtocolError."""
         self._came += data
         try:
             passed = self._guard.feed(data, device, pdu)
@@ -90,7 +90,7 @@ class RtuFrames:
 
     @property
     def unused(self) -> str | None:
-        """Sentence about what came and was no answer to the request; None where nothing did."""
+        """Sentence about bytes that came and were no answer to the request; None where none came."""
         if self._guard.others is not None:
             return f"{_counted(self._guard.dropped)}: {self._guard.others}"
         said = _not_rtu(self._came)
@@ -100,7 +100,7 @@ class RtuFrames:
 
 
 def _not_rtu(data: bytes) -> str | None:
-    """Sentence about what came on an RTU line and has another framing, or None."""
+    """Return a sentence about bytes on an RTU line that have another framing, or None."""
     if is_tcp_frame(data):
         return "the reply is in Modbus/TCP framing; use transport = 'modbus_tcp'"
     return service_of(data)
@@ -111,7 +111,7 @@ def _counted(dropped: int) -> str:
 
 
 def frames_of(config: ModbusBusSection) -> TcpFrames | RtuFrames:
-    """Frames of a bus, at the beginning of a connection."""
+    """Return the frames of a bus, at the beginning of a connection."""
     if is_rtu(config):
         return RtuFrames()
     by_content = isinstance(config, ModbusTcpBus) and config.frame_length == "ignored"

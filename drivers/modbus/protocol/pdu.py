@@ -31,7 +31,7 @@ EXCEPTIONS = {
 
 
 class ReadBack:
-    """The one request that writes a block of holding registers and then reads one (6.17), and its reply."""
+    """Request that writes a block of holding registers and then reads one (6.17), and the check of its reply."""
 
     code = 23
 
@@ -41,7 +41,7 @@ class ReadBack:
         self._written = written
 
     def raw_of(self, reply: bytes, where: str) -> Sequence[int]:
-        """Registers of the block that is read; raises ProtocolError, or DeviceExceptionError of a refusal."""
+        """Return the registers of the block that is read; raise ProtocolError, or DeviceExceptionError of a refusal."""
         _check_function(self.code, self._written, reply, where)
         count = self.read.count
         if reply[1] != 2 * count or len(reply) < 2 + 2 * count:
@@ -53,7 +53,7 @@ class ReadBack:
 
 
 class Read:
-    """The request that reads a block (6.1 to 6.4), and what its reply must be."""
+    """Request that reads a block (6.1 to 6.4), and the check of its reply."""
 
     def __init__(self, block: Block) -> None:
         self.block = block
@@ -64,7 +64,7 @@ class Read:
         self._size = 2 + size
 
     def raw_of(self, reply: bytes, where: str) -> Sequence[int]:
-        """Registers of the block, or its bits as 0 and 1; raises ProtocolError where the reply is not the block's."""
+        """Return the block's registers, or bits as 0 and 1; raise ProtocolError where the reply is not the block's."""
         if reply[:2] != self._head or len(reply) < self._size:
             self._refuse(reply, where)
         return codec.values_of(reply, self.block.count)
@@ -80,12 +80,12 @@ class Read:
 
 
 def write_request(block: Block, raw: Sequence[int]) -> bytes:
-    """Request that writes a block of registers, or of bits as 0 and 1 (6.5, 6.6, 6.11 and 6.12)."""
+    """Return the request that writes a block of registers, or of bits as 0 and 1 (6.5, 6.6, 6.11 and 6.12)."""
     return codec.write_request(block.write_code, block.address, raw)
 
 
 def check_written(block: Block, raw: Sequence[int], request: bytes, reply: bytes, where: str) -> None:
-    """Raise ProtocolError where a device confirms something else than what was written."""
+    """Raise ProtocolError where a device confirms another write than the one that was sent."""
     code = block.write_code
     _check_function(code, block, reply, where)
     address, said = codec.confirmation_of(reply)

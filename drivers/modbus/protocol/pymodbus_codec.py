@@ -1,7 +1,7 @@
-"""PDUs and frames of Modbus by pymodbus: the one module that imports it.
+"""PDUs and frames of Modbus by pymodbus. No other module of the client imports it.
 
 pymodbus encodes requests, decodes replies and builds frames. The matching of replies to requests, the deadlines and the
-checks are ours (`replies`, `rtu`): pymodbus's client takes a late reply of a serial line for the answer to the next
+checks are this project's (`replies`, `rtu`): pymodbus's client takes a late reply of a serial line for that to the next
 request, and accepts a reply with transaction 0 for any.
 """
 
@@ -104,7 +104,7 @@ def rtu_frame(device: int, pdu: bytes) -> bytes:
 
 
 def has_right_crc(frame: bytes) -> bool:
-    """Return whether the last two bytes of an RTU frame are the CRC of the others."""
+    """Return True where the last two bytes of an RTU frame are the CRC of the others."""
     return FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big"))
 
 

@@ -1,4 +1,4 @@
-"""Bytes of a Modbus/TCP connection that may be the reply to the request that waits: pure, no I/O.
+"""Guard of Modbus/TCP frames: bytes of a connection matched to the request that waits. Pure, no I/O.
 
 pymodbus takes a reply of transaction 0 for any request, ignores bytes behind a reply's data and waits for ever on a
 header of another protocol. Here a frame is passed on only when it is whole, of the request's transaction and unit, and
@@ -19,8 +19,8 @@ from drivers.modbus.protocol.reply_defects import (
     READS,
     SHORTEST,
     content_size,
+    foreign_frame,
     is_exception_to,
-    stranger,
     unfinished,
     wrong_length,
 )
@@ -30,9 +30,9 @@ _EXCEPTION = HEADER.size + 2
 
 
 class FrameGuard:
-    """Cuts what arrives into frames. `dropped` counts whole frames that belong to no request of ours.
+    """Splitter of a connection's bytes into frames. `dropped` counts whole frames that answer no request of ours.
 
-    `zeros` are those of them that had transaction 0, and else what was asked. With `takes_zero` they are replies. With
+    `zeros` are those of them with transaction 0 and the unit that was asked. With `takes_zero` they are replies. With
     `by_content` a reply is as long as its function and byte count say, whatever its header announces.
     """
 
@@ -49,7 +49,7 @@ class FrameGuard:
 
     @property
     def holds(self) -> bool:
-        """Whether a frame has begun."""
+        """True while a frame has begun and is not whole."""
         return bool(self._buffer)
 
     def clear(self) -> None:
@@ -61,9 +61,9 @@ class FrameGuard:
         return unfinished(self._buffer, transaction, unit)
 
     def feed(self, data: bytes, transaction: int, unit: int, request: bytes = b"") -> list[bytes]:
-        """Return frames that answer `request` of this transaction and unit; raises ProtocolError.
+        """Return frames that answer `request` of this transaction and unit; raise ProtocolError.
 
-        After an error nothing more can be read from this connection: where the next frame begins is not known.
+        After an error nothing more can be read from this connection: the beginning of the next frame is not known.
         """
         self._buffer = self._buffer + data if self._buffer else data
         passed: list[bytes] = []
@@ -73,7 +73,7 @@ class FrameGuard:
             tid, protocol, length, sender = HEADER.unpack_from(self._buffer)
             if protocol != 0:
                 behind = f"{self._behind} bytes came behind a reply, more than its header announces; {IGNORED}"
-                raise ProtocolError(behind if self._behind else stranger(self._buffer))
+                raise ProtocolError(behind if self._behind else foreign_frame(self._buffer))
             is_ours = (tid == transaction or (self._takes_zero and tid == 0)) and sender == unit
             size = self._size(length, is_ours, request)
             if size is None:
@@ -95,7 +95,7 @@ class FrameGuard:
         return passed
 
     def _skip(self, transaction: int) -> None:
-        """Drop what an exception reply announced and sent late, unless the next reply begins here."""
+        """Drop bytes that an exception reply announced and that came late, unless the next reply begins here."""
         begins = struct.pack(">HH", transaction, 0)
         if self._by_content and not self._takes_zero:
             at = self._buffer.find(begins)
@@ -107,7 +107,7 @@ class FrameGuard:
             self._owed = 0
 
     def _size(self, length: int, is_ours: bool, request: bytes) -> int | None:
-        """Bytes of the frame at the beginning of the buffer; None while they are not all there."""
+        """Return the number of bytes of the buffer's first frame; None while they are not all there."""
         announced = HEADER.size - 1 + length
         here = len(self._buffer)
         pdu = self._buffer[HEADER.size :]
@@ -121,12 +121,12 @@ class FrameGuard:
         if not SHORTEST <= length <= LONGEST:
             if is_ours and here < _EXCEPTION:
                 return None  # an exception reply with a wrong length may still come
-            raise ProtocolError(wrong_length(length, pdu) if is_ours and pdu else stranger(self._buffer))
+            raise ProtocolError(wrong_length(length, pdu) if is_ours and pdu else foreign_frame(self._buffer))
         return None if here < announced else announced
 
 
 def answers(reply: bytes, request: bytes) -> bool:
-    """Return whether a reply has the function and the length, or the echo, that a request asks for."""
+    """Return True where a reply has the function and the length, or the echo, that a request asks for."""
     code, count = request[0], int.from_bytes(request[3:5], "big")
     if reply[0] == code | 0x80:
         return True
@@ -140,7 +140,7 @@ def answers(reply: bytes, request: bytes) -> bool:
 def _check_length(length: int, pdu: bytes, arrived: bytes) -> None:
     """Raise ProtocolError where a reply is not as long as its function and byte count say.
 
-    `arrived` is all that came of it, which may be more than its header announces.
+    `arrived` are all its bytes, which may be more than its header announces.
     """
     code, due = pdu[0], content_size(pdu)
     if due is None:

@@ -1,7 +1,7 @@
 """Defects of Modbus replies as sentences, each with the key of the rig file that helps: pure.
 
-A device that answers wrongly is on, and its cable is right: its user must learn which byte is not as the protocol has
-it, or which other service listens on the port.
+A device that answers wrongly is on, and its cable is right. The sentence names the byte that breaks the protocol, or
+the other service that listens on the port.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from drivers.modbus.protocol.pdu import EXCEPTIONS
 HEADER = struct.Struct(">HHHB")
 """MBAP header: transaction, protocol (0), length of what follows it with the unit, unit."""
 SHORTEST, LONGEST = 3, 254
-"""Of `length`: unit, function and one byte; unit and a PDU of 253 bytes."""
+"""Bounds of the header's `length`: unit, function and one byte; unit and a PDU of 253 bytes."""
 READS = (1, 2, 3, 4, 23)
 ECHOES = (5, 6, 15, 16)
 IGNORED = "give frame_length = 'ignored' where the device always does so"
@@ -29,11 +29,11 @@ _GREETINGS = (
     (b"\xff\xfd", "a Telnet server"),
 )
 _SHOWN = 24
-"""Bytes of a text that a sentence repeats."""
+"""Bytes of a text that a sentence quotes."""
 
 
 def service_of(data: bytes) -> str | None:
-    """Return a sentence about the service that begins so, where it is none of Modbus/TCP; None where nothing shows."""
+    """Return a sentence about the other service whose greeting `data` is; None where it is not known."""
     if not data:
         return None
     for start, name in _GREETINGS:
@@ -51,7 +51,7 @@ def service_of(data: bytes) -> str | None:
 
 
 def is_rtu_frame(data: bytes) -> bool:
-    """Return whether `data` begins with a whole RTU reply: function, size and CRC agree."""
+    """Return True where `data` begins with a whole RTU reply: function, size and CRC agree."""
     if len(data) < 5:
         return False
     code = data[1]
@@ -62,7 +62,7 @@ def is_rtu_frame(data: bytes) -> bool:
 
 
 def _crc(data: bytes) -> int:
-    """CRC-16 of an RTU frame (Modbus over serial line V1.02, 6.2.2); `drivers.modbus.protocol.rtu` has the fast one."""
+    """Return the CRC-16 of an RTU frame (Modbus over serial line V1.02, 6.2.2); `pymodbus_codec` has the fast one."""
     register = 0xFFFF
     for byte in data:
         register ^= byte
@@ -72,15 +72,15 @@ def _crc(data: bytes) -> int:
 
 
 def is_tcp_frame(data: bytes) -> bool:
-    """Return whether `data` is a whole Modbus/TCP frame and nothing else: protocol 0, and as long as it says."""
+    """Return True where `data` is one whole Modbus/TCP frame: protocol 0, and as long as its header announces."""
     if len(data) < HEADER.size + 2:
         return False
     _, protocol, length, _ = HEADER.unpack_from(data)
     return protocol == 0 and SHORTEST <= length <= LONGEST and len(data) == HEADER.size - 1 + length
 
 
-def stranger(data: bytes) -> str:
-    """Return a sentence about bytes that begin with no MBAP header."""
+def foreign_frame(data: bytes) -> str:
+    """Return a sentence about bytes that do not begin with an MBAP header."""
     if is_rtu_frame(data):
         return "the reply is in RTU framing; use transport = 'modbus_rtu_tcp'"
     said = service_of(data)
@@ -108,7 +108,7 @@ def content_size(pdu: bytes) -> int | None:
 
 
 def is_exception_to(pdu: bytes, request: bytes) -> bool:
-    """Return whether `pdu` begins with an exception reply to `request`, of a code that the protocol knows."""
+    """Return True where `pdu` begins with an exception reply to `request`, of a code that the protocol knows."""
     return len(pdu) >= 2 and bool(request) and pdu[0] == request[0] | 0x80 and pdu[1] in EXCEPTIONS
 
 
@@ -123,7 +123,7 @@ def wrong_length(length: int, pdu: bytes) -> str:
 
 
 def unfinished(data: bytes, transaction: int, unit: int) -> str | None:
-    """Return a sentence about what came until the deadline and is no whole reply; None where it is nothing of ours."""
+    """Return a sentence about an unfinished reply at the deadline; None where no bytes came."""
     if not data:
         return None
     if is_rtu_frame(data):

@@ -1,9 +1,9 @@
-"""Whether a device on a serial line may be a reply behind, and the question that tells: pure.
+"""Detection of a device on a serial line that is one reply behind: open requests and a probe. Pure.
 
-Replies of a serial line carry no number. After a request that was not answered, its reply may come in the place of the
-next one's, and everything is one behind from then on. A quiet line is no proof, for nobody knows how late a device
-can be. So it is asked for a part of what is polled, of a length that none of the open requests has: a device answers in
-the order in which it was asked, so once this answer is here, those before it are either gone or were dropped.
+Replies on a serial line carry no number. The reply to an unanswered request may come in the place of the next one's,
+and every reply is one behind from then on. A quiet line is no proof, since the delay of a device has no bound. The
+probe is a read of a part of the polled points with a reply length that no open request has. A device answers in the
+order of the requests: after the answer to the probe no earlier reply can come.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from drivers.modbus.read_plan import BIT_TABLES, Block
 _Shape = tuple[int, int]
 
 
-class Steps:
-    """Requests that are still `open`; none ever is where the replies are `numbered`, and known by that.
+class OpenRequests:
+    """Requests whose replies may still come, as (function code, data bytes) in `open`.
 
-    While any is open, a probe must come first.
+    While any is open, a probe must come first. Replies that are `numbered` are identified by that: none is ever open.
     """
 
     def __init__(self, *, numbered: bool) -> None:
@@ -27,28 +27,29 @@ class Steps:
         self.open: list[_Shape] = []
 
     def asked(self, request: bytes) -> None:
-        """A request goes out."""
+        """Add a request that goes out."""
         if not self._numbered:
             self.open.append(_shape(request))
 
     def answered(self) -> None:
-        """It was answered, by a device that was in step."""
+        """Remove the only open request: it was answered by a device that was not behind."""
         if len(self.open) == 1:
             self.open.clear()
 
     def doubt(self, request: bytes) -> None:
-        """What came was an answer in form, but not to this: a gateway's word for silence, or another length."""
+        """Keep a request open whose answer was not its own: a gateway's exception for a silence, or another length."""
         if not self.open:
             self.asked(request)
 
     def found(self) -> None:
-        """The probe was answered."""
+        """Remove all: the probe was answered."""
         self.open.clear()
 
     def probe(self, planned: Sequence[Block]) -> Block | None:
-        """Whole points from the beginning of a planned block, of a reply that no open request has.
+        """Return the beginning of a planned block, whole points, with a reply length that no open request has.
 
-        None where all lengths are used up, as of a device with a single point: then a quiet line must do.
+        Return None, and forget all open requests, where every length is used up, as for a device with a single point:
+        a quiet line must suffice then.
         """
         for block in planned:
             end = 0
@@ -62,7 +63,7 @@ class Steps:
 
 
 def _shape(request: bytes) -> _Shape:
-    """Function code and data bytes of the reply to a request."""
+    """Return function code and data bytes of the reply to a request."""
     code, count = request[0], int.from_bytes(request[3:5], "big")
     return code, _size(code <= 2, count) if code in (1, 2, 3, 4, 23) else 0
 

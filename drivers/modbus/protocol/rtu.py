@@ -1,9 +1,9 @@
 """Guard of RTU frames on a serial line: pure.
 
 An RTU frame carries no transaction, so a reply that comes late looks like the answer to the next request; pymodbus's
-own client serves it as such, and goes on so. What is passed on here must be whole, with the right CRC, of the device,
-the function and the length that the request admits, and the only thing that came. What else is needed, a quiet line and
-a device that is known to be in step, is `drivers.modbus.link`'s and `drivers.modbus.bus`'s.
+own client serves it as such, and goes on so. A frame is passed on only if it is whole, has the right CRC, is of the
+device, function and length that the request admits, and came alone. `drivers.modbus.link` ensures a quiet line, and
+`drivers.modbus.bus` a device that is not a reply behind.
 """
 
 from __future__ import annotations
@@ -16,7 +16,11 @@ _LONGEST = 256  # Modbus over serial line V1.02, 2.5.1
 
 
 def size_of(start: bytes) -> int | None:
-    """Length of the reply frame that begins so; None where more bytes must tell. ProtocolError where it is no reply."""
+    """Return the length of the reply that begins with `start`, or None while too few bytes are here.
+
+    Raises:
+        ProtocolError: no reply begins so.
+    """
     if len(start) < 2:
         return None
     try:
@@ -26,7 +30,7 @@ def size_of(start: bytes) -> int | None:
 
 
 class RtuGuard:
-    """Cuts what arrives into frames. `dropped` counts whole frames that answer another request."""
+    """Splitter of a line's bytes into frames. `dropped` counts whole frames that answer another request."""
 
     def __init__(self) -> None:
         self.dropped = 0
@@ -39,11 +43,11 @@ class RtuGuard:
         self._buffer = b""
 
     def feed(self, data: bytes, device: int, request: bytes) -> list[bytes]:
-        """PDUs that may answer `request` of `device`; ProtocolError where the line carries something else.
+        """Return PDUs that may answer `request` of `device`; raise ProtocolError where the line carries something else.
 
         A frame that is right in itself and answers another request, or another device's, is dropped and counted.
         """
-        self._buffer = (self._buffer + data).lstrip(b"\0\xff")  # no reply begins so: what a line gives as it turns
+        self._buffer = (self._buffer + data).lstrip(b"\0\xff")  # no reply begins so: noise of a line as it turns around
         passed: list[bytes] = []
         while self._buffer:
             size = size_of(self._buffer)
@@ -66,5 +70,5 @@ class RtuGuard:
                     else f"it was of function {frame[1]} with {len(frame) - 4} bytes; raise timeout_s of a slow device"
                 )
         if passed and (self._buffer or len(passed) > 1):
-            raise ProtocolError("more than one reply to one request: which is ours is not known")
+            raise ProtocolError("more than one reply to one request: none of them is used")
         return passed

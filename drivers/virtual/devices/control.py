@@ -1,4 +1,4 @@
-"""The control port: plain text lines that grant time to the plant in lockstep, or end the rig.
+"""Control port of the virtual rig: text lines that grant time to the plant in lockstep, or end the rig.
 
 Server on connect: `virtual-rig 1 mode=lockstep period=1.0 t=0.000`. Client: `step` -> `t 1.000` after the plant moved
 one period, or `error ...`; `reboot 0.5` -> `ok`, and the PLC loses its memory and does not answer for that many seconds
@@ -12,7 +12,7 @@ _LONGEST_LINE = 1024
 
 
 class Rig(Protocol):
-    """What the control port needs of the PLC."""
+    """Interface of the PLC for the control port."""
 
     controller: "ControlConnection | None"
 
@@ -30,7 +30,7 @@ class Rig(Protocol):
 
 
 class ControlConnection(asyncio.Protocol):
-    """One client of the control port."""
+    """Connection of one client of the control port."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
@@ -50,7 +50,7 @@ class ControlConnection(asyncio.Protocol):
         transport.write(self._rig.greeting().encode("ascii"))
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Without a client the rig goes on by itself."""
+        """Release the control port: without a client the rig goes on without grants."""
         if self._rig.controller is self:
             self._rig.controller = None
             self._rig.on_controller(False)
@@ -60,7 +60,7 @@ class ControlConnection(asyncio.Protocol):
         self._transport.abort()
 
     def data_received(self, data: bytes) -> None:
-        """Obey whole lines."""
+        """Execute whole lines."""
         if self._rig.controller is not self:
             return
         self._rest += data

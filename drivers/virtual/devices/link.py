@@ -1,4 +1,4 @@
-"""The wires between plant and thermocouple module: one fixed-size record per period over a local socket."""
+"""Link between plant and thermocouple module: one fixed-size record per period over a local socket."""
 
 import asyncio
 import struct
@@ -8,12 +8,12 @@ RECORD = struct.Struct("<d9d")
 
 
 def pack(time_s: float, junctions_C: Sequence[float]) -> bytes:
-    """Record of rig time in s and the nine true junction temperatures in degC."""
+    """Return the record of rig time in s and the nine true junction temperatures in degC."""
     return RECORD.pack(time_s, *junctions_C)
 
 
 class LinkSender(asyncio.Protocol):
-    """PLC's end. While the module cannot keep up, `ready` is False."""
+    """PLC's end of the link. While the module cannot keep up, `ready` is False."""
 
     def __init__(self, on_ready: Callable[[], None], on_lost: Callable[[], None]) -> None:
         self.ready = True
@@ -26,21 +26,21 @@ class LinkSender(asyncio.Protocol):
         self.transport = transport
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The module died: the rig is of no use without it."""
+        """Report that the module died."""
         self._on_lost()
 
     def pause_writing(self) -> None:
-        """The module lags behind."""
+        """Note that the module lags behind."""
         self.ready = False
 
     def resume_writing(self) -> None:
-        """The module caught up."""
+        """Report that the module caught up."""
         self.ready = True
         self._on_ready()
 
 
 class LinkReceiver(asyncio.Protocol):
-    """Module's end: hands over one record at a time."""
+    """Module's end of the link: it hands over one record at a time."""
 
     def __init__(self, on_record: Callable[[float, list[float]], None], on_lost: Callable[[], None]) -> None:
         self._on_record, self._on_lost = on_record, on_lost
@@ -57,5 +57,5 @@ class LinkReceiver(asyncio.Protocol):
         self._rest = data[whole:]
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The PLC is gone."""
+        """Report that the PLC is gone."""
         self._on_lost()

@@ -1,7 +1,7 @@
-"""Modbus/TCP server side: request bytes in, response bytes out, any number pipelined, answered in order.
+"""Modbus/TCP server: request bytes in, response bytes out, any number pipelined, answered in order.
 
-Own code rather than a library's server: that one answers only the first of several pipelined requests and costs
-most of an accelerated replay's time.
+It is own code because pymodbus's server answers only the first of several pipelined requests and takes most of the
+time of an accelerated replay.
 """
 
 import asyncio
@@ -21,14 +21,14 @@ _FUNCTIONS = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
 
 
 class Refused(Exception):
-    """A request that earns an exception response."""
+    """Error of a request that gets an exception response."""
 
     def __init__(self, code: int) -> None:
         self.code = code
 
 
 def answer(registers: Registers, pdu: bytes) -> bytes:
-    """Response PDU to a request PDU."""
+    """Return the response PDU to a request PDU."""
     function = pdu[0]
     try:
         return _serve(registers, function, pdu)
@@ -114,7 +114,7 @@ def _fixed(pdu: bytes, length: int) -> None:
 
 
 def _check(first: int, count: int, limit: int, size: int) -> None:
-    """Quantity before address, as the specification's state diagrams order it."""
+    """Refuse a wrong quantity, then a wrong address: the order of the specification's state diagrams."""
     if not 1 <= count <= limit:
         raise Refused(ILLEGAL_VALUE)
     if first + count > size:
@@ -127,7 +127,7 @@ def _write(registers: Registers, first: int, values: tuple[int, ...]) -> None:
 
 
 class Connection(asyncio.Protocol):
-    """One client. A client that does not read its answers is not read either."""
+    """Connection of one client. A client that does not read its answers is not read either."""
 
     def __init__(self, connections: set[Any]) -> None:
         self._connections = connections
@@ -148,16 +148,16 @@ class Connection(asyncio.Protocol):
         self._transport.abort()
 
     def pause_writing(self) -> None:
-        """Answers pile up: stop taking requests."""
+        """Stop reading requests: answers pile up."""
         self._transport.pause_reading()
 
     def resume_writing(self) -> None:
-        """Answers went out: take requests again."""
+        """Read requests again: the answers went out."""
         self._transport.resume_reading()
 
 
 class ModbusConnection(Connection):
-    """One client of Modbus/TCP."""
+    """Connection of one client of Modbus/TCP."""
 
     def __init__(self, registers: Registers, connections: "set[ModbusConnection]") -> None:
         super().__init__(connections)

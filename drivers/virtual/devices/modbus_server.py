@@ -1,4 +1,4 @@
-"""The PLC's Modbus ports, which close and open again with its power: Modbus/TCP or TLS, RTU over TCP, a serial line."""
+"""Modbus ports of the PLC, which close and open with its power: Modbus/TCP or TLS, RTU over TCP, a serial line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.virtual.devices.supervision import listen, port_of
 
 
 class ModbusServer:
-    """Serves `registers` on `port`, and on `rtu_port` and a pseudo-terminal where that is asked for."""
+    """Server of `registers` on `port`, and on `rtu_port` and a pseudo-terminal where these are requested."""
 
     def __init__(
         self, registers: Registers, host: str, port: int, tls: ssl.SSLContext | None, rtu_port: int | None = None
@@ -27,7 +27,7 @@ class ModbusServer:
         self._servers: list[asyncio.Server] = []
 
     def open_line(self) -> None:
-        """Make the pseudo-terminal."""
+        """Open the pseudo-terminal."""
         self.line = PseudoLine(self._registers)
 
     async def open(self) -> None:
@@ -60,7 +60,10 @@ class ModbusServer:
 
 
 def tls_context(certificate: Path, key: Path, ca: Path) -> ssl.SSLContext:
-    """TLS 1.2 or later, and no client without a certificate of `ca` (Modbus/TCP Security, 8.2 and 8.5)."""
+    """Return a context of TLS 1.2 or later that refuses clients without a certificate of `ca`.
+
+    Source: Modbus/TCP Security protocol specification, 8.2 and 8.5.
+    """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.load_cert_chain(certificate, key)

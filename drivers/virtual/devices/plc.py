@@ -36,7 +36,7 @@ LARGEST_BACKLOG_S = 5.0
 
 
 class Plc:
-    """One period: interlocks, plant, read-backs, registers, temperatures to the module. Owns rig time."""
+    """PLC with its plant. It owns rig time: interlocks, plant, read-backs and registers advance once a period."""
 
     def __init__(
         self,
@@ -109,36 +109,36 @@ class Plc:
         self._due = max(self._due + self._wall_period_s, loop.time() - LARGEST_BACKLOG_S)
         self._timer = loop.call_at(self._due, self._tick)
 
-    # What the control port asks for.
+    # Commands of the control port.
 
     def greeting(self) -> str:
-        """First line to a control client."""
+        """Return the first line to a control client."""
         return f"virtual-rig 1 mode={self.mode} period={self.period_s!r} t={self.plant.time_s:.3f}\n"
 
     def grant(self) -> str:
-        """One granted period."""
+        """Run one granted period; return the answer to the client."""
         if self.mode != "lockstep":
             return f"error the rig runs in {self.mode} time; steps are granted in lockstep only.\n"
         self.cycle()
         return f"t {self.plant.time_s:.3f}\n"
 
     def congested(self) -> bool:
-        """Lockstep loses no frame: steps wait for the module."""
+        """Return True in lockstep while steps must wait for the module, so that no frame is lost."""
         return self.mode == "lockstep" and self.link is not None and not self.link.ready
 
     def on_link_lost(self) -> None:
-        """A rig without thermometers is no rig."""
+        """End the rig: the thermocouple module is gone."""
         if not self.stop.is_set():
             self.ended_because = "lost the thermocouple module"
             self.stop.set()
 
     def on_link_ready(self) -> None:
-        """The module caught up."""
+        """Continue the client's commands: the module caught up."""
         if self.controller is not None:
             self.controller.proceed()
 
     def on_controller(self, connected: bool) -> None:
-        """In lockstep time belongs to the client while there is one; later the watchdog must be able to run out."""
+        """Hold the time in lockstep while a client grants it; let it run without one, so that the watchdog can trip."""
         if self.mode == "lockstep":
             if connected:
                 self.hold()
@@ -146,7 +146,7 @@ class Plc:
                 self.run_free()
 
     def reboot(self, seconds: str) -> str:
-        """A power cut of the PLC."""
+        """Cut the PLC's power for `seconds` (text, s); return the answer to the client."""
         try:
             down_s = float(seconds)
         except ValueError:
@@ -219,7 +219,7 @@ async def run(arguments: argparse.Namespace) -> int:
 
 
 def main() -> int:
-    """Entry point."""
+    """Run the process by its command line; return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m drivers.virtual.devices.plc")
     parser.add_argument("--mode", choices=MODES, default="real")
     parser.add_argument("--speed", type=float, default=1.0, help="how many times faster, in scaled mode")
@@ -228,7 +228,7 @@ def main() -> int:
     parser.add_argument("--start", type=float, default=0.0, help="rig time in s at which it is switched on, cold")
     parser.add_argument("--unit", type=int, help="specimen whose sensors' offsets these are; default: the seed's")
     parser.add_argument("--with", dest="effects", type=Path, help="file of effects")
-    parser.add_argument("--truth", type=Path, help="keep what is true in this file")
+    parser.add_argument("--truth", type=Path, help="record the true state in this file")
     parser.add_argument("--tls-certificate", type=Path, help="serve Modbus over TLS with this certificate (PEM) ...")
     parser.add_argument("--tls-key", type=Path, help="... and key, ...")
     parser.add_argument("--tls-ca", type=Path, help="... to clients with a certificate of this authority")

@@ -1,6 +1,6 @@
 """Modbus ports of the PLC served by pymodbus, in place of the project's own server.
 
-It is a second server of the same registers, so that the driver is tried against protocol code of others. It is slower
+It is a second server of the same registers, so that the driver is tested against foreign protocol code. It is slower
 and answers only the first of several requests in one segment. A serial line stays with the project's own server.
 """
 
@@ -34,7 +34,7 @@ class RegistersContext:
         self._registers = registers
 
     def device_ids(self) -> list[int]:
-        """Return the one device that there is."""
+        """Return the number of the only device."""
         return [DEVICE_ID]
 
     async def async_getValues(
@@ -78,7 +78,7 @@ def _size(function: int) -> int:
 
 
 class PymodbusServer:
-    """Serves `registers` on `port`, and on `rtu_port` where that is asked for; see `modbus_server.ModbusServer`."""
+    """Server of `registers` on `port`, and on `rtu_port` where requested, like `modbus_server.ModbusServer`."""
 
     def __init__(
         self, registers: Registers, host: str, port: int, tls: ssl.SSLContext | None, rtu_port: int | None = None
@@ -90,7 +90,7 @@ class PymodbusServer:
         self._servers: list[ModbusTcpServer] = []
 
     def open_line(self) -> None:
-        """Make the pseudo-terminal."""
+        """Open the pseudo-terminal."""
         self.line = PseudoLine(self._registers)
 
     async def open(self) -> None:

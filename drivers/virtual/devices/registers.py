@@ -1,4 +1,4 @@
-"""The PLC's memory and safety logic: register map, arming, heartbeat watchdog, thermostat. No I/O.
+"""Memory and safety logic of the PLC: register map, arming, heartbeat watchdog, thermostat. No I/O.
 
 Holding registers: 0 heater_power_set 0.1 W; 1 pump_speed_set 0.1 %; 2 fan_speed_set 0.1 %; 3 heartbeat;
 4 watchdog_timeout 0.1 s; 5 arm. Input registers: 0-1 heater_power float32 CDAB W; 2-3 flow float32 CDAB L/min;
@@ -42,7 +42,7 @@ class Registers:
         """Called after every write that was accepted."""
 
     def restart(self) -> None:
-        """What a PLC knows after a power cut: nothing. Its outputs are off, its clock begins anew."""
+        """Set the state after a power cut: memory is lost, outputs are off, the clock begins anew."""
         self.holding = [0, 0, 0, 0, DEFAULT_WATCHDOG, 0]
         self.status = 0
         self._needs_heartbeat = False
@@ -50,7 +50,7 @@ class Registers:
 
     @property
     def heater_W(self) -> float:
-        """Set-point that reaches the heater: zero until armed."""
+        """Set-point that reaches the heater, W: zero until armed."""
         return self.holding[HEATER_SET] * 0.1 if self.status & ARMED else 0.0
 
     @property

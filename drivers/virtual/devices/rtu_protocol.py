@@ -1,8 +1,8 @@
-"""Modbus RTU server side, over a TCP connection or a pseudo-terminal that stands in for a serial line.
+"""Modbus RTU server, over a TCP connection or a pseudo-terminal that stands in for a serial line.
 
-Requests are known by function and length, as on a line without timing (a pseudo-terminal has none); what has a wrong
-CRC is thrown away with all that came with it, and other devices' requests are not answered (Modbus over serial line
-V1.02, 2.4 and 2.5.1).
+Requests are delimited by function and length, since a pseudo-terminal has no timing. A frame with a wrong CRC is
+dropped with all bytes behind it. Requests to other devices are not answered (Modbus over serial line V1.02, 2.4 and
+2.5.1).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _CRC = _table()
 
 
 def crc(data: bytes) -> bytes:
-    """The two bytes behind a frame (V1.02, 6.2.2)."""
+    """Return the two CRC bytes behind a frame (V1.02, 6.2.2)."""
     value = 0xFFFF
     for byte in data:
         value = value >> 8 ^ _CRC[(value ^ byte) & 0xFF]
@@ -39,7 +39,7 @@ def crc(data: bytes) -> bytes:
 
 
 def request_size(start: bytes) -> int | None:
-    """Length of the request frame that begins so; None where more bytes must tell, 0 where it is no request."""
+    """Return the length of the request that begins with `start`; None while unknown, 0 where it is no request."""
     if len(start) < 2:
         return None
     function = start[1]
@@ -54,19 +54,19 @@ def request_size(start: bytes) -> int | None:
 
 
 class RtuFrames:
-    """Bytes of a line in, bytes of answers out."""
+    """Server of one line: bytes of requests in, bytes of answers out."""
 
     def __init__(self, registers: Registers) -> None:
         self._registers = registers
         self._rest = b""
 
     def feed(self, data: bytes) -> bytes:
-        """Answers to the requests that are whole now."""
+        """Return the answers to the requests that are whole now."""
         self._rest += data
         answers = b""
         while self._rest:
             size = request_size(self._rest)
-            if size == 0:  # a function of which the length is not known: the frame is what there is
+            if size == 0:  # a function without a known length: the frame is all that came
                 size = len(self._rest)
             if size is None or len(self._rest) < size:
                 if len(self._rest) > _LONGEST:
@@ -83,7 +83,7 @@ class RtuFrames:
 
 
 class RtuConnection(Connection):
-    """One client of RTU over TCP."""
+    """Connection of one client of RTU over TCP."""
 
     def __init__(self, registers: Registers, connections: set[RtuConnection]) -> None:
         super().__init__(connections)
@@ -97,7 +97,7 @@ class RtuConnection(Connection):
 
 
 class PseudoLine:
-    """A serial line without wires: whoever opens `path` talks to the rig. `powered` is off while the PLC reboots."""
+    """Pseudo-terminal as a serial line: a client opens `path`. `powered` is False while the PLC reboots."""
 
     def __init__(self, registers: Registers) -> None:
         self._frames = RtuFrames(registers)

@@ -1,4 +1,4 @@
-"""A CAN bus over TCP in the socketcand protocol (raw mode), with any number of clients.
+"""CAN bus over TCP in the socketcand protocol (raw mode), with any number of clients.
 
 Server greets `< hi >`; client sends `< open BUS >` and `< rawmode >`, each answered `< ok >`; then frames flow as
 `< frame ID SEC.USEC DATA >` to the client and `< send ID LEN B0 B1 .. >` from it. A client's frames reach the others,
@@ -17,7 +17,7 @@ _LONGEST_LINE = 256
 
 
 class CanHub:
-    """The bus: every connected client in raw mode hears every frame."""
+    """Bus on which every connected client in raw mode receives every frame."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
@@ -32,7 +32,7 @@ class CanHub:
                 self.dropped += frames
 
     def relay(self, identifier: str, data: bytes, sender: "CanConnection") -> None:
-        """A client's own frame."""
+        """Send a client's frame to all others."""
         self.publish(frame_text(identifier, self._clock(), data), 1, sender)
 
     def update_listeners(self) -> None:
@@ -41,12 +41,12 @@ class CanHub:
 
 
 def frame_text(identifier: str, time_s: float, data: bytes) -> bytes:
-    """`< frame ... >` as sent to clients; standard ids have three hexadecimal digits, extended ones eight."""
+    """Return `< frame ... >` as sent to clients; standard ids have three hexadecimal digits, extended ones eight."""
     return f"< frame {identifier} {time_s:.6f} {data.hex().upper()} >".encode("ascii")
 
 
 class CanConnection(asyncio.Protocol):
-    """One client of the hub."""
+    """Connection of one client of the hub."""
 
     def __init__(self, hub: CanHub) -> None:
         self._hub = hub
@@ -59,7 +59,7 @@ class CanConnection(asyncio.Protocol):
         self._transport: asyncio.Transport
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Greet."""
+        """Greet the client."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         self._hub.clients.add(self)

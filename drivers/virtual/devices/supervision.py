@@ -1,4 +1,4 @@
-"""What both processes of the rig share: listening, readiness lines on stdout, and ending with their parent."""
+"""Supervision of the rig's processes: listening, readiness lines on stdout, and ending with the parent."""
 
 import asyncio
 import contextlib
@@ -16,7 +16,7 @@ PARENT_CHECK_S = 1.0
 
 
 def say(**fields: Any) -> None:
-    """One JSON line to the parent."""
+    """Send one JSON line to the parent."""
     # A parent that closed its end is noticed by the stdin watch.
     with contextlib.suppress(OSError):
         print(json.dumps(fields), flush=True)
@@ -25,7 +25,7 @@ def say(**fields: Any) -> None:
 async def listen(
     factory: Callable[[], asyncio.BaseProtocol], host: str, port: int, what: str, tls: ssl.SSLContext | None = None
 ) -> asyncio.Server:
-    """Server on `host:port` (0: any). A port that cannot be had ends the process with one sentence."""
+    """Return a server on `host:port` (0: any). Raise SystemExit after a sentence where the port cannot be opened."""
     try:
         return await asyncio.get_running_loop().create_server(factory, host, port, ssl=tls, reuse_address=True)
     except OSError as error:
@@ -34,20 +34,20 @@ async def listen(
 
 
 def port_refused(what: str, host: str, port: int, reason: str, number: int | None) -> SystemExit:
-    """Report a port that cannot be had to the parent; return the exit of this process. `number` is of `errno`."""
+    """Report a port that cannot be opened to the parent; return the exit of this process. `number` is of `errno`."""
     say(event="error", errno=number, port=port, message=f"{what} port {host}:{port} {reason}; choose another.")
     return SystemExit(EXIT_PORT_IN_USE)
 
 
 def port_of(server: asyncio.Server) -> int:
-    """Port that a server got."""
+    """Return the port of a server."""
     return int(server.sockets[0].getsockname()[1])
 
 
 def end_with_parent(stop: asyncio.Event) -> None:
     """Set `stop` on SIGTERM or SIGINT, when stdin reaches its end, or when the parent process changed.
 
-    Two nets: stdin is a pipe that a dying parent closes, but other children of the parent may hold it open too.
+    Both signs are needed: stdin is a pipe that a dying parent closes, but its other children may hold it open.
     """
     loop = asyncio.get_running_loop()
     parent = os.getppid()

@@ -1,4 +1,4 @@
-"""Process 2 of the virtual rig: the thermocouple module's CAN node and the bus that it hangs on.
+"""Process 2 of the virtual rig: the thermocouple module's CAN node and its bus.
 
     python -m drivers.virtual.devices.thermocouples --link-fd FD [--seed N] [--with EFFECTS.toml] [--port P] [--host H]
 
@@ -20,13 +20,13 @@ from drivers.virtual.plant.thermocouple_module import ThermocoupleModule
 
 
 class CanNode:
-    """Sends the module's three frames for each record from the PLC, stamped with epoch of start plus rig time."""
+    """Sender of the module's three frames for each record from the PLC, stamped with epoch of start plus rig time."""
 
     def __init__(self, module: ThermocoupleModule, hub: CanHub, epoch_s: float) -> None:
         self._module, self._hub, self._epoch_s = module, hub, epoch_s
 
     def on_record(self, time_s: float, junctions_C: list[float]) -> None:
-        """One period of the plant."""
+        """Send the frames of one period."""
         a, b, c = self._module.sample(time_s, junctions_C)
         if self._hub.listeners:
             stamp = f"{self._epoch_s + time_s:.6f}"
@@ -57,7 +57,7 @@ async def run(arguments: argparse.Namespace) -> int:
 
 
 def main() -> int:
-    """Entry point."""
+    """Run the process by its command line; return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m drivers.virtual.devices.thermocouples")
     parser.add_argument("--link-fd", type=int, required=True, help="inherited socket from the PLC process")
     parser.add_argument("--seed", type=int, default=0)

@@ -1,7 +1,7 @@
-"""What was true on the virtual rig, kept by the rig itself: a file of fixed-size records that nobody else writes.
+"""True state of the virtual rig, recorded by the rig itself: a file of fixed-size records.
 
-One record a period, and one whenever a write changes what reaches the heater. Whoever tests a harness compares with
-this, and not with what the harness says of itself. Times are Unix times of this machine.
+There is one record a period, and one whenever a write changes the set-point that reaches the heater. Tests of a harness
+compare with this file, not with the harness's own record. Times are Unix times of this machine.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _RECORD = struct.Struct(f"<dddH5d{len(CHANNELS)}d")
 
 
 class Moment(NamedTuple):
-    """`heater_W` is the set-point that reaches the heater; `power_W` what it takes; `status` the PLC's bits."""
+    """True state: `heater_W` is the set-point at the heater, `power_W` its power, `status` the PLC's bits."""
 
     wall_s: float
     rig_s: float
@@ -34,7 +34,7 @@ class Moment(NamedTuple):
 
 
 class TruthLog:
-    """Writes the file; unbuffered, so that it is whole whenever the rig is killed."""
+    """Writer of the file; unbuffered, so that it is whole whenever the rig is killed."""
 
     def __init__(self, path: Path, plant: Plant) -> None:
         self._file = path.open("wb", buffering=0)
@@ -42,7 +42,7 @@ class TruthLog:
         self._heater_W = -1.0
 
     def note(self, registers: Registers, *, period: bool) -> None:
-        """A record, at the end of a `period`, else only where what reaches the heater has changed."""
+        """Write a record at the end of a `period`, else only where the heater's set-point has changed."""
         heater_W = registers.heater_W
         if not period and heater_W == self._heater_W:
             return
@@ -68,7 +68,7 @@ class TruthLog:
 
 
 def read_truth(path: Path) -> list[Moment]:
-    """All whole records of a file, in their order."""
+    """Return all whole records of a file, in their order; raise OSError."""
     data = path.read_bytes()
     whole = len(data) - len(data) % _RECORD.size
     return [Moment._make((*fields[:9], fields[9:])) for fields in _RECORD.iter_unpack(data[:whole])]

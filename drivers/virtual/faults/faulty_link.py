@@ -1,4 +1,4 @@
-"""A wire that fails on request: a TCP relay between a harness and a rig, on the loopback interface.
+"""Link with faults on request: a TCP relay between a harness and a rig, on the loopback interface.
 
     async with FaultyLink(rig.modbus_port, modbus_frames) as link:
         ...                      # the harness talks to link.port
@@ -6,7 +6,7 @@
         link.drop()              # connections are reset and refused until restore()
         link.mute()              # half-open: connections stay, nothing passes, new ones are taken and not served
 
-Only what the rig sends is cut into frames and may be changed; what the harness sends passes as it is.
+Only the rig's bytes are cut into frames and may be changed; the harness's bytes pass as they are.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from collections.abc import Callable, Sequence
 from typing import Self
 
 Split = Callable[[bytes], tuple[list[bytes], bytes]]
-"""Whole frames of a stream, and the rest."""
+"""Function that cuts a stream into whole frames and the rest."""
 Change = Callable[[bytes], Sequence[tuple[float, bytes]]]
-"""What becomes of a frame: pieces, each with a delay in s after the piece before it; none swallows it."""
+"""Function of a frame that returns pieces, each with a delay in s after the piece before it; none drops the frame."""
 HOST = "127.0.0.1"
 
 
 def modbus_frames(data: bytes) -> tuple[list[bytes], bytes]:
-    """Modbus/TCP frames (MBAP header and PDU) of a stream."""
+    """Return the Modbus/TCP frames (MBAP header and PDU) of a stream, and the rest."""
     frames = []
     while len(data) >= 6:
         size = 6 + int.from_bytes(data[4:6], "big")
@@ -37,7 +37,7 @@ def modbus_frames(data: bytes) -> tuple[list[bytes], bytes]:
 
 
 def rtu_frames(data: bytes) -> tuple[list[bytes], bytes]:
-    """Replies in RTU frames; what begins like none of functions 1 to 6, 15, 16 and 23 passes uncut."""
+    """Return the RTU replies of a stream, and the rest; bytes of other functions than 1 to 6, 15, 16, 23 pass uncut."""
     frames = []
     while len(data) >= 3:
         if data[1] & 0x80:
@@ -54,7 +54,7 @@ def rtu_frames(data: bytes) -> tuple[list[bytes], bytes]:
 
 
 def can_frames(data: bytes) -> tuple[list[bytes], bytes]:
-    """`< ... >` of a socketcand stream."""
+    """Return the `< ... >` of a socketcand stream, and the rest."""
     frames = []
     while (end := data.find(b">")) >= 0:
         frames.append(data[: end + 1])
@@ -63,12 +63,12 @@ def can_frames(data: bytes) -> tuple[list[bytes], bytes]:
 
 
 def as_it_comes(data: bytes) -> tuple[list[bytes], bytes]:
-    """The stream uncut: for what is encrypted."""
+    """Return the stream uncut, as for encrypted streams."""
     return [data], b""
 
 
 class FaultyLink:
-    """Listens on `port` and relays to `target` on the loopback interface."""
+    """Relay from `port` to `target` on the loopback interface."""
 
     def __init__(self, target: int, split: Split = as_it_comes) -> None:
         self.target = target
@@ -122,11 +122,11 @@ class FaultyLink:
         self.reset()
 
     def mute(self) -> None:
-        """Half-open: let nothing pass any more, either way, and say nothing about it."""
+        """Make connections half-open: pass nothing either way, and keep them."""
         self._muted = True
 
     async def restore(self) -> None:
-        """A wire in good order again. What was muted is lost, and its connections are reset."""
+        """Make the link work again. Muted bytes are lost, and their connections are reset."""
         self.change = None
         if self._muted:
             self._muted = False
@@ -135,7 +135,7 @@ class FaultyLink:
             await self.start()
 
     def say(self, frame: bytes) -> None:
-        """Send a frame of our own to everyone on the harness's side."""
+        """Send a frame to every connection on the harness's side."""
         for writers in self._talks.values():
             for writer in writers[:1]:
                 writer.write(frame)

@@ -1,4 +1,4 @@
-"""What a faulty device or gateway answers: changes of one frame at a time, drawn from a generator.
+"""Replies of faulty devices and gateways: changes of one frame at a time, drawn from a generator.
 
 Each is a `Change` of `drivers.virtual.faults.faulty_link`. A `share` of the frames is changed, the others pass.
 """
@@ -14,31 +14,31 @@ from drivers.virtual.faults.faulty_link import Change
 
 Pieces = Sequence[tuple[float, bytes]]
 _HEADER = 9
-"""MBAP header, function code and byte count: what a Modbus/TCP client can check (Messaging guide V1.0b, 3.1.3)."""
+"""MBAP header, function code and byte count, which a Modbus/TCP client can check (Messaging guide V1.0b, 3.1.3)."""
 
 
 def late(generator: random.Random, share: float, least_s: float, most_s: float) -> Change:
-    """The reply comes, `least_s` to `most_s` late."""
+    """Delay the reply by `least_s` to `most_s`."""
     return _some(generator, share, lambda frame: [(generator.uniform(least_s, most_s), frame)])
 
 
 def garbled_header(generator: random.Random, share: float) -> Change:
-    """One to three bytes of header, function code or byte count have other bits."""
+    """Change bits in one to three bytes of header, function code or byte count."""
     return _some(generator, share, lambda frame: [(0.0, flipped(frame, generator, min(_HEADER, len(frame))))])
 
 
 def garbled_anywhere(generator: random.Random, share: float) -> Change:
-    """One to three bytes have other bits: beneath TLS, where every byte is authenticated, or in a CAN daemon's text."""
+    """Change bits in one to three bytes: beneath TLS, where every byte is authenticated, or in a CAN daemon's text."""
     return _some(generator, share, lambda frame: [(0.0, flipped(frame, generator, len(frame)))])
 
 
 def cut_off(generator: random.Random, share: float) -> Change:
-    """The frame ends early, as a gateway that ran out of its buffer sends it: the header promises more."""
+    """Cut the frame's end off, as a gateway with a full buffer does: the header announces more."""
     return _some(generator, share, lambda frame: [(0.0, frame[: generator.randrange(1, max(len(frame), 2))])])
 
 
 def too_few_registers(generator: random.Random, share: float) -> Change:
-    """A well-formed reply to a read, with fewer registers than were asked for."""
+    """Send a well-formed reply to a read, with fewer registers than were requested."""
 
     def change(frame: bytes) -> Pieces:
         if len(frame) < 11 or frame[7] not in (3, 4, 23):
@@ -51,7 +51,7 @@ def too_few_registers(generator: random.Random, share: float) -> Change:
 
 
 def wrong_function(generator: random.Random, share: float) -> Change:
-    """The reply to another function: FC 3 for FC 4 and the other way round, FC 6 for FC 16, FC 3 for FC 23."""
+    """Send the reply to another function: FC 3 for FC 4 and the other way round, FC 6 for FC 16, FC 3 for FC 23."""
     other = {3: 4, 4: 3, 6: 16, 16: 6, 23: 3}
     return _some(
         generator, share, lambda frame: [(0.0, frame[:7] + bytes((other.get(frame[7], frame[7]),)) + frame[8:])]
@@ -59,12 +59,12 @@ def wrong_function(generator: random.Random, share: float) -> Change:
 
 
 def split_up(generator: random.Random, share: float) -> Change:
-    """The frame comes in single bytes, which is no fault: a client must put it together."""
+    """Send the frame in single bytes, which is no fault: a client must put it together."""
     return _some(generator, share, lambda frame: [(0.0, frame[k : k + 1]) for k in range(len(frame))])
 
 
 def without_a_digit(generator: random.Random, share: float) -> Change:
-    """A line of a CAN daemon's text that lacks some of its characters."""
+    """Leave some characters of a CAN daemon's line out."""
 
     def change(frame: bytes) -> Pieces:
         at = generator.randrange(2, max(len(frame) - 2, 3))
@@ -74,7 +74,7 @@ def without_a_digit(generator: random.Random, share: float) -> Change:
 
 
 def flipped(frame: bytes, generator: random.Random, within: int) -> bytes:
-    """`frame` with one to three of its first `within` bytes changed."""
+    """Return `frame` with one to three of its first `within` bytes changed."""
     changed = bytearray(frame)
     for _ in range(generator.randint(1, 3)):
         changed[generator.randrange(within)] ^= generator.randint(1, 255)
@@ -84,17 +84,17 @@ def flipped(frame: bytes, generator: random.Random, within: int) -> bytes:
 
 
 def swallowed(generator: random.Random, share: float) -> Change:
-    """No reply at all."""
+    """Send no reply."""
     return _some(generator, share, lambda frame: [])
 
 
 def twice(generator: random.Random, share: float) -> Change:
-    """The reply, and the same once more."""
+    """Send the reply twice."""
     return _some(generator, share, lambda frame: [(0.0, frame), (0.0, frame)])
 
 
 def one_behind(generator: random.Random, share: float) -> Change:
-    """The reply before this one in front of it, as a gateway with a queue gives it."""
+    """Send the previous reply before this one, as a gateway with a queue does."""
     before: list[bytes] = []
 
     def change(frame: bytes) -> Pieces:
@@ -106,14 +106,14 @@ def one_behind(generator: random.Random, share: float) -> Change:
 
 
 def refusal(generator: random.Random, share: float, code: int) -> Change:
-    """Exception `code` for the reply."""
+    """Send exception `code` in place of the reply."""
     return _some(
         generator, share, lambda frame: [(0.0, frame[:4] + b"\0\3" + frame[6:7] + bytes((frame[7] | 0x80, code)))]
     )
 
 
 def in_rtu(change: Change) -> Change:
-    """A change of Modbus/TCP frames, done to RTU frames: the CRC is right again afterwards."""
+    """Return a change of Modbus/TCP frames as one of RTU frames: the CRC is right again afterwards."""
 
     def changed(frame: bytes) -> Pieces:
         wrapped = b"\0\0\0\0" + struct.pack(">H", len(frame) - 2) + frame[:-2]

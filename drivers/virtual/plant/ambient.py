@@ -17,7 +17,7 @@ _BLOCK = 2048
 
 
 def hour_of_day(time_s: float) -> float:
-    """Clock in hours, 0 to 24, at a rig time in s."""
+    """Return the clock in hours, 0 to 24, at a rig time in s."""
     return (START_HOUR + time_s / 3600.0) % 24.0
 
 
@@ -34,7 +34,7 @@ class Room:
         self._numbers: list[float] = []
 
     def step(self, time_s: float) -> float:
-        """Temperature in degC at `time_s`; call once per period."""
+        """Return the temperature in degC at `time_s`; call once per period."""
         if not self._numbers:
             self._numbers = self._random.standard_normal(2 * _BLOCK).tolist()
         self._slow = self._slow * self._slow_keep + self._slow_kick * self._numbers.pop()

@@ -1,4 +1,4 @@
-"""Decides where numba may keep machine code of the plant: it unpickles, and so executes, what it finds there.
+"""Check of the folder in which numba caches machine code of the plant: numba unpickles, so executes, its files.
 
 Beside the source it is as safe as the source itself. NUMBA_CACHE_DIR may name a folder that others can write.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 
 
 def may_cache() -> bool:
-    """Return whether the folder that numba is told to use, if any, is this user's and nobody else may write it."""
+    """Return True where the folder of NUMBA_CACHE_DIR, if set, is this user's and nobody else may write it."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     if not given:
         return True

@@ -1,4 +1,4 @@
-"""Turns effects into what the plant's kernel reads: extra powers and losses per cell, gains and fractions."""
+"""Effects as inputs of the plant's kernel: extra powers and losses per cell, gains and fractions."""
 
 from collections.abc import Callable
 
@@ -16,13 +16,13 @@ from drivers.virtual.plant.geometry import (
 )
 
 _IN_SOLID = ("modules", "radiator", *MODULES)
-"""Heat enters the solid here, the water elsewhere (an immersed source)."""
+"""Places at which heat enters the solid; elsewhere it enters the water (an immersed source)."""
 
 Shape = Callable[[float], float]
 
 
 def _state_free(effect: Effect) -> Shape | None:
-    """Size relative to `value` over rig time, for drivers that do not look at the plant."""
+    """Return the size relative to `value` over rig time, for drivers that do not depend on the plant's state."""
     shape = effect.shape
     if effect.driver == "time_of_day":
         half = 0.5 * shape["width_h"]
@@ -40,7 +40,7 @@ def _state_free(effect: Effect) -> Shape | None:
 
 
 class EffectPhysics:
-    """Applies plant effects to the kernel's inputs once per period; costs nothing while nothing changes."""
+    """Application of plant effects to the kernel's inputs once per period; does nothing while nothing changes."""
 
     def __init__(self, effects: tuple[Effect, ...], cells: Cells) -> None:
         self.effects = tuple(effect for effect in effects if effect.kind != "sensor")
@@ -72,7 +72,7 @@ class EffectPhysics:
         neutral_inputs(inputs)
 
     def _size(self, number: int, time_s: float, slow: Array, solid: Array) -> float:
-        """Magnitude times envelope times driver at a time."""
+        """Return magnitude times envelope times driver at `time_s`, in the magnitude's unit."""
         effect = self.effects[number]
         size = effect.envelope(time_s) * effect.value
         if size == 0.0 and effect.magnitude != "gain":
@@ -123,12 +123,12 @@ class EffectPhysics:
             inputs[place] *= 1.0 - size
 
     def _shares(self, cells: slice) -> Array:
-        """How a section's heat spreads over its cells: by water mass (equal but for the tank's zones)."""
+        """Return the shares of a section's heat in its cells: by water mass (equal but for the tank's zones)."""
         water = self._cells.water_kg[cells]
         return water / water.sum()
 
 
 def neutral_inputs(inputs: Array) -> None:
-    """The healthy rig: gains of one, nothing bypassed, recirculated or immersed."""
+    """Set the inputs of a healthy rig: gains of one, nothing bypassed, recirculated or immersed."""
     inputs[k.HEATER_GAIN :] = 0.0
     inputs[[k.HEATER_GAIN, k.PUMP_GAIN, k.FAN_GAIN, k.FLOW_FACTOR, k.UA_FACTOR]] = 1.0

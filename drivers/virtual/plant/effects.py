@@ -24,11 +24,11 @@ _BYPASSABLE = ("heater", "modules", "radiator")
 
 
 class EffectFileError(ValueError):
-    """An effect file that cannot be used: one sentence with file, line, key and remedy."""
+    """Error of an effect file that cannot be used: one sentence with file, line, key and remedy."""
 
 
 class Form(NamedTuple):
-    """One thing that may be declared: where it may stand, its driver, its magnitude and its shape keys."""
+    """Form of effect that may be declared: its places, driver, magnitude and shape keys."""
 
     kind: str
     places: tuple[str, ...]
@@ -85,7 +85,7 @@ _ALONE = ("bypass_fraction", "recirculated_fraction", "capacity_J_per_K")
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """One validated effect. `value` is in the unit that ends the magnitude's name."""
+    """Validated effect. `value` is in the unit that ends the magnitude's name."""
 
     kind: str
     where: str
@@ -98,7 +98,7 @@ class Effect:
     shape: Mapping[str, float] = field(default_factory=dict)
 
     def envelope(self, time_s: float) -> float:
-        """0 before the onset and after the end, 1 at full size, linear on the ramp."""
+        """Return the relative size at `time_s`: 0 before onset and after end, 1 at full size, linear on the ramp."""
         if time_s < self.onset_s or time_s >= self.end_s:
             return 0.0
         if self.ramp_s > 0.0 and time_s < self.onset_s + self.ramp_s:
@@ -108,20 +108,20 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """The effect that is `number`, from 1, in a file; `text` is the file's, empty where its lines are not known."""
+    """Place of effect `number` (from 1) in a file; `text` is the file's, empty where its lines are not known."""
 
     path: Path
     number: int
     text: str = ""
 
     def mistake(self, key: str, what: str) -> EffectFileError:
-        """The error with its line: the key's, or the table's where the key is not there."""
+        """Return the error with its line: the key's, or the table's where the key is not there."""
         line = f", line {line_of(self.text, ('effect', self.number - 1, key))}" if self.text else ""
         return EffectFileError(f"{self.path}{line}: effect {self.number}: {what}.")
 
 
 def load_effects(path: Path) -> tuple[Effect, ...]:
-    """Effects of a file, in its order. Raises `EffectFileError`."""
+    """Return the effects of a file, in its order; raise EffectFileError."""
     try:
         text, document = tables_of(read_regular(path))
     except OSError as error:
@@ -158,7 +158,7 @@ def load_effects(path: Path) -> tuple[Effect, ...]:
 
 
 def _clash(first: Effect, second: Effect) -> tuple[str, str] | None:
-    """Key, and why the plant cannot do both at once; None where it can."""
+    """Return the key and the cause where the plant cannot have both effects at once, else None."""
     if first.onset_s >= second.end_s or second.onset_s >= first.end_s:
         return None
     if first.magnitude == second.magnitude and first.magnitude in _ALONE:
@@ -209,12 +209,12 @@ def _parse(table: dict[str, Any], place: _Place) -> Effect:
 
 
 def needs_ramp(form: Form) -> bool:
-    """Whether what is declared grows with time by its ramp alone."""
+    """Return True for a form that grows with time by its ramp alone."""
     return form.driver == "elapsed_time" and form.magnitude == "lost_fraction"
 
 
 def _find_form(table: dict[str, Any], place: _Place) -> Form:
-    """The one form that the table's kind, where, driver and magnitude select."""
+    """Return the form that the table's kind, where, driver and magnitude select; raise EffectFileError."""
     forms = list(FORMS)
     for key, of in (
         ("kind", lambda form: (form.kind,)),
@@ -266,7 +266,7 @@ def _shape(table: dict[str, Any], key: str, default: float | None, place: _Place
 
 
 def bounds_of(key: str) -> str:
-    """What a shape key may be, in words; empty where any number will do."""
+    """Return the bounds of a shape key in words; empty where any number is allowed."""
     lowest, highest = SHAPES[key]
     if key == "peak_hour":
         return f"from 0 to {highest:g}"

@@ -1,11 +1,11 @@
-"""What the virtual rig is made of: volumes, masses, conductances and lags, and the water cells that they make.
+"""Geometry of the virtual rig: volumes, masses, conductances and lags, and the water cells made of them.
 
 The loop is one ring of water cells. Every cell touches one solid (pipe wall, heater shell, heat sink, fin block,
 tank wall); every solid loses heat to the room. Sections follow the water:
 
     tank -> pipe_to_heater -> heater -> pipe_to_modules -> pm1 .. pm6 -> pipe_to_radiator -> radiator -> pipe_to_tank
 
-Units: L, kg, J/K, W/K, s. Scalar constants of the physics stand in `plant_kernel`. The rig is fictitious, scaled
+Units: L, kg, J/K, W/K, s. Scalar constants of the physics stand in `kernel`. The rig is fictitious, scaled
 after Energies 2026, 19, 2452, section 2.2 (37.85 L tank, 3.785 L/min, six cold plates in series, three-fan radiator).
 """
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class Section(NamedTuple):
-    """A stretch of the ring: `cells` equal water cells and the solid along them (totals of the stretch)."""
+    """Section of the ring: `cells` equal water cells and the solid along them (totals of the section)."""
 
     name: str
     cells: int
@@ -49,7 +49,7 @@ SECTIONS = (
 PIPES = ("pipe_to_heater", "pipe_to_modules", "pipe_to_radiator", "pipe_to_tank")
 MODULES = ("pm1", "pm2", "pm3", "pm4", "pm5", "pm6")
 PLACES = ("heater", "modules", "radiator", "tank", *MODULES, *PIPES)
-"""Where an effect may stand."""
+"""Places of effects."""
 
 TANK_UPPER_SHARE = 0.2
 """The return hose enters an upper zone; the pump draws from the lower one, where the thermocouple hangs."""
@@ -76,7 +76,7 @@ MAX_HEATER_W = 1000.0
 
 
 def section_cells(name: str) -> slice:
-    """Cells of the ring that belong to a place of `PLACES`."""
+    """Return the cells of a section, or of a place of `PLACES`; raise KeyError for another name."""
     if name in MODULES:
         start = section_cells("modules").start + MODULES.index(name)
         return slice(start, start + 1)

@@ -12,7 +12,7 @@ POWER_STEP_W, FLOW_STEP = 0.1, 0.002
 """Resolution of the meters; the other readings are rounded by their registers."""
 AMBIENT_LAG_S = 20.0
 LARGEST_OFFSET_K = 0.03
-"""Of the room sensor."""
+"""Largest offset of the room sensor, K."""
 
 
 class Instruments:
@@ -34,7 +34,7 @@ class Instruments:
         self._faults = SensorFaults(effects, READINGS)
 
     def read(self, plant: Plant) -> list[float]:
-        """Ambient degC, heater power W, flow L/min, pump and fan speed % as the PLC sees them now."""
+        """Return the readings of this period: ambient degC, heater power W, flow L/min, pump and fan speed %."""
         if not self._noise:
             self._noise = (self._random.standard_normal((_BLOCK, 5)) * self._sigma).tolist()
         noise = self._noise.pop()

@@ -1,4 +1,4 @@
-"""The plant's physics, compiled: explicit finite volumes on the ring of water cells, fixed substep.
+"""Compiled physics of the plant: explicit finite volumes on the ring of water cells, fixed substep.
 
 Advection is first-order upwind with the enthalpy as carried quantity, so the scheme conserves energy to rounding;
 its numerical diffusion at 0.1 s and 25 mL cells stands in for the axial dispersion of a real hose (a step arrives
@@ -56,7 +56,7 @@ FIN_UA_FLOOR_W_PER_K = 5.0
 HEATER_W, PUMP, FAN, BLOCK_C, HEAT_IN_J, HEAT_OUT_J, FLOW, HOTTEST = range(8)
 SLOW_STATES = 8
 
-# Places in the vector of inputs: set-points (fractions but for the heater), room, and what effects change.
+# Places in the vector of inputs: set-points (fractions but for the heater), room, and inputs that effects change.
 (
     SET_HEATER_W,
     SET_PUMP,
@@ -219,7 +219,7 @@ def advance(
 def _air_side(
     inputs: Array, fan: float, ambient: float, recirculation: float, solid: Array, first: int, count: int
 ) -> tuple[float, float]:
-    """Temperature in degC of the air entering the radiator, and W/K from one cell's fins to that air.
+    """Return the temperature in degC of the air entering the radiator, and W/K from one cell's fins to that air.
 
     Each cell takes an equal slice of the air (cross flow): effectiveness 1 - exp(-NTU) against its fin block.
     Recirculated exhaust warms the inlet: with T_in = ambient + k Q and Q = sum(G (fin - T_in)), solved for Q.

@@ -1,4 +1,4 @@
-"""The plant of the virtual rig: set-points in, junction temperatures and read-backs out, one period at a time."""
+"""Plant of the virtual rig: set-points in, junction temperatures and read-backs out, one period at a time."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ class Plant:
         start_s: float = 0.0,
         cells: Cells | None = None,
     ) -> None:
-        """`cells`: another rig than the built one, of the same sections. `start_s`: rig time at the beginning."""
+        """Make a plant of `cells` (by default the built rig's) at rig time `start_s` in s and `start_C` in degC."""
         self.period_s = period_s
         self.steps = round(start_s / period_s)
         self._cells = build_cells() if cells is None else cells
@@ -56,27 +56,27 @@ class Plant:
 
     @property
     def heater_power_W(self) -> float:
-        """Electrical power at the heater's meter."""
+        """Electrical power at the heater's meter, W."""
         return float(self.slow[k.HEATER_W])
 
     @property
     def flow_L_per_min(self) -> float:
-        """Flow at the pump."""
+        """Flow at the pump, L/min."""
         return float(self.slow[k.FLOW])
 
     @property
     def pump_speed_pct(self) -> float:
-        """Speed of the pump's shaft."""
+        """Speed of the pump's shaft, %."""
         return 100.0 * float(self.slow[k.PUMP])
 
     @property
     def fan_speed_pct(self) -> float:
-        """Speed of the fans."""
+        """Speed of the fans, %."""
         return 100.0 * float(self.slow[k.FAN])
 
     @property
     def heater_water_C(self) -> float:
-        """Hottest water in the heater, where the thermostat's bulb sits."""
+        """Temperature of the hottest water in the heater, at the thermostat's bulb, degC."""
         return float(self.slow[k.HOTTEST])
 
     def step(self, heater_W: float, pump_fraction: float, fan_fraction: float) -> None:
@@ -110,7 +110,7 @@ class Plant:
         self.ambient_C = self._room.step(self.steps * self.period_s)
 
     def _apply_effects(self) -> None:
-        """A body joins the tank at the tank's temperature and leaves with its heat: the ledger says so."""
+        """Apply effects; count the heat of a body that joins the tank at its temperature, or leaves with its own."""
         slow, inputs = self.slow, self.inputs
         before = inputs[k.BLOCK_J_PER_K]
         self._physics.apply(self.time_s, inputs, slow, self.solid)
@@ -121,7 +121,7 @@ class Plant:
             slow[k.HEAT_IN_J] += after * slow[k.BLOCK_C]
 
     def stored_J(self) -> float:
-        """Heat stored above 0 degC in water, solids, heater element and any body in the tank."""
+        """Return the heat, J, stored above 0 degC in water, solids, heater element and any body in the tank."""
         cells = self._cells
         return float(
             cells.water_kg @ self.enthalpy
@@ -131,9 +131,9 @@ class Plant:
         )
 
     def heat_in_J(self) -> float:
-        """Heat that entered since the start: heater and effects' sources."""
+        """Return the heat, J, that entered since the start: heater and effects' sources."""
         return float(self.slow[k.HEAT_IN_J])
 
     def heat_out_J(self) -> float:
-        """Heat that left to the room since the start."""
+        """Return the heat, J, that left to the room since the start."""
         return float(self.slow[k.HEAT_OUT_J])

@@ -1,4 +1,4 @@
-"""What sensor effects do to readings: bias, drift, extra lag, stuck value, jumps, open circuit."""
+"""Sensor faults of the virtual rig's readings: bias, drift, extra lag, stuck value, jumps, open circuit."""
 
 import math
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from drivers.virtual.plant.effects import Effect
 
 
 class SensorFaults:
-    """Applies the sensor effects that concern `columns`, in place, once per period."""
+    """Application of the sensor effects that concern `columns`, in place, once per period."""
 
     def __init__(self, effects: tuple[Effect, ...], columns: Sequence[str]) -> None:
         self._entries = [
@@ -20,7 +20,7 @@ class SensorFaults:
         self.any = bool(self._entries)
 
     def lag(self, time_s: float, values: list[float]) -> None:
-        """Delay the true values: the junction sees them late, its noise does not."""
+        """Delay the true values (first-order lag), before noise is added."""
         step = time_s - self._last_s
         self._last_s = time_s
         for number, (channel, effect) in enumerate(self._entries):
@@ -33,7 +33,7 @@ class SensorFaults:
                     self._memory[number] = values[channel]
 
     def distort(self, time_s: float, values: list[float]) -> int:
-        """Falsify the readings; returns a bit mask of open channels."""
+        """Distort the readings in place; return a bit mask of open channels."""
         open_channels = 0
         for number, (channel, effect) in enumerate(self._entries):
             size = effect.envelope(time_s)

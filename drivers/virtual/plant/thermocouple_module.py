@@ -1,8 +1,8 @@
-"""The CAN thermocouple module without its wires: junction temperatures in, three frames out.
+"""CAN thermocouple module without its wires: junction temperatures in, three frames out.
 
 Per channel: a fixed offset drawn from the seed (at most 0.03 K), white noise of 0.05 K, 0.01 K per count, an open
 circuit as 0x7FFF. Frames, 11-bit ids, little endian: 0x181 T_heater, T_pm1..3; 0x281 T_pm4..6, T_radiator;
-0x381 T_tank, fault bits, uptime in ms. 0x381 goes last: who has it has them all.
+0x381 T_tank, fault bits, uptime in ms. 0x381 goes last: a receiver that has it has them all.
 """
 
 import struct
@@ -23,7 +23,7 @@ _LAYOUT = struct.Struct("<9hHI")
 
 
 class ThermocoupleModule:
-    """Turns true junction temperatures into raw frames; reproducible for a seed.
+    """Converter of true junction temperatures to raw frames; reproducible for a seed.
 
     `unit` is the specimen, whose channels have their own offsets; by default another one for every seed.
     """
@@ -38,7 +38,7 @@ class ThermocoupleModule:
         self._faults = SensorFaults(effects, CHANNELS)
 
     def sample(self, time_s: float, junctions_C: list[float]) -> tuple[bytes, bytes, bytes]:
-        """Payloads of the three frames, 8 bytes each, in the order of `FRAME_IDS`."""
+        """Return the payloads of the three frames, 8 bytes each, in the order of `FRAME_IDS`."""
         if not self._errors:
             noise = self._random.standard_normal((_BLOCK, len(CHANNELS))) * NOISE_SIGMA_K
             self._errors = (noise + self.offsets_K).tolist()[::-1]

@@ -22,7 +22,7 @@ _A4 = 1.26683e-8
 
 @njit(cache=CACHE)
 def temperature_of(enthalpy: float) -> float:
-    """Temperature in degC of water with specific enthalpy in J/kg (zero at 0 degC).
+    """Return the temperature in degC of water with specific enthalpy in J/kg (zero at 0 degC).
 
     T = A1 x + A2 x^2 + A3 x^3 + A4 x^4 with x = enthalpy / 4180: cp falls from 4216 J/(kg K) at 0 degC to a minimum
     near 40 degC and rises again, as water's does.
@@ -33,7 +33,7 @@ def temperature_of(enthalpy: float) -> float:
 
 @njit(cache=CACHE)
 def enthalpy_of(temperature: float) -> float:
-    """Specific enthalpy in J/kg of water at a temperature in degC: Newton's inverse of `temperature_of`."""
+    """Return the specific enthalpy in J/kg of water at a temperature in degC: Newton's inverse of `temperature_of`."""
     x = temperature
     for _ in range(6):
         error = x * (_A1 + x * (_A2 + x * (_A3 + x * _A4))) - temperature
@@ -43,12 +43,12 @@ def enthalpy_of(temperature: float) -> float:
 
 @njit(cache=CACHE)
 def density_of(temperature: float) -> float:
-    """Density in kg/m3 at a temperature in degC, about a parabola around 4 degC."""
+    """Return the density in kg/m3 at a temperature in degC, about a parabola around 4 degC."""
     d = temperature - 4.0
     return 1000.0 - d * d * (6.7910e-3 - 2.4754e-5 * d)
 
 
 @njit(cache=CACHE)
 def viscosity_of(temperature: float) -> float:
-    """Dynamic viscosity in Pa s at a temperature in degC (Vogel's equation, constants for 0 to 100 degC)."""
+    """Return the dynamic viscosity in Pa s at a temperature in degC (Vogel's equation, constants for 0 to 100 degC)."""
     return 2.414e-5 * np.power(10.0, 247.8 / (temperature + 133.15))

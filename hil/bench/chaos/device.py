@@ -12,7 +12,7 @@ import struct
 import time
 from typing import Literal, Self
 
-from drivers.virtual.devices.registers import HEARTBEAT, HEATER_SET
+from drivers.virtual.devices import HEARTBEAT, HEATER_SET
 
 HOST = "127.0.0.1"
 DELAY_S = 3.0

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.virtual.devices.registers import HEATER_SET, PUMP_SET
+from drivers.virtual.devices import HEATER_SET, PUMP_SET
 from hil.bench.chaos import acts, control
 from hil.bench.chaos.acts import Act
 

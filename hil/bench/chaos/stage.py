@@ -21,9 +21,9 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from drivers.virtual.devices.truth import read_truth
-from drivers.virtual.faults.faulty_link import FaultyLink, can_frames, modbus_frames
-from drivers.virtual.rig import start_virtual_rig
+from drivers.virtual import start_virtual_rig
+from drivers.virtual.devices import read_truth
+from drivers.virtual.faults import FaultyLink, can_frames, modbus_frames
 from hil.bench.chaos.clock import SteppedClock
 from hil.bench.chaos.device import LyingDevice
 from hil.bench.chaos.terminal import Terminal

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from drivers.virtual.devices.truth import Moment
+from drivers.virtual.devices import Moment
 from hil.bench.chaos.device import DELAY_S
 from hil.bench.chaos.kinds import ChaosKind, Ending, gravest
 from hil.bench.chaos.plan import ChaosCase, order

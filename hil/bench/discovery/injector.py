@@ -21,7 +21,7 @@ from hil.bench.discovery.worker import Request, serve
 from hil.synthetic.hidden_effects import Setting, Truth, effects_text, profile, truth
 
 if TYPE_CHECKING:
-    from drivers.virtual.rig import VirtualRig
+    from drivers.virtual import VirtualRig
 
 RIG = Path(__file__).resolve().parents[3] / "profiles" / "rigs" / "virtual.toml"
 
@@ -64,8 +64,8 @@ class Injector:
         return path
 
     def _direct(self, case: Setting, effects: Path | None, record: Path, left_out: Collection[int] = ()) -> None:
-        from drivers.rig_file.reader import load_rig
-        from drivers.virtual.plant.effects import load_effects
+        from drivers.rig_file import load_rig
+        from drivers.virtual.plant import load_effects
         from hil.record.reader import write_record
         from hil.synthetic.plant_record import direct_record
 
@@ -90,7 +90,7 @@ class Injector:
         return [str(path) for path in (whole, *paths)]
 
     async def _start(self, case: Setting, effects: Path | None) -> VirtualRig:
-        from drivers.virtual.rig import start_virtual_rig
+        from drivers.virtual import start_virtual_rig
 
         return await start_virtual_rig(mode="lockstep", seed=case.seed, unit=case.unit, effects=effects)
 

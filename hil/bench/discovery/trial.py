@@ -173,7 +173,7 @@ def commissioned(folder: Path, unit: int, twin: str) -> tuple[Path, Path]:
     """Healthy record and commissioned twin of a specimen in a folder, made once; `twin` of `profiles/twins`."""
     good, own = folder / f"unit_{unit}.parquet", folder / f"unit_{unit}.toml"
     if not good.is_file():
-        from drivers.rig_file.reader import load_rig
+        from drivers.rig_file import load_rig
         from hil.profile.load_profile import read_profile
         from hil.record.reader import write_record
         from hil.synthetic.plant_record import direct_record

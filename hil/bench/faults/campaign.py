@@ -118,7 +118,7 @@ def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
         (
             "Safe: nothing reaches the heater any more, told by the rig's own log. Medians and worst.",
             "Detected: the harness left its running state, its guardian acted or the rig's watchdog cut; the earliest.",
-            "Seen: a value was recorded as not good, or a warning told, or it was detected.",
+            "PointState: a value was recorded as not good, or a warning told, or it was detected.",
             "Samples: acknowledged, that is read by another process from the live journal; lost: not in it afterwards.",
             "Resumed: the first of each kind, and each that came at any instant, by `hil resume` with the fault over: "
             "wire, disk, sensor, pump or fan in order again, the rig back from its reboot, what hung killed. The "

@@ -14,10 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.signals.points import Quality
-from drivers.virtual.devices.registers import WATCHDOG_TRIPPED
-from drivers.virtual.devices.truth import Moment
-from drivers.virtual.plant.geometry import CHANNELS
+from drivers.signals import Quality
+from drivers.virtual.devices import WATCHDOG_TRIPPED, Moment
+from drivers.virtual.plant import CHANNELS
 from hil.bench.faults.rig import PERIOD_S, STALE_AFTER_S
 from hil.files.names import connect_read_only
 from hil.journal.writer import JournalReader
@@ -38,7 +37,7 @@ _ENDINGS = ("finishing", "paused", "suspended", "faulted", "aborted", "done")
 
 
 @dataclass(slots=True)
-class Seen:
+class PointState:
     """Samples that a reader saw in the live journal, and which are so acknowledged: tick -> (wall_s, quality)."""
 
     rows: dict[int, tuple[float, bytes]] = field(default_factory=dict)
@@ -121,7 +120,7 @@ def read_states(path: Path) -> list[tuple[float, str]]:
         database.close()
 
 
-def lost(seen: Seen, journal: Journal) -> int:
+def lost(seen: PointState, journal: Journal) -> int:
     """Samples that were acknowledged and are not in the journal any more, or not the same."""
     kept = dict(zip(journal.ticks, zip(journal.wall_s, journal.raw_quality, strict=True), strict=True))
     return sum(kept.get(tick) != row for tick, row in seen.rows.items())

@@ -10,8 +10,8 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from drivers.virtual.faults import FaultyLink
 from drivers.virtual.faults import faulty_replies as replies
-from drivers.virtual.faults.faulty_link import FaultyLink
 
 Ending = Literal["stops", "rides", "either", "killed"]
 """The run ends by itself; goes on; one of the two, by how long the fault lasts; the harness is gone."""

@@ -15,10 +15,10 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from drivers.virtual.devices.truth import Moment, read_truth
-from drivers.virtual.faults.faulty_link import FaultyLink, as_it_comes, can_frames, modbus_frames
-from drivers.virtual.plant.geometry import CHANNELS
-from drivers.virtual.rig import VirtualRig, start_virtual_rig
+from drivers.virtual import VirtualRig, start_virtual_rig
+from drivers.virtual.devices import Moment, read_truth
+from drivers.virtual.faults import FaultyLink, as_it_comes, can_frames, modbus_frames
+from drivers.virtual.plant import CHANNELS
 from hil.bench.faults import judge
 from hil.bench.faults.disk import OwnDisk
 from hil.bench.faults.kinds import effect_text
@@ -100,7 +100,7 @@ class Stage:
     own relays have stood still."""
     told_s: float | None = None
     """When the harness said on its terminal that it ends."""
-    seen: judge.Seen = field(default_factory=judge.Seen)
+    seen: judge.PointState = field(default_factory=judge.PointState)
 
     @property
     def pid(self) -> int:

@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from drivers.virtual.devices.truth import Moment
+from drivers.virtual.devices import Moment
 from hil.bench.faults import judge
 from hil.bench.faults.kinds import Ending, Kind
 from hil.bench.faults.plan import Case, worst

@@ -14,10 +14,9 @@ from typing import Any
 
 import can
 
-from drivers.can.bus import CanReceiver
-from drivers.rig_file.bus_sections import CanBus
-from drivers.rig_file.reader import load_rig
-from drivers.signals.points import Quality
+from drivers.can import CanReceiver
+from drivers.rig_file import CanBus, load_rig
+from drivers.signals import Quality
 
 RIG = Path(__file__).resolve().parents[3] / "profiles" / "rigs" / "virtual.toml"
 LAYOUT = {0x181: "<4h", 0x281: "<4h", 0x381: "<hHI"}

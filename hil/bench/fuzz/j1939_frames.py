@@ -14,10 +14,9 @@ from pathlib import Path
 
 import can
 
-from drivers.can.bus import CanReceiver
-from drivers.rig_file.bus_sections import CanBus
-from drivers.rig_file.model import Point
-from drivers.signals.points import Quality
+from drivers.can import CanReceiver
+from drivers.rig_file import CanBus, Point
+from drivers.signals import Quality
 
 PGN, HEARD, OTHER = 0xFEEE, 0x00, 0x21
 KINDS = (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.signals.points import Signal
+from drivers.signals import Signal
 from hil.bench.fuzz.texts import mutated_json
 from hil.journal.rows import Header, SegmentRow
 from hil.journal.writer import JournalReader, JournalWriter

@@ -193,9 +193,8 @@ _SHEET = {
 
 
 def _rig(path: Path) -> None:
-    from drivers.can.dbc import bind
-    from drivers.rig_file.bus_sections import CanBus
-    from drivers.rig_file.reader import load_rig
+    from drivers.can import bind
+    from drivers.rig_file import CanBus, load_rig
 
     rig = load_rig(path)
     for name, bus in rig.bus.items():
@@ -204,7 +203,7 @@ def _rig(path: Path) -> None:
 
 
 def _effects(path: Path) -> None:
-    from drivers.virtual.plant.effects import load_effects
+    from drivers.virtual.plant import load_effects
 
     load_effects(path)
 
@@ -217,11 +216,11 @@ def _accepted(draft: Any) -> None:
     """Read the rig file of a draft again: an import must not write what `hil check` refuses."""
     if not _is_read_again(draft.source):
         return
-    from drivers.importers.draft import write
-    from drivers.rig_file.reader import load_rig
+    from drivers.importers import rig_file_text
+    from drivers.rig_file import load_rig
 
     made = draft.source.with_name("made.toml")
-    made.write_text(write(draft, "made"), encoding="utf-8")
+    made.write_text(rig_file_text(draft, "made"), encoding="utf-8")
     try:
         load_rig(made)
     except ValueError as error:
@@ -233,34 +232,33 @@ def _is_read_again(path: Path) -> bool:
 
 
 def _table(path: Path) -> None:
-    from drivers.importers.vendor_csv import import_csv
+    from drivers.importers import import_csv
 
     _accepted(import_csv(path, "modicon", dict(_BUS)))
 
 
 def _telegraf(path: Path) -> None:
-    from drivers.importers.telegraf import import_telegraf
+    from drivers.importers import import_telegraf
 
     _accepted(import_telegraf(path))
 
 
 def _home(path: Path) -> None:
-    from drivers.importers.homeassistant import import_homeassistant
+    from drivers.importers import import_homeassistant
 
     _accepted(import_homeassistant(path))
 
 
 def _dbc(path: Path) -> None:
-    from drivers.can.dbc import bind
-    from drivers.importers.dbc import import_dbc
-    from drivers.importers.draft import write
-    from drivers.rig_file.reader import load_rig
+    from drivers.can import bind
+    from drivers.importers import import_dbc, rig_file_text
+    from drivers.rig_file import load_rig
 
     made = path.with_name("made.toml")
     draft = import_dbc(path, made, {"transport": "virtual", "channel": "c"})
     if not _is_read_again(path):
         return
-    made.write_text(write(draft, "made"), encoding="utf-8")
+    made.write_text(rig_file_text(draft, "made"), encoding="utf-8")
     try:
         rig = load_rig(made)
         for bound in bind("can", rig.bus["can"], rig.point):  # type: ignore[arg-type]

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.signals.units import plausible_range, split_column
+from drivers.signals import plausible_range, split_column
 from hil.profile.load_profile import ProfileError, read_profile
 from hil.record.reader import Record, RecordError, read_record
 

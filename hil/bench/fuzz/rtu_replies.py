@@ -10,9 +10,8 @@ from __future__ import annotations
 import random
 import struct
 
-from drivers.modbus.protocol.pymodbus_codec import rtu_frame
-from drivers.modbus.protocol.rtu import RtuGuard
-from drivers.signals.points import ProtocolError
+from drivers.modbus.protocol import RtuGuard, rtu_frame
+from drivers.signals import ProtocolError
 
 DEVICE, COUNT = 3, 12
 KINDS = (

@@ -13,12 +13,9 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 
-from drivers.modbus.bus import ModbusBus
-from drivers.modbus.link import ModbusLink
-from drivers.modbus.wire import Lost, Received, Wire
-from drivers.rig_file.bus_sections import ModbusBusSection, ModbusTcpBus
-from drivers.rig_file.model import Point
-from drivers.signals.points import Quality
+from drivers.modbus import Lost, ModbusBus, ModbusLink, Received, Wire
+from drivers.rig_file import ModbusBusSection, ModbusTcpBus, Point
+from drivers.signals import Quality
 from hil.bench.fuzz.can_frames import mutate_can
 from hil.bench.fuzz.j1939_frames import mutate_j1939
 from hil.bench.fuzz.rtu_replies import mutate_rtu

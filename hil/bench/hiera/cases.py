@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.virtual.plant.effects import load_effects
+from drivers.virtual.plant import load_effects
 from hil.bench.peers import Absent
 from hil.record.reader import read_record
 from hil.synthetic.hidden_effects import Setting

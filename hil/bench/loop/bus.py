@@ -17,11 +17,9 @@ from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from drivers.modbus.bus import ModbusBus
-from drivers.rig_file.bus_sections import ModbusRtuTcpBus, ModbusTcpBus
-from drivers.rig_file.model import Point
-from drivers.rig_file.reader import load_rig
-from drivers.virtual.rig import VirtualRig, start_virtual_rig
+from drivers.modbus import ModbusBus
+from drivers.rig_file import ModbusRtuTcpBus, ModbusTcpBus, Point, load_rig
+from drivers.virtual import VirtualRig, start_virtual_rig
 from hil.bench.measure.report import Table
 from hil.bench.peers import libmodbus, modbus_peer
 

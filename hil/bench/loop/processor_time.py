@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from drivers.bus.contract import Clock
-from drivers.rig.connection import RigConnection
-from drivers.rig_file.model import Rig
-from drivers.signals.points import Snapshot
+from drivers.bus import Clock
+from drivers.rig import RigConnection
+from drivers.rig_file import Rig
+from drivers.signals import Snapshot
 from hil.bench.measure.report import Table
 from hil.guardian.client import Guardian
 from hil.journal.writer import Header, JournalWriter

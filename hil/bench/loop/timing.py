@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.rig_file.reader import load_rig
-from drivers.virtual.rig import start_virtual_rig
+from drivers.rig_file import load_rig
+from drivers.virtual import start_virtual_rig
 from hil.bench.loop import processor_time
 from hil.bench.loop.processor_time import CountedClock, CountedConnection, CountedGuardian, CountedJournal, Counts
 from hil.bench.measure import processes

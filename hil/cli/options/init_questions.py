@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from drivers.importers.described import PLACES, Actuator, Described, Place, place_of, temperatures_of
-from drivers.signals.points import ConfigurationError
+from drivers.importers import PLACE_SYNTAX, Actuator, Described, Place, place_of, temperatures_of
+from drivers.signals import ConfigurationError
 
 _KINDS = (("heater", "W", 1000.0), ("pump", "%", 100.0), ("fan", "%", 100.0))
 
@@ -27,7 +27,9 @@ def ask(name: str, period_s: float) -> Described:
     if channel != "-":
         dbc = click.prompt("  DBC file that describes its frames", type=click.Path(exists=True, dir_okay=False))
         rig.can = {"transport": "socketcan", "channel": channel, "dbc": dbc}
-    click.echo(f"A place is {PLACES}: counted from zero with its table, or Modicon's number; *0.1 is what a count is.")
+    click.echo(
+        f"A place is {PLACE_SYNTAX}: zero-based with its table, or Modicon's number; *0.1 is the value of one count."
+    )
     for kind, unit_of, most in _KINDS:
         for number in range(1, click.prompt(f"How many {kind}s?", default=1, type=click.IntRange(0, 99)) + 1):
             which = kind if number == 1 else f"{kind} {number}"

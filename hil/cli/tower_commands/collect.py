@@ -29,7 +29,7 @@ def command(rig: Path, into: str, every_s: float | None, minutes: float | None) 
       hil tower collect station.toml --into station.duckdb --minutes 30
     """
     from drivers.historian import open_store
-    from drivers.rig_file.reader import load_rig
+    from drivers.rig_file import load_rig
     from hil.run.session.terminal import console
     from hil.tower.collect import Collected, collect
 

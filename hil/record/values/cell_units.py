@@ -6,7 +6,7 @@ import dataclasses
 import re
 from typing import Any
 
-from drivers.signals.units import split_column
+from drivers.signals import split_column
 from hil.record.heading_units import fahrenheit_hint, suffixed, unit_of
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times.names import is_time_name

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.units import plausible_range, split_column
+from drivers.signals import plausible_range, split_column
 from hil.record.times.names import is_time_name
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from drivers.rig_file.interlock_specs import NoFlowSpec, RateOfRiseSpec, ResidualSpec
-from drivers.rig_file.model import Point, Rig
-from drivers.signals.points import Quality
+from drivers.rig_file import NoFlowSpec, Point, RateOfRiseSpec, ResidualSpec, Rig
+from drivers.signals import Quality
 
 _GOOD = int(Quality.GOOD)
 _MEASURED = (_GOOD, int(Quality.OUT_OF_RANGE))

@@ -11,17 +11,18 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.rig_file.interlock_specs import (
+from drivers.rig_file import (
     HeaterPowerSpec,
     InterlockSpec,
     Level,
     LimitSpec,
     NoFlowSpec,
+    Point,
     RateOfRiseSpec,
     ResidualSpec,
+    Rig,
 )
-from drivers.rig_file.model import Point, Rig
-from drivers.signals.points import Snapshot
+from drivers.signals import Snapshot
 from hil.run.interlocks.conditions import (
     Condition,
     Disagreement,

@@ -25,10 +25,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from drivers.rig_file.bus_sections import CanBus, ModbusRtuBus, ModbusRtuTcpBus
-from drivers.rig_file.host_address import addresses, is_own
-from drivers.rig_file.model import Rig
-from drivers.rig_file.wires import serial_device
+from drivers.rig_file import CanBus, ModbusRtuBus, ModbusRtuTcpBus, Rig, addresses, is_own, serial_device
 from hil.run.locks.lock_folder import Holder, LockFile, LockFolder, RigLockError, open_folders, user_name
 from hil.run.locks.machine_lock import Peer, take_name
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.points import Quality
+from drivers.signals import Quality
 from hil.journal.writer import JournalReader, JournalWriter
 from hil.tracking.process import Tracking
 from hil.tracking.results import Results

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from drivers.signals.points import ConfigurationError
+from drivers.signals import ConfigurationError
 from hil.run.restore.resumption import Standing
 from hil.run_folder.folder import RunFolderError
 

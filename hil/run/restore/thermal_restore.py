@@ -13,9 +13,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.rig_file.model import Point, Rig
-from drivers.signals.points import Quality, Signal, Snapshot
-from drivers.signals.roles import FAN, HEATER, ROOM
+from drivers.rig_file import Point, Rig
+from drivers.signals import FAN, HEATER, ROOM, Quality, Signal, Snapshot
 from hil.profile.load_profile import Profile
 from hil.run.outputs.setpoints import bind
 from hil.run.restore.controller import ThermalController

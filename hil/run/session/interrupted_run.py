@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.rig_file.reader import file_sha256, load_rig
-from drivers.signals.points import Quality
+from drivers.rig_file import file_sha256, load_rig
+from drivers.signals import Quality
 from hil.diagnosis.live import END_ONLY
 from hil.files.folder_check import require_unshared
 from hil.journal.check import require_alone

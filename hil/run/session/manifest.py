@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from drivers.rig_file.bus_sections import CanBus
+from drivers.rig_file import CanBus
 from hil.diagnosis.live import END_ONLY
 from hil.journal.writer import JournalError, JournalReader
 from hil.run.engine.status import Outcome

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from drivers.rig_file.interlock_specs import ResidualSpec
-from drivers.rig_file.model import Rig
-from drivers.rig_file.reader import load_rig
-from drivers.signals.points import ConfigurationError
+from drivers.rig_file import ResidualSpec, Rig, load_rig
+from drivers.signals import ConfigurationError
 from hil.profile.load_profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
 from hil.rig.notices import unguarded
 from hil.run.outputs.setpoints import setpoint_columns
@@ -122,7 +120,7 @@ def prepare(request: RunRequest) -> Prepared:
 
 def _check_effects(file: Path, profile: Profile) -> list[str]:
     """Remarks on the effects of the virtual rig; raises EffectFileError."""
-    from drivers.virtual.plant.effects import load_effects
+    from drivers.virtual.plant import load_effects
 
     return [
         f"{file}: effect {number} begins at {effect.onset_s:g} s, after the profile's end at {profile.duration_s:g} s"

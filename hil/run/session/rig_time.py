@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import AsyncIterator, Callable
 
-from drivers.rig_file.model import Rig
+from drivers.rig_file import Rig
 from hil.run.engine.clock import LOCKSTEP_DEADLINE_S, Clock, LockstepClock, MonotonicClock
 from hil.run.session.request import RunRequest
 
@@ -27,7 +27,7 @@ async def rig_and_clock(
     if not request.virtual:
         yield rig, MonotonicClock(rig.period_s, speed_of(request, rig))
         return
-    from drivers.virtual.rig import start_virtual_rig
+    from drivers.virtual import start_virtual_rig
 
     hidden = f" with effects that no twin knows of ({request.effects})" if request.effects is not None else ""
     announce(f"starting the virtual rig{hidden}")

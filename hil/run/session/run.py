@@ -8,7 +8,7 @@ from collections.abc import Callable, Coroutine
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from drivers.rig.connection import RigConnection
+from drivers.rig import RigConnection
 from hil.diagnosis.live import Reply
 from hil.journal.states import ENDED, State
 from hil.journal.writer import Header, JournalError, JournalWriter

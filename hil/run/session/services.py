@@ -7,9 +7,9 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 
-from drivers.rig.connection import RigConnection
-from drivers.rig_file.model import Rig
-from drivers.signals.points import Signal
+from drivers.rig import RigConnection
+from drivers.rig_file import Rig
+from drivers.signals import Signal
 from hil.diagnosis.healthy_record import commissioned_on
 from hil.diagnosis.live import LiveConfig, LiveDiagnosis
 from hil.guardian.client import Guard, Guardian, NoGuard

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from drivers.rig_file.model import Rig
+from drivers.rig_file import Rig
 from hil.diagnosis.healthy_record import copy_record
 from hil.run.engine.signals import RunSignals
 from hil.run.engine.status import Status
