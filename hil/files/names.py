@@ -57,7 +57,7 @@ def printable(text: str) -> str:
     return text.encode("utf-8", "replace").decode()
 
 
-def component(text: str, longest: int = LONGEST_NAME) -> str:
+def safe_file_name(text: str, longest: int = LONGEST_NAME) -> str:
     """Return a file name made of `text`: control characters, surrogates and `/` become `_`, cut to `longest` bytes."""
     plain = "".join(character if character.isprintable() and character != "/" else "_" for character in text)
     return plain.encode("utf-8")[: max(longest, 1)].decode("utf-8", "ignore")

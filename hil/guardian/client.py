@@ -39,7 +39,7 @@ class GuardianError(LinkError):
 
 
 @dataclass(frozen=True, slots=True)
-class Acted:
+class GuardianReport:
     """What the guardian has done: why, whether the safe values are read back and the meters agree, and why not."""
 
     reason: str
@@ -51,7 +51,7 @@ class Acted:
 class Guard(Protocol):
     """What the engine needs of a guardian."""
 
-    acted: Acted | None
+    acted: GuardianReport | None
 
     async def start(self) -> None:
         """Start it and tell it the plan; raises GuardianError."""
@@ -81,7 +81,7 @@ class Guard(Protocol):
 class NoGuard:
     """Nobody guards: the rig is this process's own virtual one, or the operator gave the guardian up."""
 
-    acted: Acted | None = None
+    acted: GuardianReport | None = None
 
     async def start(self) -> None:
         """Nothing to start."""
@@ -111,14 +111,14 @@ class NoGuard:
         """Nothing to end."""
 
 
-class Guardian:
+class GuardianClient:
     """The guardian of one run. `log` is its file; `keep` are descriptors that it holds open as long as it lives.
 
     The rig's locks are such: nobody else drives the rig before the guardian has made it safe.
     """
 
     def __init__(self, rig: Rig, log: Path, keep: Sequence[int] = ()) -> None:
-        self.acted: Acted | None = None
+        self.acted: GuardianReport | None = None
         self._plan = plan_of(rig)
         self._log = log
         self._keep = tuple(keep)
@@ -318,7 +318,7 @@ class Guardian:
             return
         document: dict[str, Any] = json.loads(line)
         if "acted" in document:
-            self.acted = Acted(**document["acted"])
+            self.acted = GuardianReport(**document["acted"])
         elif "checked" in document:
             self._sure = bool(document["checked"])
         elif "probe" in document and self._probed is not None and not self._probed.done():

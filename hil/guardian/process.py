@@ -24,7 +24,7 @@ import threading
 import time
 from typing import Any
 
-from hil.guardian.wires import Wire, WireError
+from hil.guardian.wires import BlockingWire, WireError
 
 LOOK_S = 0.1
 ALIVE_EVERY_S = 0.25
@@ -55,7 +55,7 @@ def now_s() -> float:
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
-class Log:
+class GuardianLog:
     """The guardian's own file: opened before anything is armed, so that a lost folder or a full disk cannot stop it."""
 
     def __init__(self, path: str) -> None:
@@ -77,14 +77,14 @@ class Log:
             pass
 
 
-class Keeper(threading.Thread):
+class SafeStateKeeper(threading.Thread):
     """Makes one wire safe and keeps it so. `safe` is whether the last look found it safe, `problem` why not.
 
     Until `acting` is set it only holds the connection of `wire` open, where one is given: a device that is deaf for a
     while after connecting could otherwise not be made safe in time.
     """
 
-    def __init__(self, plan: dict[str, Any], free: Any, wire: Wire | None = None) -> None:
+    def __init__(self, plan: dict[str, Any], free: Any, wire: BlockingWire | None = None) -> None:
         super().__init__(daemon=True, name=plan["place"])
         self.safe = False
         self.problem = f"{plan['place']}: the first attempt is under way"
@@ -99,7 +99,7 @@ class Keeper(threading.Thread):
 
     def run(self) -> None:
         """Write, read back, look at the meters, until `ended`; ends the silent engine where its line is not free."""
-        wire = self._wire or Wire(self._plan)
+        wire = self._wire or BlockingWire(self._plan)
         self._stand_by(wire)
         self.may_open.wait()
         began = now_s()
@@ -115,7 +115,7 @@ class Keeper(threading.Thread):
             self.ended.wait(KEEP_S if self.safe else RETRY_S)
         wire.close()
 
-    def _stand_by(self, wire: Wire) -> None:
+    def _stand_by(self, wire: BlockingWire) -> None:
         """Keep the connection open until `acting`, and open it anew where the device has closed it."""
         while not self.acting.wait(STANDBY_S):
             with contextlib.suppress(Exception):
@@ -126,7 +126,7 @@ class Keeper(threading.Thread):
         for event in (self.ended, self.acting, self.may_open):
             event.set()
 
-    def _attempt(self, wire: Wire) -> str:
+    def _attempt(self, wire: BlockingWire) -> str:
         """Return what is not safe after writing where that was needed."""
         wrong: list[str] = []
         if not self.safe:
@@ -145,7 +145,7 @@ class Keeper(threading.Thread):
             return "; ".join(dict.fromkeys(wrong))
         return "; ".join(said for meter in self._plan["meters"] if (said := self._reads(wire, meter)))
 
-    def _reads(self, wire: Wire, meter: dict[str, Any]) -> str:
+    def _reads(self, wire: BlockingWire, meter: dict[str, Any]) -> str:
         raw = number(_registers(wire, meter), meter)
         value = raw * meter["scale"] + meter["offset"]
         if value != value or raw in meter["invalid"]:
@@ -156,7 +156,7 @@ class Keeper(threading.Thread):
         return f"{meter['name']} still reads {value:.1f} {meter['unit']}"
 
 
-def probe(plan: dict[str, Any]) -> tuple[str, Wire | None]:
+def probe(plan: dict[str, Any]) -> tuple[str, BlockingWire | None]:
     """Return why the guardian cannot reach a wire beside the engine, or an empty string; nothing is written.
 
     The second item is the connection, kept open where the device is deaf for a while after connecting. A serial line is
@@ -164,7 +164,7 @@ def probe(plan: dict[str, Any]) -> tuple[str, Wire | None]:
     """
     if plan["kind"] == "serial":
         return f"{plan['place']}: a serial line has one master", None
-    wire = Wire(plan)
+    wire = BlockingWire(plan)
     try:
         for check in plan["checks"]:
             _registers(wire, check)
@@ -177,7 +177,7 @@ def probe(plan: dict[str, Any]) -> tuple[str, Wire | None]:
     return "", None
 
 
-def _registers(wire: Wire, step: dict[str, Any]) -> list[int]:
+def _registers(wire: BlockingWire, step: dict[str, Any]) -> list[int]:
     reply = wire.ask(step["device"], bytes.fromhex(step["pdu"]))
     if step["type"] == "bit":
         return [reply[2] & 1]
@@ -186,7 +186,7 @@ def _registers(wire: Wire, step: dict[str, Any]) -> list[int]:
     return list(struct.unpack_from(f">{step['words']}H", reply, 2))
 
 
-def _differs(wire: Wire, check: dict[str, Any]) -> str:
+def _differs(wire: BlockingWire, check: dict[str, Any]) -> str:
     """Return how a read-back differs from its safe value by more than half a count; empty where it does not."""
     found = _registers(wire, check)
     if found == check["want"]:
@@ -214,7 +214,7 @@ def number(registers: list[int], step: dict[str, Any]) -> float:
     return float(value)
 
 
-class Guardian:
+class GuardianProcess:
     """State of the guardian: the engine's socket, the plan, and the keepers once it acts."""
 
     def __init__(self, engine: socket.socket, pid: int) -> None:
@@ -223,14 +223,14 @@ class Guardian:
         self._buffer = b""
         self._plan: dict[str, Any] = {}
         self._exclusive: list[bool] = []
-        self._log = Log(os.devnull)
+        self._log = GuardianLog(os.devnull)
         self._armed = False
         self._done = False
         self._beat_s = now_s()
         self._silent = False
         self._reason = self._reported = ""
         self._acted_s = 0.0
-        self._keepers: dict[str, Keeper] = {}
+        self._keepers: dict[str, SafeStateKeeper] = {}
 
     def run(self) -> None:
         """Wait and act; returns when the rig is safe and nobody is left who could change that, or nothing was armed."""
@@ -279,11 +279,11 @@ class Guardian:
             self._keeper(plan).acting.set()
         self._watch()
 
-    def _keeper(self, plan: dict[str, Any], wire: Wire | None = None) -> Keeper:
+    def _keeper(self, plan: dict[str, Any], wire: BlockingWire | None = None) -> SafeStateKeeper:
         """Return the keeper of a wire, started where it is not there yet."""
         keeper = self._keepers.get(plan["place"])
         if keeper is None:
-            keeper = self._keepers[plan["place"]] = Keeper(plan, self.free, wire)
+            keeper = self._keepers[plan["place"]] = SafeStateKeeper(plan, self.free, wire)
             keeper.start()
         elif wire is not None:
             wire.close()
@@ -372,7 +372,7 @@ class Guardian:
             self._plan = json.loads(line)
             # A serial line has one owner: it is not touched while the engine may use it.
             self._exclusive = [wire["kind"] == "serial" for wire in self._plan["wires"]]
-            self._log = Log(self._plan["log"])
+            self._log = GuardianLog(self._plan["log"])
 
     def _say(self, line: bytes) -> None:
         if self._engine is None:
@@ -395,7 +395,7 @@ def main(descriptor: int, pid: int) -> None:
     threading.stack_size(256 * 1024)
     with socket.socket(fileno=descriptor) as engine:
         engine.setblocking(False)
-        Guardian(engine, pid).run()
+        GuardianProcess(engine, pid).run()
 
 
 if __name__ == "__main__":

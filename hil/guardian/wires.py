@@ -27,7 +27,7 @@ class ExceptionReply(WireError):
     """The device answered with an exception: it is there, and refuses."""
 
 
-class Wire:
+class BlockingWire:
     """One device line as the plan describes it (`hil.guardian.plan.wire_of`); opened when it is needed."""
 
     def __init__(self, plan: dict[str, Any]) -> None:

@@ -25,7 +25,16 @@ _LONGEST_SAID = 120
 _KINDS = {"int": (int,), "float": (int, float), "str": (str,), "dict[str, Any]": (dict,)}
 _ROLLBACK = bytes.fromhex("d9d505f920a163d7")
 """Magic of a rollback journal, which ends with it too where it names a super-journal."""
-WRONG = (sqlite3.Error, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RecursionError)
+DAMAGE_ERRORS = (
+    sqlite3.Error,
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
 """Errors of SQLite, JSON and numpy where a row, a cell or a table is not what the writer made."""
 
 
@@ -89,7 +98,7 @@ def require_alone(journal: Path) -> None:
         raise JournalError(f"{beside} names another file that SQLite would delete; take it away and resume again")
 
 
-def sentences(read: Callable[P, R]) -> Callable[P, R]:
+def reports_damage(read: Callable[P, R]) -> Callable[P, R]:
     """Have a method of a reader with `_path` raise JournalError where the journal holds something of another kind."""
 
     @functools.wraps(read)
@@ -99,7 +108,7 @@ def sentences(read: Callable[P, R]) -> Callable[P, R]:
             for row in found if isinstance(found, list) else ():
                 _require_kinds(row)
             return found
-        except WRONG as error:
+        except DAMAGE_ERRORS as error:
             part = read.__name__.replace("_read_", "")
             raise _damaged(getattr(arguments[0], "_path", "the journal"), part, error) from error
 
@@ -133,11 +142,19 @@ def _damaged(path: object, part: str, error: Exception) -> JournalError:
 
 
 def checked_reader(cls: type[C]) -> type[C]:
-    """Wrap every public method of a reader in `sentences`."""
+    """Wrap every public method of a reader in `reports_damage`."""
     for name, value in vars(cls).items():
         if callable(value) and not name.startswith("_") and name != "close":
-            setattr(cls, name, sentences(value))
+            setattr(cls, name, reports_damage(value))
     return cls
 
 
-__all__ = ["WRONG", "checked_reader", "on_one_line", "require_alone", "require_header", "require_tables", "sentences"]
+__all__ = [
+    "DAMAGE_ERRORS",
+    "checked_reader",
+    "on_one_line",
+    "reports_damage",
+    "require_alone",
+    "require_header",
+    "require_tables",
+]

@@ -23,7 +23,7 @@ _KIND_ORDER = {"measured": 0, "setpoint": 1, "status": 2}
 
 
 @dataclass(frozen=True, slots=True)
-class Exported:
+class ExportedRecord:
     """What was written: rows, columns besides `time_s`, bytes, and the signals that were not always good."""
 
     path: Path
@@ -33,7 +33,7 @@ class Exported:
     not_always_good: tuple[str, ...]
 
 
-def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | None = None) -> Exported:
+def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | None = None) -> ExportedRecord:
     """Write the record `parquet` from the run's `journal`, atomically.
 
     Columns: `time_s`, then measured signals, set-points and status signals in the rig's order, float64. A value whose
@@ -87,7 +87,7 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
     # Arrow takes paths in UTF-8 alone, an open file takes any.
     with replacing(parquet) as unfinished, unfinished.open("wb") as file:
         pq.write_table(pa.Table.from_arrays(arrays, schema=schema), file, compression="zstd")
-    return Exported(
+    return ExportedRecord(
         parquet,
         len(time_s),
         len(arrays) - 1,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.signals.points import Signal
 from hil.files.names import LONGEST_DATABASE_PATH, connect_read_only
-from hil.journal.check import WRONG, checked_reader, on_one_line, require_header, require_tables, sentences
+from hil.journal.check import DAMAGE_ERRORS, checked_reader, on_one_line, reports_damage, require_header, require_tables
 from hil.journal.documents import ShapeError
 from hil.journal.rows import (
     BandRow,
@@ -47,7 +47,7 @@ class JournalReader:
             require_tables(self._database, path)
             begun = self._database.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone()
             meta = dict(self._database.execute("SELECT key, value FROM meta")) if begun else {}
-        except WRONG as error:
+        except DAMAGE_ERRORS as error:
             if len(os.fsencode(path.resolve())) > LONGEST_DATABASE_PATH:
                 raise JournalError(
                     f"{path} cannot be opened: SQLite takes {LONGEST_DATABASE_PATH} bytes for a path; move the run's "
@@ -60,7 +60,7 @@ class JournalReader:
             )
         self.header = self._read_header(meta)
 
-    @sentences
+    @reports_damage
     def _read_header(self, meta: dict[str, str]) -> Header:
         version = json.loads(meta.get("schema_version", "0"))
         if version != SCHEMA_VERSION:

@@ -28,7 +28,7 @@ class State(enum.StrEnum):
     IDLE = "idle"
     VALIDATING = "validating"
     CONNECTING = "connecting"
-    SOAKING = "soaking"
+    RESTORING = "soaking"
     RUNNING = "running"
     HELD = "held"
     PAUSED = "paused"
@@ -44,7 +44,7 @@ class Event(enum.StrEnum):
 
     VALIDATE = "validate"
     CONNECT = "connect"
-    SOAK = "soak"
+    RESTORE = "soak"
     START = "start"
     HOLD = "hold"
     PAUSE = "pause"
@@ -62,8 +62,8 @@ _S, _E = State, Event
 TABLE: dict[tuple[State, Event], State] = {
     (_S.IDLE, _E.VALIDATE): _S.VALIDATING,
     (_S.VALIDATING, _E.CONNECT): _S.CONNECTING,
-    (_S.CONNECTING, _E.SOAK): _S.SOAKING,
-    (_S.SOAKING, _E.START): _S.RUNNING,
+    (_S.CONNECTING, _E.RESTORE): _S.RESTORING,
+    (_S.RESTORING, _E.START): _S.RUNNING,
     (_S.RUNNING, _E.HOLD): _S.HELD,
     (_S.RUNNING, _E.PAUSE): _S.PAUSED,
     (_S.HELD, _E.PAUSE): _S.PAUSED,
@@ -75,15 +75,15 @@ TABLE: dict[tuple[State, Event], State] = {
     (_S.HELD, _E.WARN): _S.PAUSED,
     (_S.SUSPENDED, _E.CLEAR): _S.RUNNING,
     # A rig that is led back goes on being led back, and not with the profile, whoever or whatever stopped it.
-    (_S.SOAKING, _E.HOLD): _S.HELD,
-    (_S.SOAKING, _E.PAUSE): _S.PAUSED,
-    (_S.SOAKING, _E.WARN): _S.SUSPENDED,
-    **{(state, _E.SOAK): _S.SOAKING for state in (_S.HELD, _S.PAUSED, _S.SUSPENDED)},
+    (_S.RESTORING, _E.HOLD): _S.HELD,
+    (_S.RESTORING, _E.PAUSE): _S.PAUSED,
+    (_S.RESTORING, _E.WARN): _S.SUSPENDED,
+    **{(state, _E.RESTORE): _S.RESTORING for state in (_S.HELD, _S.PAUSED, _S.SUSPENDED)},
     **{(state, _E.TRIP): _S.PAUSED for state in (_S.RUNNING, _S.HELD, _S.SUSPENDED, _S.PAUSED)},
     (_S.RUNNING, _E.COMPLETE): _S.FINISHING,
     **{
         (state, event): _S.FINISHING
-        for state in (_S.SOAKING, _S.RUNNING, _S.HELD, _S.PAUSED, _S.SUSPENDED)
+        for state in (_S.RESTORING, _S.RUNNING, _S.HELD, _S.PAUSED, _S.SUSPENDED)
         for event in (_E.ABORT, _E.FAIL)
     },
     # Before anything was written there is nothing to make safe.
@@ -99,7 +99,7 @@ UNTOUCHED = frozenset({State.IDLE, State.VALIDATING, State.CONNECTING})
 ENDED = frozenset({State.DONE, State.ABORTED, State.FAULTED})
 LIVE = frozenset({State.RUNNING, State.HELD, State.PAUSED, State.SUSPENDED})
 """States in which the loop ticks, beside the soaking of a run that was cut."""
-HEATED = frozenset({State.SOAKING, State.RUNNING, State.HELD})
+HEATED = frozenset({State.RESTORING, State.RUNNING, State.HELD})
 """The only states in which an output may be away from its safe value."""
 WAITING = frozenset({State.HELD, State.PAUSED})
 """States that a person ends."""
@@ -119,19 +119,19 @@ class Transition:
     reason: str
 
 
-def following(state: State, event: Event) -> State | None:
+def next_state(state: State, event: Event) -> State | None:
     """Where `event` leads from `state`; None where it leads nowhere."""
     return TABLE.get((state, event))
 
 
-def level_of(step: Transition) -> str:
+def event_level(step: Transition) -> str:
     """How loud a transition is: INFO, WARN or ERROR."""
     if step.event is Event.FAIL or step.event is Event.TRIP:
         return "ERROR"
     return "WARN" if step.event in (Event.WARN, Event.ABORT) else "INFO"
 
 
-class Machine:
+class StateMachine:
     """The state of one run. Every transition is passed to `told`, which must not raise."""
 
     def __init__(self, told: Callable[[Transition], None]) -> None:
@@ -141,7 +141,7 @@ class Machine:
 
     def take(self, event: Event, reason: str) -> State:
         """Take the way of `event`; raises TransitionError where there is none."""
-        target = following(self.state, event)
+        target = next_state(self.state, event)
         if target is None:
             raise TransitionError(f"a run that is {self.state} knows no {event}")
         transition = Transition(self.state, event, target, reason)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 
-def checked(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]]:
+def checked_rig(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]]:
     """A rig, what polling its Modbus buses costs and its CAN buses; raises RigFileError with every mistake."""
     rig = load_rig(file)
     polled: dict[str, Polling] = {}
@@ -41,7 +41,7 @@ def checked(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]
 
 def show(file: Path, out: Console) -> None:
     """Tell `out` what the rig file holds; raises RigFileError with every mistake."""
-    rig, polled, receivers = checked(file)
+    rig, polled, receivers = checked_rig(file)
     out.print(_points(rig))
     if rig.interlock:
         out.print(_interlocks(rig))
@@ -130,7 +130,7 @@ def _reads(rig: Rig, name: str, cost: Polling) -> Table:
 
 def as_json(file: Path) -> str:
     """The read plan as a document; raises RigFileError with every mistake."""
-    rig, polled, receivers = checked(file)
+    rig, polled, receivers = checked_rig(file)
     plan = {
         name: {
             "bytes_per_tick": cost.bytes_per_tick,

@@ -10,7 +10,7 @@ from drivers.rig_file.regular_file import read_regular
 from drivers.rig_file.toml_lines import line_of
 from drivers.signals.roles import HEATER, ROLES, nearest_role
 from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, takes_s
-from hil.run.restore.thermal_restore import has_memory, role_of, unled
+from hil.run.restore.thermal_restore import restore_obstacle, role_of, stores_heat
 
 
 def notices(rig: Rig, file: Path) -> list[str]:
@@ -21,7 +21,10 @@ def notices(rig: Rig, file: Path) -> list[str]:
         for key, what in (("safe_value", _stays_on(rig, point)), ("role", _no_role(point))):
             if what is not None:
                 found.append(f"{file}, line {line_of(text, ('point', index, key))}: {what}")
-    if any(has_memory(point.as_signal()) for point in rig.point) and (what := unled(rig, rig.setpoints)) is not None:
+    if (
+        any(stores_heat(point.as_signal()) for point in rig.point)
+        and (what := restore_obstacle(rig, rig.setpoints)) is not None
+    ):
         found.append(f"{file}: {what}")
     return [*found, *_entity_numbers(rig, file, text), *unguarded(rig, file)]
 

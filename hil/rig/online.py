@@ -25,7 +25,7 @@ _WIDE = 110
 _STYLE = {Quality.GOOD: "green", Quality.STALE: "yellow", Quality.OUT_OF_RANGE: "yellow"}
 
 
-async def look(rig: Rig, seconds: float | None, out: Console | None) -> dict[str, Any]:
+async def watch_online(rig: Rig, seconds: float | None, out: Console | None) -> dict[str, Any]:
     """Open all buses, tell `out` what is wrong, show the points for `seconds` or until SIGINT; how it was at the end.
 
     Without `seconds` a look that nobody can watch ends at once. Nothing is ever written to the rig.

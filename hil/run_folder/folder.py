@@ -21,7 +21,7 @@ from drivers.rig_file.reader import file_sha256
 from hil import __version__
 from hil.files.atomic import replacing
 from hil.files.folder_check import read_json, require_plain
-from hil.files.names import ENDINGS, LONGEST_DATABASE_PATH, component, longest_name
+from hil.files.names import ENDINGS, LONGEST_DATABASE_PATH, longest_name, safe_file_name
 from hil.run_folder.manifest_check import checked_manifest
 
 LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "pyarrow", "rerun-sdk")
@@ -162,7 +162,7 @@ class RunFolder:
                     return self if path == self.path else RunFolder(path, self._held)
         raise FolderLostError(f"{self.path} was deleted")
 
-    def keep_twin(self, files: Sequence[Path]) -> None:
+    def copy_twin(self, files: Sequence[Path]) -> None:
         """Copy the twin file that a run begins with, and after it what that was made of, newest first.
 
         A healthy record may belong to one of the latter.
@@ -198,7 +198,9 @@ def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
             f"{parent} is too long: SQLite takes {LONGEST_DATABASE_PATH} bytes for the path of a journal; "
             "choose a shorter folder with --runs"
         )
-    path = _made(parent, f"{stamp}-{component(profile_name, min(longest_name(parent) - len(stamp) - ENDINGS, room))}")
+    path = _made(
+        parent, f"{stamp}-{safe_file_name(profile_name, min(longest_name(parent) - len(stamp) - ENDINGS, room))}"
+    )
     try:
         _require(path, ticks * BYTES_PER_TICK, "use --runs")
     except RunFolderError:

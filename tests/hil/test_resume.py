@@ -22,9 +22,9 @@ from hil.diagnosis.columns import read_columns
 from hil.journal.writer import JournalReader
 from hil.record.reader import Record, read_record
 from hil.review.rerun_io import read_words
-from hil.run.restore.thermal_restore import has_memory
-from hil.run.session.interrupted_run import standing
-from hil.run.session.terminal import cut_time
+from hil.run.restore.thermal_restore import stores_heat
+from hil.run.session.interrupted_run import position_of
+from hil.run.session.terminal import interruption_summary
 from hil.run_folder.folder import RunFolder, RunFolderError
 from tests.hil.command_line import typed
 from twin.segments import LONG_GAP_S, find_segments
@@ -268,10 +268,10 @@ def test_a_run_whose_trip_has_its_cause_still_is_refused_by_name_and_stays_as_it
         assert "not started: T_pm2 has been without a good value for 5 s: sensor fault" in refused.stdout
     after = rows(folder.journal)
     assert after["values"] == pytest.approx(np.array(before["values"]), nan_ok=True)
-    was = standing(folder)
+    was = position_of(folder)
     assert was.tick == before["tick"][-1]
     assert was.number == 2
-    assert set(was.aim) == {s.name for s in JournalReader(folder.journal).header.signals if has_memory(s)}
+    assert set(was.aim) == {s.name for s in JournalReader(folder.journal).header.signals if stores_heat(s)}
 
 
 def test_a_run_that_was_killed_while_its_report_was_written_gets_it(story, tmp_path):
@@ -351,10 +351,10 @@ def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_co
     whole, messages = read_columns(network, story.whole.record, None)
     assert len(whole.time_s) == 8401
     assert not any("cut" in message for message in messages)
-    said = cut_time(story.folder.read_manifest())
+    said = interruption_summary(story.folder.read_manifest())
     assert said.startswith(" (cut once: ")
     assert said.endswith("of leading the rig back)")
-    assert cut_time(story.whole.read_manifest()) == ""
+    assert interruption_summary(story.whole.read_manifest()) == ""
 
 
 def test_a_soak_that_takes_too_long_ends_safe_and_can_be_tried_again(story, tmp_path):
@@ -364,7 +364,7 @@ def test_a_soak_that_takes_too_long_ends_safe_and_can_be_tried_again(story, tmp_
         assert done.returncode == 1, done.stderr
         manifest = json.loads(done.stdout)
         assert (manifest["exit_status"], manifest["safe"]) == ("faulted", True)
-        assert manifest["reason"].startswith("not resumed: after 60 s of soaking T_")
+        assert manifest["reason"].startswith("not resumed: after 60 s of thermal restore T_")
         assert len(manifest["segments"]) == attempt + 1
         # The aim is still where the rig was when the profile's clock went.
         assert manifest["segments"][-1]["profile_s"] == story.cut

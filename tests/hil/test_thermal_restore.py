@@ -1,7 +1,7 @@
 """A plant that is led back to where its run was cut: the heater does not swing, and a band out of reach is said to be.
 
 The plant is an element and a water volume, heated through a dead time: plants of several time constants, in simulated
-time, with the soak alone in the loop.
+time, with the thermal restore alone in the loop.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import pytest
 
 from drivers.signals.points import Quality, Snapshot
 from hil.profile.load_profile import Profile
-from hil.run.restore.thermal_restore import Soak, SoakRule
+from hil.run.restore.thermal_restore import RestoreRule, ThermalRestore
 from tests.hil.simulated_rig import rig_with
 
 RIG = rig_with()
@@ -53,7 +53,7 @@ class Plant:
 
 @dataclass
 class Course:
-    """A soak that is over."""
+    """Ended thermal restore."""
 
     reached: bool
     said: str | None
@@ -84,8 +84,10 @@ def led_back(
     aim = dict(zip(SENSORS, plant.temperatures, strict=True))
     for _ in range(gap_s):
         plant.second(0.0)
-    rule = SoakRule(band_K, timeout_s)
-    soak = Soak(RIG, POINTS, Profile("cut", np.array([0.0, 100.0, 200.0]), columns, values), 100.0, aim, rule)
+    rule = RestoreRule(band_K, timeout_s)
+    restore = ThermalRestore(
+        RIG, POINTS, Profile("cut", np.array([0.0, 100.0, 200.0]), columns, values), 100.0, aim, rule
+    )
     at = [[point.name for point in POINTS].index(name) for name in SENSORS]
     power, powers, shown = 0.0, [], []
     for second in range(int(timeout_s) + 2):
@@ -93,16 +95,16 @@ def led_back(
         for i, value in zip(at, plant.temperatures, strict=True):
             readings[i] = value + noise_K * float(rng.standard_normal())
         good = [int(Quality.GOOD)] * len(POINTS)
-        soak.look(Snapshot(readings, good, [float(second)] * len(POINTS), []), float(second))
-        if soak.reached or soak.failure is not None:
-            return Course(soak.reached, soak.failure, soak.elapsed_s, powers, shown)
-        wanted = soak.targets()["heater_power_set"]
-        shown.append(soak.said)
+        restore.update(Snapshot(readings, good, [float(second)] * len(POINTS), []), float(second))
+        if restore.reached or restore.failure is not None:
+            return Course(restore.reached, restore.failure, restore.elapsed_s, powers, shown)
+        wanted = restore.targets()["heater_power_set"]
+        shown.append(restore.progress)
         power += min(max(wanted - power, -RATE_W_PER_S), RATE_W_PER_S)
         powers.append(power)
         plant.room = 20.0 + sway_K * math.sin(2.0 * math.pi * second / 14_400.0)
         plant.second(power)
-    raise AssertionError("the soak neither reached its aim nor failed")
+    raise AssertionError("the restore neither reached its aim nor failed")
 
 
 def proposed_K(sentence: str | None) -> float:
@@ -173,12 +175,12 @@ def test_room_that_sways_does_not_swing_the_heater():
 def test_timeout_proposes_a_band():
     course = led_back(Plant(6000.0, 0), 0.05, 0.0, timeout_s=400.0)
     assert not course.reached
-    assert "after 400 s of soaking" in course.said
+    assert "after 400 s of thermal restore" in course.said
     assert proposed_K(course.said) > 0.05
 
 
 def test_plant_too_slow_for_the_timeout_is_announced_while_it_is_waited_for():
     course = led_back(after_a_step(6000.0), 0.1, 0.02, gap_s=3000, timeout_s=4000.0)
-    assert "after 4000 s of soaking" in course.said
+    assert "after 4000 s of thermal restore" in course.said
     announced = [second for second, text in enumerate(course.shown) if "too slow for the timeout" in text]
     assert 600 <= announced[0] < 3900

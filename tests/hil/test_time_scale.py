@@ -15,8 +15,8 @@ from drivers.rig_file.reader import RigFileError, load_rig
 from drivers.virtual.rig import start_virtual_rig
 from hil.journal.writer import JournalReader
 from hil.rig.check import checked
-from hil.run.restore.resumption import Resumption, Standing
-from hil.run.restore.thermal_restore import SoakRule
+from hil.run.restore.resumption import Resumption, RunPosition
+from hil.run.restore.thermal_restore import RestoreRule
 from hil.run.session.request import RunRequest
 from hil.run.session.rig_time import speed_of
 from hil.run_folder.folder import RunFolder
@@ -92,8 +92,8 @@ def test_declared_scale_is_of_the_real_rig_alone(tmp_path, virtual, control, mod
 
 
 def test_gap_of_a_fast_rig_is_as_long_as_on_its_clock():
-    was = Standing(100, 100.0, time.time() - 6.0, 100.0, "running", 2, 100, {})
-    assert Resumption(was, SoakRule(), "cut", SPEED).first_tick(1.0) == pytest.approx(161, abs=3)
+    was = RunPosition(100, 100.0, time.time() - 6.0, 100.0, "running", 2, 100, {})
+    assert Resumption(was, RestoreRule(), "cut", SPEED).first_tick(1.0) == pytest.approx(161, abs=3)
 
 
 async def test_check_tells_how_fast_the_clock_is(tmp_path):

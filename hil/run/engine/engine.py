@@ -36,7 +36,7 @@ from hil.run.outputs.readback import SetpointReadback
 from hil.run.outputs.safing import Safed, attempt_s, make_safe, write_safe
 from hil.run.outputs.setpoints import bind
 from hil.run.restore.resumption import Resumption
-from hil.run.restore.thermal_restore import Soak
+from hil.run.restore.thermal_restore import ThermalRestore
 
 FIRST_SAMPLE_TIMEOUT_S = 10.0
 PAUSED_S = 1.0
@@ -69,7 +69,7 @@ class Status:
 
 @dataclass(slots=True)
 class Outcome:
-    """How a run ended. `ticks` counts from the run's beginning, gaps included; `soaked_s` is how long the rig was led
+    """How a run ended. `ticks` counts from the run's beginning, gaps included; `restore_s` is how long the rig was led
     back after one, `restarts` how often its program was seen to begin anew. `safe` is whether the safe values were read
     back from the rig and no heater's meter contradicts them, `away` which measured value did not get there."""
 
@@ -81,7 +81,7 @@ class Outcome:
     away: str = ""
     problems: list[str] = field(default_factory=list)
     trips: tuple[str, ...] = ()
-    soaked_s: float = 0.0
+    restore_s: float = 0.0
     restarts: int = 0
     guardian: str = ""
     """What the guardian did, where it acted."""
@@ -138,14 +138,14 @@ class Engine:
         self._lockstep = lockstep
         self._resumption = resumption
         self._rearm = rearm
-        self._soak: Soak | None = None
-        self._soaked_s = 0.0
+        self._restore: ThermalRestore | None = None
+        self._restore_s = 0.0
         self._found_safe = False
         self._first = 0
         self._at = Position(clock.period_s)
         if resumption is not None:
             self._first = resumption.first_tick(clock.period_s)
-            self._at = Position(clock.period_s, self._first, resumption.standing.profile_s)
+            self._at = Position(clock.period_s, self._first, resumption.position.profile_s)
         self._told = Recorder(journal, self._at, publisher=publisher, told=told, lockstep=lockstep)
         self._supervisor = Supervisor(self._rig, connection.points, log=self._told.transition, note=self._told.event)
         self._machine = self._supervisor.machine
@@ -197,10 +197,10 @@ class Engine:
             rows = zip(self._connection.points, self._snapshot.values, self._snapshot.quality, strict=True)
             values = {point.name: value if quality == 0 else math.nan for point, value, quality in rows}
         standing, machine = self._interlocks.standing(), self._machine
-        soaks = machine.state is State.SOAKING and self._soak is not None
+        restoring = machine.state is State.RESTORING and self._restore is not None
         return Status(
             machine.state,
-            self._soak.said if soaks and self._soak is not None else machine.reason,
+            self._restore.progress if restoring and self._restore is not None else machine.reason,
             self._at.tick,
             self._at.time_s,
             self._at.profile_s,
@@ -250,7 +250,7 @@ class Engine:
             outcome.status = self._machine.state.value  # type: ignore[assignment]
         outcome.reason = "" if event is Event.COMPLETE else reason
         outcome.ticks, outcome.overruns = self._at.tick, self._clock.overruns
-        outcome.soaked_s, outcome.restarts = self._soaked_s, self._interlocks.restarts
+        outcome.restore_s, outcome.restarts = self._restore_s, self._interlocks.restarts
         outcome.trips = self._interlocks.standing().trips
         if outcome.status == "done":
             outcome.deviations = self._deviations.found(self._clock.period_s)
@@ -325,7 +325,7 @@ class Engine:
         if self._supervisor.stop is not None:
             return self._supervisor.stop
         self._guard.watch()
-        machine.take(Event.SOAK, "safe set-points, heartbeat, arming")
+        machine.take(Event.RESTORE, "safe set-points, heartbeat, arming")
         armed = self._outputs.arm(self._advance, self._interlocks.rig_trip)
         cut = await attended(armed, self._supervisor.stopping, self._trouble)
         if isinstance(cut, Cut):
@@ -379,7 +379,7 @@ class Engine:
 
     def _go_on(self, resumption: Resumption) -> End | None:
         """Begin a new segment of a run that was cut: lead the rig back, unless there is nothing left to run."""
-        was = resumption.standing
+        was = resumption.position
         self._first = self._at.tick = resumption.first_tick(self._clock.period_s)
         gap_s = self._at.time_s - was.time_s
         self._told.segment(was.number, gap_s, was.aim_tick, resumption.reason)
@@ -387,8 +387,8 @@ class Engine:
             self._machine.take(Event.START, "nothing is left of the profile")
             return Event.COMPLETE, "the profile was over"
         points = self._connection.points
-        self._soak = Soak(self._rig, points, self._profile, self._at.profile_s, was.aim, resumption.rule)
-        self._supervisor.soaks = True
+        self._restore = ThermalRestore(self._rig, points, self._profile, self._at.profile_s, was.aim, resumption.rule)
+        self._supervisor.restoring = True
         return None
 
     async def _first_snapshot(self) -> Snapshot:
@@ -430,8 +430,8 @@ class Engine:
             return Event.FAIL, why
         await self._readback.look(snapshot, self._outputs.values, now)
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
-        if ended is None and self._soak is not None:
-            ended = self._lead_back(self._soak, snapshot, now)
+        if ended is None and self._restore is not None:
+            ended = self._restore_temperatures(self._restore, snapshot, now)
         if was_running and machine.state is State.RUNNING:
             self._at.profile_ticks += passed
             self._deviations.tick(self._outputs.values, self._meters_of_setpoints.of(snapshot))
@@ -477,14 +477,16 @@ class Engine:
             "values from before the gap are stale",
         )
 
-    def _lead_back(self, soak: Soak, snapshot: Snapshot, now_s: float) -> End | None:
+    def _restore_temperatures(self, restore: ThermalRestore, snapshot: Snapshot, now_s: float) -> End | None:
         """One tick of soaking: go on with the profile once the rig is back, end the run where it takes too long."""
-        soak.look(snapshot, now_s, stands=self._machine.state in WAITING)
-        self._soaked_s = soak.elapsed_s
-        if soak.reached and self._machine.state is State.SOAKING:
-            self._soak, self._supervisor.soaks = None, False
-            self._machine.take(Event.START, f"the rig is back where it was, after {self._soaked_s:.0f} s of soaking")
-        return None if soak.failure is None else (Event.FAIL, soak.failure)
+        restore.update(snapshot, now_s, stopped=self._machine.state in WAITING)
+        self._restore_s = restore.elapsed_s
+        if restore.reached and self._machine.state is State.RESTORING:
+            self._restore, self._supervisor.restoring = None, False
+            self._machine.take(
+                Event.START, f"the rig is back where it was, after {self._restore_s:.0f} s of thermal restore"
+            )
+        return None if restore.failure is None else (Event.FAIL, restore.failure)
 
     async def _obeyed(self) -> str:
         """Return the answer to an operator: the state, and outside `HEATED` what the rig holds and its meters read."""
@@ -530,7 +532,7 @@ class Engine:
             if state in HEATED and isinstance(error, DeviceExceptionError):
                 raise
             self._told.event("WARN", str(error))
-        reason = {State.RUNNING: "profile", State.SOAKING: "soak"}.get(state, f"safe: {state}")
+        reason = {State.RUNNING: "profile", State.RESTORING: "soak"}.get(state, f"safe: {state}")
         self._told.written(before, self._outputs.values, reason)
 
     def _wanted(self) -> dict[str, float]:
@@ -538,7 +540,7 @@ class Engine:
         if self._machine.state is State.RUNNING:
             names = (point.name for point in self._targets)
             return dict(zip(names, self._profile.at(self._at.profile_s), strict=True))
-        return self._soak.targets() if self._machine.state is State.SOAKING and self._soak is not None else {}
+        return self._restore.targets() if self._machine.state is State.RESTORING and self._restore is not None else {}
 
     async def _make_safe(self, outcome: Outcome) -> bool:
         safe = self._outputs.safe_values

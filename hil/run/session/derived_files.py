@@ -35,7 +35,7 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 @dataclass(slots=True)
-class Derived:
+class DerivedFiles:
     """Files made from a run: `folder` is where they lie, `missing` says of each that could not be made why.
 
     `stopped_by` is the signal that ended the making, `adopted` the revision of the twin.
@@ -100,7 +100,7 @@ def derive_files(
     *,
     there: Collection[str] = (),
     signals: RunSignals | None = None,
-) -> Derived:
+) -> DerivedFiles:
     """Write `manifest` as `run.json`, then every file that is made from the journal of the run in `folder`.
 
     Args:
@@ -119,7 +119,7 @@ def derive_files(
         raise _lost(folder, manifest, str(error), "its samples are lost") from None
     if place.path != folder.path:
         announce(f"the run's folder was moved: its files go to {place.path}")
-    derived = Derived(place)
+    derived = DerivedFiles(place)
     steps = {name: step for name, step in _steps(manifest, derived).items() if name not in there}
     derived.missing = dict.fromkeys(steps, _NOT_YET)
     with contextlib.ExitStack() as stack:
@@ -151,7 +151,7 @@ def derive_files(
     return derived
 
 
-def missing_sentence(derived: Derived) -> str:
+def missing_sentence(derived: DerivedFiles) -> str:
     """Return which files are missing, why, and the command that makes them."""
     what = "; ".join(f"{name} ({why})" for name, why in derived.missing.items())
     return f"not made: {what}; `{_command(derived.folder)}` makes them from the journal"
@@ -163,7 +163,7 @@ def _command(folder: RunFolder) -> str:
     return f"{invocation()} report {shlex.quote(str(folder.path))}"
 
 
-def _steps(manifest: dict[str, Any], derived: Derived) -> dict[str, Callable[[], None]]:
+def _steps(manifest: dict[str, Any], derived: DerivedFiles) -> dict[str, Callable[[], None]]:
     """Return what is made, in this order: later files show what the earlier ones found."""
     folder = derived.folder
 

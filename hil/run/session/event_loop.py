@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 
-def finished(session: Coroutine[Any, Any, T], *, until_exit: bool = False) -> T:
+def session_result(session: Coroutine[Any, Any, T], *, until_exit: bool = False) -> T:
     """Return the result of `session`; raises what it raises, and nothing else.
 
     With `until_exit` this process ends with the command: what destructors and threads complain of from then on helps

@@ -20,8 +20,8 @@ from hil.journal.rows import SegmentRow, StateRow
 from hil.journal.states import State
 from hil.journal.writer import JournalReader
 from hil.run.restore.gap_evidence import KEY, with_gap
-from hil.run.restore.resumption import Standing
-from hil.run.restore.thermal_restore import has_memory
+from hil.run.restore.resumption import RunPosition
+from hil.run.restore.thermal_restore import stores_heat
 from hil.run.session.regenerate import has_ended
 from hil.run.session.request import RunRequest
 from hil.run_folder.folder import RunFolder, RunFolderError
@@ -38,12 +38,12 @@ FILES = {
 """Files that a run depends on, by their name in `run.json`, and the option that says where one has been moved to."""
 
 
-def questioned(folder: RunFolder, gap_s: float | None, announce: Callable[[str], None]) -> Standing:
+def confirmed_position(folder: RunFolder, gap_s: float | None, announce: Callable[[str], None]) -> RunPosition:
     """Return where the run in `folder` stood, its gap held against every clock that knows of it (`with_gap`).
 
-    Raises what `standing` raises, and RunFolderError where the gap is not plausible and `gap_s` does not state it.
+    Raises what `position_of` raises, and RunFolderError where the gap is not plausible and `gap_s` does not state it.
     """
-    was = standing(folder)
+    was = position_of(folder)
     reader = _reader(folder)
     try:
         noted = reader.meta(KEY)
@@ -52,7 +52,7 @@ def questioned(folder: RunFolder, gap_s: float | None, announce: Callable[[str],
     return with_gap(was, noted, gap_s, announce)
 
 
-def standing(folder: RunFolder) -> Standing:
+def position_of(folder: RunFolder) -> RunPosition:
     """Where the run in `folder` stood; raises JournalError, or RunFolderError where it never had a sample."""
     reader = _reader(folder)
     try:
@@ -74,10 +74,10 @@ def standing(folder: RunFolder) -> Standing:
     aim = {}
     for index, signal in enumerate(header.signals):
         column = samples.values[good[:, index], index][-AIM_TICKS:]
-        if has_memory(signal) and len(column):
+        if stores_heat(signal) and len(column):
             aim[signal.name] = float(column.mean())
     number = (segments[-1].number if segments else 1) + 1
-    return Standing(tick, tick * header.period_s, wall_s, profile_s, states[-1].target, number, aim_tick, aim)
+    return RunPosition(tick, tick * header.period_s, wall_s, profile_s, states[-1].target, number, aim_tick, aim)
 
 
 def _reader(folder: RunFolder) -> JournalReader:
@@ -197,7 +197,7 @@ def _not_named_by_a_run(path: Path, folder: Path) -> str:
         return "leads round in a circle"
 
 
-def named(request: RunRequest) -> list[str]:
+def resume_notices(request: RunRequest) -> list[str]:
     """Return what a resumed run will drive and with what, a sentence each, for the operator to see before it moves."""
     rig = load_rig(request.rig)
     buses = ", ".join(f"{name} at {bus.place}" for name, bus in rig.bus.items())

@@ -11,13 +11,13 @@ from drivers.rig_file.bus_sections import CanBus
 from hil.diagnosis.live import END_ONLY
 from hil.journal.writer import JournalError, JournalReader
 from hil.run.engine.engine import Outcome
-from hil.run.restore.resumption import Resumption, Standing
-from hil.run.session.request import Prepared, RunRequest
+from hil.run.restore.resumption import Resumption, RunPosition
+from hil.run.session.request import RunInputs, RunRequest
 from hil.run_folder.folder import FolderLostError, RunFolder
 from hil.tracking.process import Tracking
 
 
-def files_of(request: RunRequest, ready: Prepared) -> dict[str, Path | None]:
+def files_of(request: RunRequest, ready: RunInputs) -> dict[str, Path | None]:
     """Everything on disk that the run depends on."""
     dbc = {f"dbc of {name}": bus.dbc for name, bus in ready.rig.bus.items() if isinstance(bus, CanBus)}
     return {
@@ -48,14 +48,14 @@ def settings_of(request: RunRequest, tracking: Tracking | None) -> dict[str, Any
     }
 
 
-def how_it_stopped(manifest: dict[str, Any], was: Standing) -> str:
+def interruption_reason(manifest: dict[str, Any], was: RunPosition) -> str:
     """A sentence's beginning: how the segment before ended."""
     if manifest["exit_status"] == "running":
         return f"the run was cut while {was.state}"
     return f"the run {manifest['exit_status']} ({manifest['reason']})"
 
 
-def ended(
+def end_entries(
     folder: RunFolder, manifest: dict[str, Any], outcome: Outcome, resumption: Resumption | None, wall_s: float
 ) -> dict[str, Any]:
     """What is new in the manifest when a segment is over, after `wall_s` of wall time."""
@@ -92,9 +92,9 @@ def _segments(
     finally:
         reader.close()
     known = {item["number"]: item for item in manifest.get("segments", [])}
-    mine = {"soaked_s": outcome.soaked_s, "exit_status": outcome.status, "reason": outcome.reason}
+    mine = {"soaked_s": outcome.restore_s, "exit_status": outcome.status, "reason": outcome.reason}
     return [
         {"number": row.number, "from_s": row.time_s, "gap_s": row.gap_s, "profile_s": row.profile_s, "why": row.reason}
-        | (mine if row.number == resumption.standing.number else known.get(row.number, {"exit_status": "cut"}))
+        | (mine if row.number == resumption.position.number else known.get(row.number, {"exit_status": "cut"}))
         for row in rows
     ]

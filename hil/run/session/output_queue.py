@@ -17,7 +17,7 @@ from typing import Any
 
 LONGEST = 1000
 """Calls that wait at most. What comes beyond is dropped: an operator who sees nothing misses nothing more."""
-LAST_WORDS_S = 2.0
+FLUSH_WITHIN_S = 2.0
 
 
 class OutputQueue:
@@ -93,7 +93,7 @@ def queued_output(
     observer: Callable[..., None] | None, announce: Callable[[str], None]
 ) -> Iterator[tuple[Callable[..., None] | None, Callable[[str], None]]]:
     """Yield both calls through one queue, which also takes what is logged meanwhile and what the event loop complains
-    of. At the end what is queued is written, for `LAST_WORDS_S` at most."""
+    of. At the end what is queued is written, for `FLUSH_WITHIN_S` at most."""
     output = OutputQueue()
     say = output.wrapped(announce)
     handler = QueuedLog(output, announce)
@@ -109,7 +109,7 @@ def queued_output(
         yield None if observer is None else output.wrapped(observer), say
     finally:
         threading.excepthook, sys.unraisablehook = hooks
-        output.close(LAST_WORDS_S)
+        output.close(FLUSH_WITHIN_S)
         root.removeHandler(handler)
 
 

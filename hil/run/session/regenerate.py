@@ -8,11 +8,11 @@ from typing import Any
 
 from hil.journal.states import ENDED
 from hil.journal.writer import JournalReader
-from hil.run.session.derived_files import RECORD, REVIEW, REVISION, Derived, derive_files
+from hil.run.session.derived_files import RECORD, REVIEW, REVISION, DerivedFiles, derive_files
 from hil.run_folder.folder import RunFolder, RunFolderError
 
 
-def remake(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) -> Derived:
+def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) -> DerivedFiles:
     """Make the files of the run in `folder` that are missing, and its report in any case.
 
     Args:
@@ -26,7 +26,7 @@ def remake(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) ->
     """
     folder.read_manifest()  # a folder that is no run's is refused before it is locked
     with folder.owned():
-        manifest = as_it_ended(folder, folder.read_manifest())
+        manifest = completed_manifest(folder, folder.read_manifest())
         wanted = manifest.get("missing", {})
         there = [] if REVISION in wanted else [REVISION]
         if not rebuild:
@@ -35,7 +35,7 @@ def remake(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) ->
         return derive_files(folder, manifest, announce, there=there)
 
 
-def as_it_ended(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
+def completed_manifest(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
     """Return `manifest` with how the run ended, where its process was killed before it could write that.
 
     A run that was cut has not ended: its manifest is returned as it is. Raises JournalError.
@@ -58,6 +58,6 @@ def as_it_ended(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
 def has_ended(folder: RunFolder) -> bool:
     """Return whether the run in `folder` went to its end, by `run.json` or its journal; False where neither says so."""
     try:
-        return as_it_ended(folder, folder.read_manifest()).get("exit_status", "").startswith("done")
+        return completed_manifest(folder, folder.read_manifest()).get("exit_status", "").startswith("done")
     except (RunFolderError, KeyError):
         return False

@@ -62,7 +62,7 @@ class RunRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared:
+class RunInputs:
     """Everything that could be checked before anything moves."""
 
     rig: Rig
@@ -72,7 +72,7 @@ class Prepared:
     notes: tuple[str, ...]
 
 
-def prepare(request: RunRequest) -> Prepared:
+def prepare(request: RunRequest) -> RunInputs:
     """Read and validate all files of a run; raises the error of the file, or ConfigurationError."""
     rig = load_rig(request.rig)
     profile = read_profile(request.profile)
@@ -87,7 +87,7 @@ def prepare(request: RunRequest) -> Prepared:
         network = load(twin)
         notes = [*notes, *_check_twin_columns(twin, network, rig)]
         check_calibrators(request.calibrators)
-        chosen(request.calibrators, request.card)
+        chosen_calibrators(request.calibrators, request.card)
     elif request.card is not None:
         raise ConfigurationError("--network is of a calibrator, and this run has no twin; name one, or take it out")
     _check_residuals(request, rig, network)
@@ -117,7 +117,7 @@ def prepare(request: RunRequest) -> Prepared:
         notes = [*notes, *_check_effects(request.effects, profile)]
     if request.diagnose_s is not None:
         notes = [*notes, *_check_diagnosis(request, twin, network)]
-    return Prepared(rig, profile, twin, network, tuple(notes))
+    return RunInputs(rig, profile, twin, network, tuple(notes))
 
 
 def _check_effects(file: Path, profile: Profile) -> list[str]:
@@ -160,7 +160,9 @@ def check_calibrators(names: tuple[str, ...] | None) -> None:
         raise ConfigurationError(f"--calibrator {twice[0]} is given twice; give each once")
 
 
-def chosen(calibrators: tuple[str, ...] | None, card: Path | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def chosen_calibrators(
+    calibrators: tuple[str, ...] | None, card: Path | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Calibrators that run, the usual ones for None, and those among them that may be left out.
 
     Raises:
@@ -229,9 +231,9 @@ def _check_twin_columns(path: Path, network: Network, rig: Rig) -> list[str]:
     ]
 
 
-def tracking_config(request: RunRequest, ready: Prepared, columns: tuple[str, ...]) -> TrackingConfig | None:
+def tracking_config(request: RunRequest, ready: RunInputs, columns: tuple[str, ...]) -> TrackingConfig | None:
     """Which twins run beside the rig, or None for none."""
     if ready.twin is None or request.calibrators == ():
         return None
-    names, optional = chosen(request.calibrators, request.card)
+    names, optional = chosen_calibrators(request.calibrators, request.card)
     return TrackingConfig(ready.twin, columns, names, request.seed, optional, card=request.card)

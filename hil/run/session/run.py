@@ -16,12 +16,12 @@ from hil.run.engine.control_socket import serving
 from hil.run.engine.engine import Engine, Outcome, Status
 from hil.run.engine.signals import RunSignals, interrupted, stopping
 from hil.run.locks.rig_lock import RigClaim
-from hil.run.restore.calibrators import restore
-from hil.run.restore.gap_evidence import clocks_noted
+from hil.run.restore.calibrators import restore_calibrators
+from hil.run.restore.gap_evidence import clocks_recorded
 from hil.run.restore.resumption import Resumption
-from hil.run.session.derived_files import REVIEW, RUN_UID, Derived, derive_files
-from hil.run.session.manifest import ended
-from hil.run.session.request import Prepared, RunRequest
+from hil.run.session.derived_files import REVIEW, RUN_UID, DerivedFiles, derive_files
+from hil.run.session.manifest import end_entries
+from hil.run.session.request import RunInputs, RunRequest
 from hil.run.session.rig_time import rig_and_clock
 from hil.run.session.services import Publishers, guard_of, live_review, signals_of, start_diagnosis, start_tracking
 from hil.run_folder.folder import RunFolder
@@ -44,11 +44,11 @@ class RunResult:
     diagnosis: Reply | None = None
     adoption: Adoption | None = None
     gates: str | None = None
-    derived: Derived | None = None
+    derived: DerivedFiles | None = None
 
     @property
     def exit_code(self) -> int:
-        """Exit code of the command: 0 where the run was in order and every file of it is there (see `Derived`)."""
+        """Exit code of the command: 0 where the run was in order and every file of it is there (see `DerivedFiles`)."""
         in_order = self.outcome.in_order
         return int(not in_order) if self.derived is None else self.derived.exit_code(in_order)
 
@@ -60,7 +60,7 @@ class PreparedRun:
     folder: RunFolder
     manifest: dict[str, Any]
     request: RunRequest
-    ready: Prepared
+    ready: RunInputs
     claim: RigClaim
     tracking: Tracking | None
     observer: Callable[[Status], None] | None
@@ -91,9 +91,9 @@ async def _run_in(run: PreparedRun) -> RunResult:
         journal = JournalWriter(folder.journal, header, again=resumption is not None)
         stack.callback(_closed, journal)
         journal.put_meta(RUN_UID, manifest["uid"])
-        await stack.enter_async_context(clocks_noted(journal))
-        if resumption is not None and State(resumption.standing.state) not in ENDED:
-            was = resumption.standing
+        await stack.enter_async_context(clocks_recorded(journal))
+        if resumption is not None and State(resumption.position.state) not in ENDED:
+            was = resumption.position
             journal.state(was.tick, was.time_s, was.profile_s, was.state, "cut", State.IDLE.value, resumption.reason)
         if tracking is not None and resumption is not None:
             tracking = await _restored(stack, run, tracking, journal)
@@ -139,7 +139,7 @@ async def _run_in(run: PreparedRun) -> RunResult:
             announce("diagnosing the whole run (Ctrl-C skips it)")
             with interrupted(live.give_up, run.signals):
                 told = await live.finish(folder.diagnosis)
-        manifest |= ended(folder, manifest, outcome, resumption, wall_s) | {
+        manifest |= end_entries(folder, manifest, outcome, resumption, wall_s) | {
             "errors_K": None if comparison is None else asdict(comparison.errors),
             "bands": None if comparison is None else comparison.bands,
             "parameters": None if comparison is None else comparison.parameters,
@@ -187,9 +187,9 @@ async def _restored(
 ) -> Tracking:
     """Return the calibrators with all that they knew; where that fails they start anew, and that is reported."""
     assert run.resumption is not None
-    was = run.resumption.standing
+    was = run.resumption.position
     run.announce("restoring the calibrators from the journal")
-    await restore(tracking, journal, run.folder.journal, run.announce)
+    await restore_calibrators(tracking, journal, run.folder.journal, run.announce)
     if not tracking.failures:
         return tracking
     said = f"the calibrators could not be restored and start anew: {'; '.join(tracking.failures)}"
@@ -201,7 +201,7 @@ async def _restored(
     return anew
 
 
-def _header(ready: Prepared, calibrators: tuple[str, ...]) -> Header:
+def _header(ready: RunInputs, calibrators: tuple[str, ...]) -> Header:
     network = ready.network
     return Header(
         signals=signals_of(ready.rig),

@@ -12,17 +12,17 @@ from drivers.rig_file.model import Rig
 from drivers.signals.points import Signal
 from hil.diagnosis.healthy_record import commissioned_on
 from hil.diagnosis.live import LiveConfig, LiveDiagnosis
-from hil.guardian.client import Guard, Guardian, NoGuard
+from hil.guardian.client import Guard, GuardianClient, NoGuard
 from hil.journal.writer import JournalWriter
 from hil.run.engine.recording import Publisher
 from hil.run.locks.rig_lock import RigClaim
-from hil.run.session.request import Prepared, RunRequest, tracking_config
+from hil.run.session.request import RunInputs, RunRequest, tracking_config
 from hil.run_folder.folder import RunFolder
 from hil.tracking import adoption
 from hil.tracking.process import Tracking
 
 
-async def start_tracking(request: RunRequest, ready: Prepared) -> Tracking | None:
+async def start_tracking(request: RunRequest, ready: RunInputs) -> Tracking | None:
     """Start the calibrators of a run in processes of their own; None without a twin."""
     config = tracking_config(request, ready, tuple(signal.column for signal in signals_of(ready.rig)))
     if config is None or ready.network is None:
@@ -86,4 +86,4 @@ def guard_of(request: RunRequest, folder: RunFolder, claim: RigClaim, rig: Rig) 
     """Return the guardian of a rig that goes on without this process; a virtual one of the run's own ends with it."""
     if request.virtual or request.control is not None or not request.guardian:
         return NoGuard()
-    return Guardian(rig, folder.path / "guardian.log", claim.descriptors)
+    return GuardianClient(rig, folder.path / "guardian.log", claim.descriptors)

@@ -14,11 +14,11 @@ from hil.run.engine.signals import RunSignals
 from hil.run.locks.rig_lock import claimed
 from hil.run.outputs.setpoints import bind
 from hil.run.restore.resumption import Resumption
-from hil.run.restore.thermal_restore import SoakRule, unled
-from hil.run.session.interrupted_run import questioned
-from hil.run.session.manifest import files_of, how_it_stopped, settings_of
+from hil.run.restore.thermal_restore import RestoreRule, restore_obstacle
+from hil.run.session.interrupted_run import confirmed_position
+from hil.run.session.manifest import files_of, interruption_reason, settings_of
 from hil.run.session.output_queue import queued_output
-from hil.run.session.request import Prepared, RunRequest, prepare, tracking_config
+from hil.run.session.request import RunInputs, RunRequest, prepare, tracking_config
 from hil.run.session.rig_time import speed_of
 from hil.run.session.run import PreparedRun, RunResult, carry_out
 from hil.run.session.services import start_tracking
@@ -56,11 +56,11 @@ async def run_session(
                 announce(f"{name} is left out: {why}")
         folder = create_run_folder(request.runs, request.profile.stem, _ticks(ready))
         stack.enter_context(folder.owned())
-        claim.tell(folder.path)
+        claim.record_holder(folder.path)
         manifest = new_manifest(files_of(request, ready), **settings_of(request, tracking))
         folder.write_manifest(manifest)
         if ready.twin is not None:
-            folder.keep_twin([entry.path for entry in chain(ready.twin)])
+            folder.copy_twin([entry.path for entry in chain(ready.twin)])
             copy_record(ready.twin, folder.path)
         return await carry_out(
             PreparedRun(folder, manifest, request, ready, claim, tracking, observer, announce, signals)
@@ -70,7 +70,7 @@ async def run_session(
 async def resume_session(
     folder: RunFolder,
     request_of: Callable[[dict[str, Any]], RunRequest],
-    rule: SoakRule,
+    rule: RestoreRule,
     observer: Callable[[Status], None] | None = None,
     announce: Callable[[str], None] = lambda text: None,
     gap_s: float | None = None,
@@ -92,17 +92,17 @@ async def resume_session(
         request = request_of(manifest)
         ready = prepare(request)
         claim = stack.enter_context(claimed(_shared_rig(request, ready), announce, no_lock=request.no_lock))
-        claim.tell(folder.path)
-        was = questioned(folder, gap_s, announce)
+        claim.record_holder(folder.path)
+        was = confirmed_position(folder, gap_s, announce)
         require_room(folder, _ticks(ready))
         before_moving(request)
         folder.control.unlink(missing_ok=True)
         tracking = await start_tracking(request, ready)
         if tracking is not None:
             stack.push_async_callback(tracking.close)
-        reason = how_it_stopped(manifest, was)
+        reason = interruption_reason(manifest, was)
         announce(f"{reason} at {hours(was.profile_s)} of {hours(ready.profile.duration_s)} of the profile")
-        if was.aim and (why := unled(ready.rig, bind(ready.rig, ready.profile.columns))) is not None:
+        if was.aim and (why := restore_obstacle(ready.rig, bind(ready.rig, ready.profile.columns))) is not None:
             announce(why)
         resumption = Resumption(was, rule, reason, speed_of(request, ready.rig))
         manifest |= {"exit_status": "running", "reason": "", "ended": None}
@@ -112,16 +112,16 @@ async def resume_session(
         )
 
 
-def _shared_rig(request: RunRequest, ready: Prepared) -> Rig | None:
+def _shared_rig(request: RunRequest, ready: RunInputs) -> Rig | None:
     """Return the rig that others could drive, too; None for one that the run starts itself."""
     return None if request.virtual else ready.rig
 
 
-def _ticks(ready: Prepared) -> int:
+def _ticks(ready: RunInputs) -> int:
     return int(ready.profile.duration_s / ready.rig.period_s) + 1
 
 
-def check_session(request: RunRequest) -> Prepared:
+def check_session(request: RunRequest) -> RunInputs:
     """Check all that `run_session` checks, without moving anything; raise the same. Notes name what is left out."""
     ready = prepare(request)
     config = tracking_config(request, ready, ())

@@ -110,7 +110,7 @@ def show_comparison(to: Console, comparison: Comparison, title: str) -> None:
         to.print(sentence, markup=False, soft_wrap=True)
 
 
-class Steps:
+class ProgressBar:
     """A progress bar over `total` of something, with ETA; plain lines where the output is no terminal.
 
     `begun` of it were done before. What ends early sets `cut`, so that the bar stays where it is.
@@ -168,12 +168,12 @@ class Steps:
         self._console.print(text, markup=False, soft_wrap=True)  # a path that is broken cannot be pasted
 
 
-class LiveRun:
+class RunProgress:
     """Progress of a run: profile time, ETA, a live line of temperatures."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._quiet = quiet
-        self._steps: Steps | None = None
+        self._steps: ProgressBar | None = None
         self._console = console(stderr=True, quiet=quiet)
 
     def __enter__(self) -> Self:
@@ -193,7 +193,7 @@ class LiveRun:
     def update(self, status: Status) -> None:
         """Called by the engine a few times a second."""
         if self._steps is None:
-            self._steps = Steps("replaying", status.duration_s, quiet=self._quiet, begun=status.profile_s)
+            self._steps = ProgressBar("replaying", status.duration_s, quiet=self._quiet, begun=status.profile_s)
             self._steps.__enter__()
         every = [name for name in status.values if name.startswith("T_")]
         shown = [name for name in every if name in _TOLD] or every[: len(_TOLD)]
@@ -214,7 +214,7 @@ class LiveRun:
         out.print()
         if result.comparison is not None:
             show_comparison(out, result.comparison, f"RMSE in K over {hours(result.duration_s)}")
-        gaps = cut_time(result.folder.read_manifest())
+        gaps = interruption_summary(result.folder.read_manifest())
         out.print(
             f"{outcome.verdict}: {hours(result.duration_s)} of rig time in {result.wall_s:.1f} s{gaps}"
             + (f", {outcome.overruns} late ticks" if outcome.overruns else "")
@@ -238,14 +238,14 @@ class LiveRun:
             )
         if result.diagnosis is not None:
             show_diagnosis(out, result.diagnosis, result.folder.review)
-        for line in last_words(outcome, path):
+        for line in closing_advice(outcome, path):
             out.print(line, style="bold red" if line.startswith(NOT_SAFE) else "", soft_wrap=True, markup=False)
 
 
 NOT_SAFE = "The rig was NOT confirmed safe"
 
 
-def last_words(outcome: Outcome, path: Path) -> list[str]:
+def closing_advice(outcome: Outcome, path: Path) -> list[str]:
     """Return what to do after a run that did not go to its end, a line each; where the rig may still heat, that comes
     last and `hil resume` only after it."""
     is_unsafe = bool(outcome.ticks) and (bool(outcome.away) or not outcome.safe)
@@ -280,7 +280,7 @@ def show_diagnosis(out: Console, told: Reply, review: Path) -> None:
         out.print(f"run in Rerun: {shlex.quote(str(review))}", soft_wrap=True, markup=False)
 
 
-def cut_time(manifest: dict[str, Any]) -> str:
+def interruption_summary(manifest: dict[str, Any]) -> str:
     """What gaps and soaks had of a run's time, in brackets; nothing of a run that was never cut."""
     segments = manifest.get("segments", [])
     if not segments:

@@ -101,9 +101,9 @@ def test_a_rig_that_does_not_get_there_in_time_is_left_safe():
         bench.ticks(2)
         assert (bench.state, bench.outcome.safe, bench.rig.heater_W) == ("faulted", True, 0.0)
         assert bench.outcome.reason.startswith(
-            "not resumed: after 100 s of soaking T_heater is 30.0 degC, 10.0 K below"
+            "not resumed: after 100 s of thermal restore T_heater is 30.0 degC, 10.0 K below"
         )
-        assert bench.outcome.soaked_s > 100.0
+        assert bench.outcome.restore_s > 100.0
 
 
 def test_a_sensor_that_is_lost_is_not_taken_for_one_that_is_back():
@@ -169,7 +169,7 @@ def test_a_pause_makes_a_soak_safe_and_stops_its_clock_and_resume_goes_on_soakin
         bench.ticks(35)
         assert bench.state == "soaking"  # of its 100 s the pause took none
         bench.ticks(15)
-        assert bench.outcome.reason.startswith("not resumed: after 100 s of soaking")
+        assert bench.outcome.reason.startswith("not resumed: after 100 s of thermal restore")
         assert not bench.violations
         steps = [(row[3], row[4], row[5], row[6]) for row in bench.journal.states]
         assert ("soaking", "pause", "paused", "by the test") in steps
@@ -240,7 +240,7 @@ async def test_what_is_asked_while_a_run_is_armed_is_obeyed_before_anything_move
     supervisor = Supervisor(rig, points, log=lambda step: None, note=lambda level, text: None)
     with pytest.raises(RefusedError, match="a run that is idle can only be aborted"):
         await supervisor.ask(Verb.PAUSE, "too early")
-    for event in (Event.VALIDATE, Event.CONNECT, Event.SOAK):
+    for event in (Event.VALIDATE, Event.CONNECT, Event.RESTORE):
         supervisor.machine.take(event, "")
     asked = asyncio.create_task(supervisor.ask(Verb.PAUSE, "the tank is open"))
     await asyncio.sleep(0)
