@@ -24,11 +24,13 @@ from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, SILENCE_S, takes_s
 BEAT_EVERY_S = 0.2
 """Interval of beats, s: five beats within the silence on which the guardian acts."""
 TICK_BEATS_AFTER_S = 0.75 * BEAT_EVERY_S
-"""Age of the last beat, s, from which on a tick gives the next one, ahead of the loop's timer, which so stays asleep."""
+"""Age of the last beat, s, from which on a tick gives the next one, ahead of the loop's timer, which so stays
+asleep."""
 POLL_EVERY_S = 0.02
 """Least interval of polls for messages of the guardian, s: far below the silence on which it acts."""
 FENCE_S = 0.8 * SILENCE_S
-"""Silence of the engine, s, after which the guardian may have acted: the engine writes no heat until it has an answer."""
+"""Silence of the engine, s, after which the guardian may have acted: the engine writes no heat until it has an
+answer."""
 STARTS_WITHIN_S = 10.0
 """Longest wait for an answer of the guardian's process, s."""
 MUTE_AFTER_S = 2.0
@@ -118,7 +120,8 @@ class NoGuard:
 
 
 class GuardianClient:
-    """Guardian of one run with its process. `log` is its file, `keep` are descriptors that it holds open while it lives.
+    """Guardian of one run with its process. `log` is its file, `keep` are descriptors that it holds open while it
+    lives.
 
     The rig's locks are among them, so that nobody else drives the rig before the guardian has made it safe.
     """
@@ -277,7 +280,8 @@ class GuardianClient:
         with contextlib.suppress(OSError):
             self._socket.close()
         self._socket = None
-        # A guardian that still tries to make the rig safe goes on: it outlives this process, and its log has the details.
+        # A guardian that still tries to make the rig safe goes on: it outlives this process, and its log has the
+        # details.
         for _ in range(200 if safe or not watching else 0):
             if self._process.poll() is not None:
                 break
@@ -332,7 +336,8 @@ class GuardianClient:
 
 
 def _late_note(wire: dict[str, Any]) -> str:
-    """Return the end of a sentence with the guardian's time on a wire that it has to open first; "" for a usual time."""
+    """Return the end of a sentence with the guardian's time on a wire that it has to open first; "" for a usual
+    time."""
     needs_s = takes_s(wire["connect_delay_s"])
     if needs_s <= SAFE_WITHIN_S:
         return ""

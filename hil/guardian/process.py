@@ -5,9 +5,9 @@ The process runs as `python -I -S` with the standard library alone. It has one s
     from the engine   {plan}  probe  watch  beat  check  act  done
     to the engine     alive  {"probe": ...}  {"checked": ...}  {"acted": ...}
 
-`watch` arms it. From then on it acts when no beat has come for `silence_s`, when the socket closes, or on `act`. It acts
-until the safe values are read back and the meters agree, and then keeps them until the engine sends `done` or is gone.
-Its actions are in a log of its own, a JSON object a line.
+`watch` arms it. From then on it acts when no beat has come for `silence_s`, when the socket closes, or on `act`. It
+acts until the safe values are read back and the meters agree, and then keeps them until the engine sends `done` or is
+gone. Its actions are in a log of its own, a JSON object a line.
 """
 
 from __future__ import annotations
@@ -237,7 +237,8 @@ class GuardianProcess:
         self._keepers: dict[str, SafeStateKeeper] = {}
 
     def run(self) -> None:
-        """Wait and act until the rig is safe without an engine that could change it, or until the end without arming."""
+        """Wait and act until the rig is safe without an engine that could change it, or until the end without
+        arming."""
         alive_s = 0.0
         while not self._done and (self._engine is not None or self._armed):
             asked = now_s()

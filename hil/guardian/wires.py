@@ -1,7 +1,7 @@
 """Connections of the guardian process: Modbus requests over TCP, TLS or a serial line, one at a time, blocking.
 
-This module imports the standard library only, see the package. Framing: MBAP (Modbus messaging on TCP/IP implementation guide V1.0b, 3.1.3)
-and RTU (Modbus over serial line V1.02, 2.5.1).
+This module imports the standard library only, see the package. Framing: MBAP (Modbus messaging on TCP/IP implementation
+guide V1.0b, 3.1.3) and RTU (Modbus over serial line V1.02, 2.5.1).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Notes on a rig file that is allowed and most likely not meant: a sentence each, with the line."""
+"""Notes on entries of a rig file that are allowed and probably not meant: a sentence each, with the line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.run.restore.thermal_restore import restore_obstacle, role_of, stores_he
 
 
 def notices(rig: Rig, file: Path) -> list[str]:
-    """Heaters that stay on, roles that are none, and a rig that `hil resume` cannot lead back."""
+    """Return notes on heaters that stay on, unknown roles, unsafe set-ups, and a rig without thermal restore."""
     text = read_regular(file).decode("utf-8")
     found = []
     for index, point in enumerate(rig.point):
@@ -30,8 +30,9 @@ def notices(rig: Rig, file: Path) -> list[str]:
 
 
 _ENTITY_NUMBERS = {"holding": 40000, "input": 30000, "discrete": 10000}
-"""First number of a table where manuals have it as leading digit: 40001 is the first holding register, address 0."""
+"""Offset of a table's entity numbers in manuals: 40001 is the first holding register, address 0."""
 _NUMBERS_OF_A_TABLE = 10000
+"""Entity numbers of a table, by the four digits after the leading one."""
 
 
 def _entity_numbers(rig: Rig, file: Path, text: str) -> list[str]:
@@ -54,7 +55,7 @@ def _entity_numbers(rig: Rig, file: Path, text: str) -> list[str]:
 
 
 def unguarded(rig: Rig, file: Path) -> list[str]:
-    """Return notes on a rig with set-points that nothing resets or trips: no heartbeat, no alarm."""
+    """Return notes on a rig with set-points but without heartbeat or without alarm."""
     if not rig.setpoints:
         return []
     found = []
@@ -94,7 +95,7 @@ def _late_guardian(rig: Rig, file: Path) -> list[str]:
 
 def _stays_on(rig: Rig, point: Point) -> str | None:
     role = role_of(rig, point)
-    # With another role that is known, what is set in W is a fan or a pump.
+    # A set-point in W with another known role is a fan or a pump.
     is_heater = role == HEATER or (point.unit in ("W", "kW") and role not in ROLES)
     if not point.is_setpoint or not is_heater or not point.safe_value:
         return None

@@ -237,7 +237,7 @@ def test_own_weights_are_asked_where_their_card_is_named(
     missing = hil("track", record, "--twin", LOOP, "--network", tmp_path / "no.json")
     assert missing.exit_code == 2 and "no.json: there is no such file" in missing.output
     unasked = hil("track", record, "--twin", LOOP, "--network", card, "--calibrator", "pso")
-    assert "no calibrator asks it; add --calibrator hiera_unet or hiera_ls" in str(unasked.exception)
+    assert "no calibrator uses it; add --calibrator hiera_unet or hiera_ls" in str(unasked.exception)
 
 
 @network_here

@@ -353,7 +353,7 @@ def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_co
     assert not any("cut" in message for message in messages)
     said = interruption_summary(story.folder.read_manifest())
     assert said.startswith(" (cut once: ")
-    assert said.endswith("of leading the rig back)")
+    assert said.endswith("of thermal restore)")
     assert interruption_summary(story.whole.read_manifest()) == ""
 
 

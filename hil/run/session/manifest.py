@@ -1,4 +1,4 @@
-"""What `run.json` says of a run: the files and settings that it depends on, how it ended, its segments."""
+"""Entries of `run.json` about a run: the files and settings that it depends on, its end, its segments."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hil.tracking.process import Tracking
 
 
 def files_of(request: RunRequest, ready: RunInputs) -> dict[str, Path | None]:
-    """Everything on disk that the run depends on."""
+    """Return every file that the run depends on, by its name in `run.json`."""
     dbc = {f"dbc of {name}": bus.dbc for name, bus in ready.rig.bus.items() if isinstance(bus, CanBus)}
     return {
         "rig": request.rig,
@@ -32,7 +32,7 @@ def files_of(request: RunRequest, ready: RunInputs) -> dict[str, Path | None]:
 
 
 def settings_of(request: RunRequest, tracking: Tracking | None) -> dict[str, Any]:
-    """What the run was asked to be, beside its files."""
+    """Return the settings of the run for `run.json`."""
     return {
         "mode": request.mode,
         "speed": request.speed,
@@ -49,7 +49,7 @@ def settings_of(request: RunRequest, tracking: Tracking | None) -> dict[str, Any
 
 
 def interruption_reason(manifest: dict[str, Any], was: RunPosition) -> str:
-    """A sentence's beginning: how the segment before ended."""
+    """Return the beginning of a sentence about the end of the segment before."""
     if manifest["exit_status"] == "running":
         return f"the run was cut while {was.state}"
     return f"the run {manifest['exit_status']} ({manifest['reason']})"
@@ -58,7 +58,7 @@ def interruption_reason(manifest: dict[str, Any], was: RunPosition) -> str:
 def end_entries(
     folder: RunFolder, manifest: dict[str, Any], outcome: Outcome, resumption: Resumption | None, wall_s: float
 ) -> dict[str, Any]:
-    """What is new in the manifest when a segment is over, after `wall_s` of wall time."""
+    """Return the new entries of the manifest at the end of a segment, after `wall_s` seconds of wall time."""
     return {
         "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "exit_status": outcome.verdict,
@@ -80,7 +80,7 @@ def end_entries(
 def _segments(
     folder: RunFolder, manifest: dict[str, Any], outcome: Outcome, resumption: Resumption | None
 ) -> list[dict[str, Any]]:
-    """Every resumption so far as plain data, with what became of this one."""
+    """Return every resumption so far as plain data, with the result of this one."""
     if resumption is None:
         return []
     try:

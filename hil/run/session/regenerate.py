@@ -1,4 +1,4 @@
-"""Remaking of a run's files from its journal, after the run: what `hil report` does."""
+"""Regeneration of a run's files from its journal after the run, for `hil report`."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from hil.run_folder.folder import RunFolder, RunFolderError
 
 
 def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) -> DerivedFiles:
-    """Make the files of the run in `folder` that are missing, and its report in any case.
+    """Make the missing files of the run in `folder`, and its report in any case.
 
     Args:
-        folder: of a run that is not live.
+        folder: folder of a run that is not live.
         rebuild: make record and review anew, too.
-        announce: told what is being made.
+        announce: gets a line for each file.
 
     Raises:
         RunFolderError: this is no run folder, its run still goes on, or its `run.json` cannot be written.
         JournalError: the journal is missing or damaged.
     """
-    folder.read_manifest()  # a folder that is no run's is refused before it is locked
+    folder.read_manifest()  # refuse a folder of something else before it is locked
     with folder.owned():
         manifest = completed_manifest(folder, folder.read_manifest())
         wanted = manifest.get("missing", {})
@@ -36,9 +36,9 @@ def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str],
 
 
 def completed_manifest(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
-    """Return `manifest` with how the run ended, where its process was killed before it could write that.
+    """Return `manifest` with the end of the run, where its process was killed before it could write that.
 
-    A run that was cut has not ended: its manifest is returned as it is. Raises JournalError.
+    The manifest of an interrupted run, which has not ended, is returned unchanged. Raises JournalError.
     """
     if manifest.get("exit_status") != "running":
         return manifest
@@ -56,7 +56,7 @@ def completed_manifest(folder: RunFolder, manifest: dict[str, Any]) -> dict[str,
 
 
 def has_ended(folder: RunFolder) -> bool:
-    """Return whether the run in `folder` went to its end, by `run.json` or its journal; False where neither says so."""
+    """Return True where `run.json` or the journal states that the run in `folder` went to its end."""
     try:
         return completed_manifest(folder, folder.read_manifest()).get("exit_status", "").startswith("done")
     except (RunFolderError, KeyError):

@@ -1,4 +1,4 @@
-"""Sessions: a run from its files to its folder, new or resumed."""
+"""Sessions: new and resumed runs, from their files to their folder."""
 
 from __future__ import annotations
 
@@ -34,12 +34,18 @@ async def run_session(
     announce: Callable[[str], None] = lambda text: None,
     signals: RunSignals | None = None,
 ) -> RunResult:
-    """Run `request` to its end and derive everything in its folder.
+    """Run `request` to its end and derive all files in its folder.
 
-    `signals` takes the process's signals over when the run begins; who gives it says for how long.
+    Args:
+        request: files and options of the run.
+        observer: gets the status a few times a second.
+        announce: gets messages for the operator, a line each.
+        signals: signals of the process; the caller determines how long they are held. None holds them for this call.
 
-    Raises what `prepare` and `Twins` raise, RigBusyError where another run drives the rig, and RigLockError where that
-    cannot be known.
+    Raises:
+        ConfigurationError: the request is inconsistent. Errors of its files are raised as their readers raise them.
+        RigBusyError: another run drives the rig.
+        RigLockError: the locks of the rig cannot be taken.
     """
     ready = prepare(request)
     async with contextlib.AsyncExitStack() as stack:
@@ -47,7 +53,7 @@ async def run_session(
         observer, announce = stack.enter_context(queued_output(observer, announce))
         for note in ready.notes:
             announce(note)
-        # Before anything is made or moved: a rig or a calibrator that cannot be had is refused here.
+        # Before anything is made or moved: a locked rig or a calibrator that cannot start is refused here.
         claim = stack.enter_context(claimed(_shared_rig(request, ready), announce, no_lock=request.no_lock))
         tracking = await start_tracking(request, ready)
         if tracking is not None:
@@ -77,12 +83,18 @@ async def resume_session(
     before_moving: Callable[[RunRequest], None] = lambda request: None,
     signals: RunSignals | None = None,
 ) -> RunResult:
-    """Go on with the run in `folder` that was cut, as `request_of` its manifest, and derive everything anew.
+    """Resume the interrupted run in `folder` and derive all its files anew.
 
-    `gap_s` states how long the run has been down where clocks do not agree on it, s. `before_moving` is told what will
-    be driven, once nothing refuses to go on.
+    Args:
+        folder: folder of the run.
+        request_of: returns the request for the run's manifest.
+        rule: rule of the thermal restore.
+        observer, announce, signals: as in `run_session`.
+        gap_s: length of the gap where the clocks do not agree on it, s.
+        before_moving: gets the request after all checks, before anything moves.
 
-    Raises what `run_session` raises, and RunFolderError where the run still goes on or cannot go on.
+    Raises:
+        RunFolderError: the run is live, has ended, or cannot be resumed. Further errors are those of `run_session`.
     """
     async with contextlib.AsyncExitStack() as stack:
         signals = signals or stack.enter_context(RunSignals())
@@ -113,7 +125,7 @@ async def resume_session(
 
 
 def _shared_rig(request: RunRequest, ready: RunInputs) -> Rig | None:
-    """Return the rig that others could drive, too; None for one that the run starts itself."""
+    """Return the rig that other runs could drive, too; None for one that the run starts itself."""
     return None if request.virtual else ready.rig
 
 
@@ -122,7 +134,10 @@ def _ticks(ready: RunInputs) -> int:
 
 
 def check_session(request: RunRequest) -> RunInputs:
-    """Check all that `run_session` checks, without moving anything; raise the same. Notes name what is left out."""
+    """Return the files of a run after all checks of `run_session`, without moving anything; raises the same errors.
+
+    The notes name calibrators that are left out.
+    """
     ready = prepare(request)
     config = tracking_config(request, ready, ())
     if config is None:
