@@ -80,9 +80,9 @@ def command(
     proposals: list[Proposed] = []
     with ProgressBar("tracking", len(data.time_s), quiet=as_json) as steps:
         for name, why in twins.left_out.items():
-            steps.say(f"{name} is left out: {why}")
+            steps.print_line(f"{name} is left out: {why}")
         for message in (*data.messages, *(f"{c} is not in the record" for c in twins.network.unread(data.columns))):
-            steps.say(message)
+            steps.print_line(message)
         for done, block in twins.over(data.time_s, data.columns, BLOCK_ROWS):
             for name, values in block.outputs.items():
                 outputs.setdefault(name, []).append(values)

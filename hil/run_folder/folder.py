@@ -47,7 +47,7 @@ class RunFolder:
 
     path: Path
     _held: list[int] = field(default_factory=list, compare=False, repr=False)
-    """Open directory, while this process holds the folder: it leads there also after somebody moved it."""
+    """Open directory while this process holds the folder: it stays valid after somebody moved the folder."""
 
     @property
     def journal(self) -> Path:

@@ -254,7 +254,7 @@ def test_a_run_names_its_network_and_goes_on_with_that_alone(tmp_path: Path, mon
     assert request_of(folder, manifest, {}).card == card
     moved = card.with_name("moved.json")
     card.rename(moved)
-    with pytest.raises(RunFolderError, match="the run's network, is not there; say where it is with --network"):
+    with pytest.raises(RunFolderError, match="the run's network, is not there; give its place with --network"):
         request_of(folder, manifest, {})
     assert request_of(folder, manifest, {"network": moved}).card == moved
     moved.write_text(moved.read_text(encoding="utf-8").replace('"format": 2', '"format": 99'), encoding="utf-8")

@@ -224,7 +224,7 @@ def test_a_file_that_is_gone_is_asked_for(story, tmp_path):
     RunFolder(tmp_path / "run").write_manifest(manifest)
     done = typed("resume", tmp_path / "run")
     assert done.returncode == 2
-    assert "/nowhere/rig.toml, the run's rig, is not there; say where it is with --rig" in done.stderr
+    assert "/nowhere/rig.toml, the run's rig, is not there; give its place with --rig" in done.stderr
 
 
 def test_a_run_that_is_over_or_goes_on_is_refused(story):

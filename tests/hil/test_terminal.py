@@ -41,7 +41,7 @@ def test_a_path_that_is_told_can_be_pasted(monkeypatch, capsys):
     with RunProgress() as live:
         live.announce(f"adopted as {path}")
     with ProgressBar("diagnosing", 6.0) as steps:
-        steps.say(f"adopted as {path}")
+        steps.print_line(f"adopted as {path}")
     assert capsys.readouterr().err.splitlines() == 2 * [f"adopted as {path}"]
     outcome = Outcome("done", "", safe=True)
     told = Reply(problem="too short", revision=path)

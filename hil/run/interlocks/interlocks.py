@@ -76,15 +76,15 @@ class Interlock:
 
     def update(self, tick: TickValues) -> bool:
         """Evaluate one tick; return False where it is quiet: no cause, no delay under way, not active."""
-        said = self.condition.judge(tick, self.active)
-        if said is None and self._is_quiet:
+        violation = self.condition.judge(tick, self.active)
+        if violation is None and self._is_quiet:
             return False
-        self._advance(said, tick.now_s)
+        self._advance(violation, tick.now_s)
         self._is_quiet = self._since is None and not self.active
         return True
 
-    def _advance(self, said: str | None, now_s: float) -> None:
-        self.present = said is not None
+    def _advance(self, violation: str | None, now_s: float) -> None:
+        self.present = violation is not None
         passed, self._last_s = now_s - self._last_s, now_s
         if self._drains and not self.present and not self.active and self._since is not None:
             drained = self._since + 2.0 * passed
@@ -95,9 +95,9 @@ class Interlock:
             return
         self._since = now_s if self._since is None else self._since
         waited = now_s - self._since
-        if said is not None and waited >= self._on_delay_s:
-            self.active, self.reason, self._since = True, said, None
-        elif said is None and self.level == "warning" and waited >= self._off_delay_s:
+        if violation is not None and waited >= self._on_delay_s:
+            self.active, self.reason, self._since = True, violation, None
+        elif violation is None and self.level == "warning" and waited >= self._off_delay_s:
             self.active, self._since = False, None
 
     def acknowledge(self) -> bool:
@@ -145,8 +145,10 @@ class Interlocks:
         """
         tick = self._tick(snapshot, 0.0, {}, {})
         alarms = (item for item in self._all if item.level == "alarm")
-        said = (item.condition.judge(tick, False) for item in alarms if not isinstance(item.condition, _NOT_AT_START))
-        found = list(dict.fromkeys(sentence for sentence in said if sentence is not None))
+        violations = (
+            item.condition.judge(tick, False) for item in alarms if not isinstance(item.condition, _NOT_AT_START)
+        )
+        found = list(dict.fromkeys(sentence for sentence in violations if sentence is not None))
         for trip in () if rearm else self._rig_trips:
             alone = RigTrip(trip.status, trip.mask & ~self._watchdog)
             if alone.judge(tick, False) is not None:
@@ -199,7 +201,7 @@ class Interlocks:
     def rig_trip(self, snapshot: Snapshot) -> str | None:
         """Return the trip of the rig's own watchdog or thermostat as a sentence, or None."""
         tick = self._tick(snapshot, 0.0, {}, {})
-        return next((said for each in self._rig_trips if (said := each.judge(tick, False)) is not None), None)
+        return next((trip for each in self._rig_trips if (trip := each.judge(tick, False)) is not None), None)
 
     def _tick(
         self, snapshot: Snapshot, now_s: float, commanded: Mapping[str, float], residuals: Residuals

@@ -235,7 +235,7 @@ def _this_network() -> str:
 
 def _busy(place: str, peer: NameHolder | None, holder: LockHolder | None) -> str:
     """Return the sentence for a run that is refused."""
-    rule = "one run at a time may drive what is at this address, whatever its device ids"
+    rule = "one run at a time may drive the devices at this address, whatever their ids"
     if holder is not None:
         here = holder.machine == socket.gethostname()
         process = f"process {holder.pid}{'' if here else f' on {holder.machine}'}"

@@ -185,7 +185,7 @@ def _checked_files(folder: RunFolder, manifest: Mapping[str, Any], moved: Mappin
             continue
         copy = f" ({folder.twin} is the run's own copy)" if name == "twin" and folder.twin.is_file() else ""
         if not path.is_file():
-            where = f"say where it is with {FILES[name]}" if name in FILES else "put it back"
+            where = f"give its place with {FILES[name]}" if name in FILES else "put it back"
             problems.append(f"{path}, the run's {name}, is not there; {where}{copy}")
         elif file_sha256(path) != item["sha256"]:
             problems.append(
@@ -207,7 +207,7 @@ def _why_untrusted(path: Path, folder: Path) -> str:
     try:
         return "came with the run's own folder" if path.resolve().is_relative_to(folder) else ""
     except (OSError, RuntimeError):
-        return "leads round in a circle"
+        return "is a loop of links"
 
 
 def resume_notices(request: RunRequest) -> list[str]:

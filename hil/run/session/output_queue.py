@@ -98,18 +98,18 @@ def queued_output(
     At the end the queue is written, within `FLUSH_WITHIN_S`.
     """
     output = OutputQueue()
-    say = output.wrapped(announce)
+    queued = output.wrapped(announce)
     handler = QueuedLog(output, announce)
     root = logging.getLogger()
     root.addHandler(handler)
     hooks = threading.excepthook, sys.unraisablehook
     # Python prints errors of other threads and of destructors on the terminal, too.
-    threading.excepthook = lambda error: say(
+    threading.excepthook = lambda error: queued(
         f"{_name(error.thread)} ended: {error.exc_type.__name__}: {error.exc_value}"
     )
-    sys.unraisablehook = lambda error: say(f"{error.err_msg or 'ignored'}: {error.exc_value}")
+    sys.unraisablehook = lambda error: queued(f"{error.err_msg or 'ignored'}: {error.exc_value}")
     try:
-        yield None if observer is None else output.wrapped(observer), say
+        yield None if observer is None else output.wrapped(observer), queued
     finally:
         threading.excepthook, sys.unraisablehook = hooks
         output.close(FLUSH_WITHIN_S)

@@ -199,7 +199,7 @@ def chosen_calibrators(
 def _check_diagnosis(request: RunRequest, twin: Path | None, network: Network | None) -> list[str]:
     """Return notes on the diagnosis of the request; raises ConfigurationError or RecordError."""
     if network is None or twin is None:
-        raise ConfigurationError("--diagnose asks why a twin is wrong, and this run has none; take --no-twin out")
+        raise ConfigurationError("--diagnose needs a twin, and this run has none; take --no-twin out")
     from hil.diagnosis.columns import read_columns
     from hil.diagnosis.healthy_record import commissioned_on
 

@@ -165,7 +165,7 @@ class ProgressBar:
             eta = f", ETA {self._spent * (self._total - done) / (done - self._begun):.0f} s"
         self._console.print(f"{self._what}: {100 * done / self._total:3.0f} %{eta}  {note}", markup=False)
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Print a line above the bar."""
         self._console.print(text, markup=False, soft_wrap=True)  # a path on two lines cannot be pasted
 
@@ -188,7 +188,7 @@ class RunProgress:
     def announce(self, text: str) -> None:
         """Print one line about the work in progress."""
         if self._steps is not None:
-            self._steps.say(text)
+            self._steps.print_line(text)
         else:
             self._console.print(text, markup=False, soft_wrap=True)
 
