@@ -42,7 +42,7 @@ class EngineBench:
     def __init__(
         self, rig: Rig, duration_s: float = 600.0, resumption: Resumption | None = None, rearm: bool = False
     ) -> None:
-        self._soaks = resumption is not None
+        self._restores = resumption is not None
         self.loop = asyncio.new_event_loop()
         self.rig = SimulatedRig(rig)
         self.clock = SimulatedClock(self.rig)
@@ -124,8 +124,8 @@ class EngineBench:
     def _look(self, passed_s: float) -> None:
         """The safety property, judged whenever rig time goes on, on what reaches the heater."""
         state = self.engine.state
-        led_back = state is State.RESTORING and self._soaks
-        if state in {State.RUNNING, State.HELD} | UNTOUCHED or led_back or self.rig.heater_W == 0.0:
+        restored = state is State.RESTORING and self._restores
+        if state in {State.RUNNING, State.HELD} | UNTOUCHED or restored or self.rig.heater_W == 0.0:
             self._unsafe_s = self._unreachable_s = 0.0
             return
         if not self.rig.link or self.rig.loses_writes:

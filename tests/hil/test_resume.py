@@ -163,7 +163,7 @@ def test_profile_time_goes_on_where_it_stood_and_every_second_of_it_is_run_once(
 
 
 def outside_the_gap(record: Record, cut: int) -> dict[str, np.ndarray]:
-    """Columns by second of profile time, without the soak and the ten minutes after it."""
+    """Columns by second of profile time, without the restore and the ten minutes after it."""
     profile_s = record.columns.get("profile_s", record.time_s)
     moves = np.concatenate([[True], np.diff(profile_s) > 0])
     order = {int(p): i for i, p in enumerate(profile_s) if moves[i]}
@@ -182,7 +182,7 @@ def test_outside_the_gap_the_record_is_that_of_a_run_that_nothing_disturbed(stor
     room = mine["T_ambient_C"][after] - whole["T_ambient_C"][after]
     for name in TEMPERATURES:
         off = mine[name][after] - whole[name][after]
-        # The soak may leave a kelvin, and the room is not as warm at another hour.
+        # The restore may leave a kelvin, and the room is not as warm at another hour.
         assert np.abs(off).max() < 1.0 + np.abs(room).max() + 0.4, name
 
 
@@ -357,7 +357,7 @@ def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_co
     assert interruption_summary(story.whole.read_manifest()) == ""
 
 
-def test_a_soak_that_takes_too_long_ends_safe_and_can_be_tried_again(story, tmp_path):
+def test_a_restore_that_takes_too_long_ends_safe_and_can_be_tried_again(story, tmp_path):
     shutil.copytree(story.folder.path.parents[1] / "as it was cut", tmp_path / "run")
     for attempt in range(2):
         done = hil("resume", tmp_path / "run", "--timeout", 60, "--no-viewer", "--json")

@@ -66,7 +66,7 @@ class Story:
         (Event.TRIP, (Event.FAIL,)),  # nobody acknowledged it
     ],
 )
-def test_a_rig_is_led_back_to_where_the_profile_left_it_not_to_where_it_cooled_since(tmp_path, first, then):
+def test_a_rig_is_restored_to_where_the_profile_left_it_not_to_where_it_cooled_since(tmp_path, first, then):
     story = Story(tmp_path).then(Event.START, 300, HOT_C)
     for event in (first, *then):
         story.then(event, 200 if event is not Event.FAIL else 0, COOL_C)
@@ -76,7 +76,7 @@ def test_a_rig_is_led_back_to_where_the_profile_left_it_not_to_where_it_cooled_s
     assert found.profile_s == pytest.approx(300.0, abs=1.0)
 
 
-def test_what_was_held_is_led_back_to_where_the_hold_had_brought_it(tmp_path):
+def test_what_was_held_is_restored_to_where_the_hold_had_brought_it(tmp_path):
     story = Story(tmp_path).then(Event.START, 300, COOL_C).then(Event.HOLD, 200, HOT_C).then(Event.PAUSE, 100, COOL_C)
     found = position_of(story.end())
     assert set(found.aim.values()) == {HOT_C}
@@ -84,7 +84,7 @@ def test_what_was_held_is_led_back_to_where_the_hold_had_brought_it(tmp_path):
 
 
 @pytest.mark.parametrize("period_s", [0.1, 1.0])
-def test_a_sensor_whose_loss_ended_the_run_is_still_led_back_to_its_last_good_values(tmp_path, period_s):
+def test_a_sensor_whose_loss_ended_the_run_is_still_restored_to_its_last_good_values(tmp_path, period_s):
     ticks = round(6.0 / period_s)
     story = Story(tmp_path, period_s).then(Event.START, 900, HOT_C)
     story.then(Event.HOLD, 0, HOT_C).then(Event.RESUME, ticks, HOT_C, bad=("T_pm2", "T_tank"))
@@ -92,7 +92,7 @@ def test_a_sensor_whose_loss_ended_the_run_is_still_led_back_to_its_last_good_va
     assert found.aim["T_pm2"] == found.aim["T_tank"] == found.aim["T_heater"] == HOT_C
 
 
-def test_a_sensor_that_was_lost_for_long_is_not_led_back_to_what_it_said_long_ago(tmp_path):
+def test_a_sensor_that_was_lost_for_long_is_not_restored_to_what_it_said_long_ago(tmp_path):
     story = Story(tmp_path).then(Event.START, 300, COOL_C).then(Event.HOLD, 120, HOT_C, bad=("T_pm2",))
     found = position_of(story.end())
     assert "T_pm2" not in found.aim

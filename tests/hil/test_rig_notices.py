@@ -85,7 +85,7 @@ def test_a_role_that_nothing_knows_is_told_with_the_nearest_and_all(tmp_path, kn
     ]
 
 
-def test_a_rig_that_resume_cannot_lead_back_is_told(tmp_path):
+def test_a_rig_that_resume_cannot_restore_is_named(tmp_path):
     path = rig_file(tmp_path, NO_ROLES, HOT)
     rig = load_rig(path)
     stays_on, cannot = told(path)

@@ -1,4 +1,4 @@
-"""The engine under random commands and faults: unless it runs, is held or led back the heater is safe in a second."""
+"""The engine under random commands and faults: unless it runs, is held or restored the heater is safe in a second."""
 
 from __future__ import annotations
 
@@ -205,8 +205,8 @@ def test_whatever_happens_the_heater_is_safe_within_a_second_unless_it_runs_is_h
         )
         run_state_machine_as_test(kind, settings=checked)
     assert set(VISITED) >= {state.value for state in State if state is not State.IDLE}
-    soaks = {key for key in TABLE if State.RESTORING in (key[0], TABLE[key]) and key[0] not in UNTOUCHED}
-    of_operators = {key for key in soaks if key[1] in (Event.HOLD, Event.PAUSE, Event.RESTORE)}
+    restoring = {key for key in TABLE if State.RESTORING in (key[0], TABLE[key]) and key[0] not in UNTOUCHED}
+    of_operators = {key for key in restoring if key[1] in (Event.HOLD, Event.PAUSE, Event.RESTORE)}
     assert len(of_operators) == 5
     assert of_operators <= set(TAKEN)
     reachable = {key for key in TABLE if key[0] not in UNTOUCHED and key != (State.RESTORING, Event.ABORT)}

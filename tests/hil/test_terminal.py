@@ -22,9 +22,9 @@ def clock(monkeypatch):
     return now
 
 
-def test_what_a_soak_took_does_not_make_the_rest_look_longer(clock, capsys):
+def test_what_a_restore_took_does_not_make_the_rest_look_longer(clock, capsys):
     with ProgressBar("replaying", 100.0, begun=60.0) as steps:
-        for _ in range(100):  # it soaks for 600 s
+        for _ in range(100):  # it restores for 600 s
             clock.s += 6.0
             steps.update(60.0, "SOAKING  T_tank is 9.0 K below")
         soaking = capsys.readouterr().err.splitlines()

@@ -1,4 +1,4 @@
-"""A plant that is led back to where its run was cut: the heater does not swing, and a band out of reach is said to be.
+"""Thermal restore of a plant: the heater does not swing, and a band out of reach is said to be.
 
 The plant is an element and a water volume, heated through a dead time: plants of several time constants, in simulated
 time, with the thermal restore alone in the loop.
@@ -74,10 +74,10 @@ class Course:
         return count
 
 
-def led_back(
+def restored(
     plant: Plant, band_K: float, noise_K: float = 0.0, timeout_s: float = 7200.0, gap_s: int = 300, sway_K: float = 0.0
 ) -> Course:
-    """Cut a run on `plant`, let it cool at safe values for `gap_s`, and lead it back."""
+    """Cut a run on `plant`, let it cool at safe values for `gap_s`, and restore it."""
     columns = ("heater_power_W", "pump_speed_pct", "fan_speed_pct")
     values = np.array([[0.0, 90.0, 70.0], [LOAD_W, 90.0, 70.0], [MOST_W, 90.0, 70.0]])
     rng = np.random.default_rng(1)
@@ -118,14 +118,14 @@ def proposed_K(sentence: str | None) -> float:
 @pytest.mark.parametrize("dead_s", [0, 30])
 @pytest.mark.parametrize(("band_K", "noise_K"), [(0.1, 0.0), (0.1, 0.02), (0.3, 0.05), (1.0, 0.05), (1.5, 0.3)])
 def test_plant_at_rest_is_led_back_without_swinging(tau_s, dead_s, band_K, noise_K):
-    course = led_back(Plant(tau_s, dead_s), band_K, noise_K)
+    course = restored(Plant(tau_s, dead_s), band_K, noise_K)
     assert course.reached, course.said
     assert course.reversals <= 2
 
 
 @pytest.mark.parametrize("tau_s", [600.0, 6000.0])
 def test_heater_does_not_swing_at_a_band_that_noise_seldom_allows(tau_s):
-    course = led_back(Plant(tau_s, 30), 0.1, 0.05)
+    course = restored(Plant(tau_s, 30), 0.1, 0.05)
     assert course.reversals <= 2
     settled = course.power_W[len(course.power_W) // 2 :]
     assert max(settled) - min(settled) < 0.1 * MOST_W
@@ -133,11 +133,11 @@ def test_heater_does_not_swing_at_a_band_that_noise_seldom_allows(tau_s):
 
 @pytest.mark.parametrize("noise_K", [0.1, 0.4])
 def test_band_below_the_noise_is_refused_within_minutes_with_one_that_does(noise_K):
-    course = led_back(Plant(1200.0, 0), 0.5 * noise_K, noise_K)
+    course = restored(Plant(1200.0, 0), 0.5 * noise_K, noise_K)
     assert not course.reached
     assert course.elapsed_s < 300.0
     assert "noise" in course.said
-    assert led_back(Plant(1200.0, 0), proposed_K(course.said), noise_K).reached
+    assert restored(Plant(1200.0, 0), proposed_K(course.said), noise_K).reached
 
 
 def after_a_step(tau_s: float) -> Plant:
@@ -152,35 +152,35 @@ def after_a_step(tau_s: float) -> Plant:
 @pytest.mark.parametrize("tau_s", [300.0, 1200.0])
 @pytest.mark.parametrize("noise_K", [0.0, 0.05])
 def test_steady_state_outside_the_band_is_refused_before_the_timeout_with_a_band_that_does(tau_s, noise_K):
-    course = led_back(after_a_step(tau_s), 0.1, noise_K)
+    course = restored(after_a_step(tau_s), 0.1, noise_K)
     assert not course.reached
     assert course.elapsed_s < 5000.0
     assert course.reversals <= 2
     assert re.search(r"T_(heater|tank) stays 0\.\d+ K (above|below) the temperature", course.said)
-    assert led_back(after_a_step(tau_s), proposed_K(course.said), noise_K).reached
+    assert restored(after_a_step(tau_s), proposed_K(course.said), noise_K).reached
 
 
 def test_plant_that_is_slow_to_come_back_is_waited_for():
-    course = led_back(Plant(20_000.0, 0), 1.0, 0.02, gap_s=6000)
+    course = restored(Plant(20_000.0, 0), 1.0, 0.02, gap_s=6000)
     assert course.reached, course.said
     assert course.elapsed_s > 3000.0
 
 
 def test_room_that_sways_does_not_swing_the_heater():
-    course = led_back(Plant(1200.0, 30), 0.2, 0.02, sway_K=1.5)
+    course = restored(Plant(1200.0, 30), 0.2, 0.02, sway_K=1.5)
     assert course.reached, course.said
     assert course.reversals <= 2
 
 
 def test_timeout_proposes_a_band():
-    course = led_back(Plant(6000.0, 0), 0.05, 0.0, timeout_s=400.0)
+    course = restored(Plant(6000.0, 0), 0.05, 0.0, timeout_s=400.0)
     assert not course.reached
     assert "after 400 s of thermal restore" in course.said
     assert proposed_K(course.said) > 0.05
 
 
 def test_plant_too_slow_for_the_timeout_is_announced_while_it_is_waited_for():
-    course = led_back(after_a_step(6000.0), 0.1, 0.02, gap_s=3000, timeout_s=4000.0)
+    course = restored(after_a_step(6000.0), 0.1, 0.02, gap_s=3000, timeout_s=4000.0)
     assert "after 4000 s of thermal restore" in course.said
     announced = [second for second, text in enumerate(course.shown) if "too slow for the timeout" in text]
     assert 600 <= announced[0] < 3900
