@@ -165,7 +165,7 @@ def _diagnosed(ready: Prepared, diagnose: Callable[..., Diagnosis], *, quiet: bo
             stages += 1
             steps.update(min(float(stages), STEPS), what)
 
-        return diagnose(ready, say, steps.say)
+        return diagnose(ready, say, steps.print_line)
 
 
 def _report(to: Console, ready: Prepared, found: Diagnosis, written: Written | None, target: Path) -> None:

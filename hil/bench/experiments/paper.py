@@ -58,7 +58,7 @@ def measure(size: Size, seed: int, cache: Path, data: Path) -> tuple[tuple[Table
         for number, (rig, change) in enumerate((r, c) for r in size.rigs for c in changes):
             bar.update(number, f"{rig}, {change}")
             try:
-                records[rig, change] = _campaign(rig, change, size, seed, cache, data, bar.say)
+                records[rig, change] = _campaign(rig, change, size, seed, cache, data, bar.print_line)
             except Absent as why:
                 absent[str(why)] = None
     jobs: list[tuple[str, Callable[[], Table]]] = []
