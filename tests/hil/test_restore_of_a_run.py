@@ -111,7 +111,7 @@ def test_a_sensor_that_is_lost_is_not_taken_for_one_that_is_back():
         there(bench)
         bench.rig.quality["T_tank"] = Quality.STALE
         bench.ticks(4)
-        assert "T_tank is not known" in bench.engine.status().reason
+        assert "T_tank has no good value" in bench.engine.status().reason
 
 
 @pytest.mark.parametrize("wait_s", [0.0, 500.0])

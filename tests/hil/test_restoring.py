@@ -81,7 +81,7 @@ async def test_calibrators_that_do_not_come_back_start_anew_and_that_is_said(mon
         pass
 
     fresh.close = close
-    monkeypatch.setattr(hil.run.session.run, "restore", fails)
+    monkeypatch.setattr(hil.run.session.run, "restore_calibrators", fails)
     monkeypatch.setattr(hil.run.session.run, "start_tracking", start)
     run: Any = SimpleNamespace(
         resumption=SimpleNamespace(position=SimpleNamespace(tick=7, time_s=7.0)), folder=SimpleNamespace(journal=None),

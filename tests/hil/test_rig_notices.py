@@ -92,7 +92,7 @@ def test_a_rig_that_resume_cannot_restore_is_named(tmp_path):
     assert "stay on" in stays_on
     assert cannot == f"{path}: {restore_obstacle(rig, rig.setpoints)}"
     assert "none of heater_power_set, pump_speed_set, fan_speed_set has the role heater_power or fan_speed" in cannot
-    assert "`hil resume` only holds the profile's load and waits" in cannot
+    assert "`hil resume` keeps the profile's load and waits" in cannot
 
 
 NO_HEARTBEAT = (r"(?s)\[heartbeat\].*?\n\n", "")
