@@ -212,10 +212,10 @@ def _online(file: Path, seconds: float | None, out: Console | None) -> None:
     import sys
 
     from hil.errors import FOUND
-    from hil.rig.check import checked
-    from hil.rig.online import look
+    from hil.rig.check import checked_rig
+    from hil.rig.online import watch_online
 
-    found = asyncio.run(look(checked(file)[0], seconds, out))
+    found = asyncio.run(watch_online(checked_rig(file)[0], seconds, out))
     if out is None:
         click.echo(json.dumps(found, indent=1))
     elif found["faults"]:

@@ -155,17 +155,17 @@ def _folder(run: Path | None, target: Path) -> Path:
 
 def _diagnosed(ready: Prepared, diagnose: Callable[..., Diagnosis], *, quiet: bool) -> Diagnosis:
     """Diagnose, with a line for each stage."""
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
 
     stages = 0
-    with Steps("diagnosing", STEPS, quiet=quiet) as steps:
+    with ProgressBar("diagnosing", STEPS, quiet=quiet) as steps:
 
         def say(what: str) -> None:
             nonlocal stages
             stages += 1
             steps.update(min(float(stages), STEPS), what)
 
-        return diagnose(ready, say, steps.say)
+        return diagnose(ready, say, steps.print_line)
 
 
 def _report(to: Console, ready: Prepared, found: Diagnosis, written: Written | None, target: Path) -> None:
@@ -195,13 +195,13 @@ def _report(to: Console, ready: Prepared, found: Diagnosis, written: Written | N
 
 def _bootstrap(network: Network, healthy: Columns, named: Path | None, draws: int, *, quiet: bool) -> None:
     """Draw, commission and diagnose healthy records, and keep what came of them for this and later diagnoses."""
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
     from twin.discovery.bootstrap import bootstrap
     from twin.discovery.healthy.health import NotHealthyError
     from twin.discovery.healthy.widening import keep
     from twin.network import TwinFileError
 
-    with Steps("drawing healthy records", float(draws), quiet=quiet) as steps:
+    with ProgressBar("drawing healthy records", float(draws), quiet=quiet) as steps:
         try:
             found = bootstrap(
                 network,

@@ -23,10 +23,10 @@ def command(run: Path, rebuild: bool, as_json: bool) -> None:
       hil report runs/20260520T120000Z-battle_40h
       hil report runs/20260520T120000Z-battle_40h --rebuild
     """
-    from hil.run.session.regenerate import remake
+    from hil.run.session.regenerate import regenerate_files
     from hil.run_folder.folder import RunFolder
 
-    derived = remake(RunFolder(run), rebuild, lambda text: click.echo(text, err=True))
+    derived = regenerate_files(RunFolder(run), rebuild, lambda text: click.echo(text, err=True))
     if as_json:
         click.echo(json.dumps(derived.folder.read_manifest(), indent=1))
     elif not derived.missing:

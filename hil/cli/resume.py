@@ -69,11 +69,11 @@ def command(
     from hil.cli.options.own_process import owns_process
     from hil.run.engine.signals import RunSignals
     from hil.run.restore.gap_evidence import duration_s
-    from hil.run.restore.thermal_restore import SoakRule
-    from hil.run.session.event_loop import finished
-    from hil.run.session.interrupted_run import named, request_of
+    from hil.run.restore.thermal_restore import RestoreRule
+    from hil.run.session.event_loop import session_result
+    from hil.run.session.interrupted_run import request_of, resume_notices
     from hil.run.session.session import resume_session
-    from hil.run.session.terminal import LiveRun
+    from hil.run.session.terminal import RunProgress
     from hil.run_folder.folder import RunFolder
 
     folder = RunFolder(run)
@@ -90,16 +90,16 @@ def command(
         )  # fmt: skip
 
     def name_rig(asked: RunRequest) -> None:
-        for sentence in named(asked):
+        for sentence in resume_notices(asked):
             click.echo(sentence, err=True)  # with --json too
 
     with RunSignals(until_exit=owns_process()) as signals:
-        with LiveRun(quiet=as_json) as live:
-            rule = SoakRule(band_K, timeout_s)
+        with RunProgress(quiet=as_json) as live:
+            rule = RestoreRule(band_K, timeout_s)
             session = resume_session(
                 folder, request, rule, live.update, live.announce, gap_s, name_rig, signals=signals
             )
-            result = finished(session, until_exit=owns_process())
+            result = session_result(session, until_exit=owns_process())
         if as_json:
             click.echo(json.dumps(as_json_document(result), indent=1))
         else:

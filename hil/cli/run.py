@@ -124,13 +124,13 @@ def command(
         return
     from hil.cli.options.own_process import owns_process
     from hil.run.engine.signals import RunSignals
-    from hil.run.session.event_loop import finished
-    from hil.run.session.terminal import LiveRun
+    from hil.run.session.event_loop import session_result
+    from hil.run.session.terminal import RunProgress
 
     with RunSignals(until_exit=owns_process()) as signals:
-        with LiveRun(quiet=as_json) as live:
+        with RunProgress(quiet=as_json) as live:
             session = run_session(request, live.update, live.announce, signals)
-            result = finished(session, until_exit=owns_process())
+            result = session_result(session, until_exit=owns_process())
         if as_json:
             click.echo(json.dumps(as_json_document(result), indent=1))
         else:

@@ -59,8 +59,8 @@ def command(
 
     from hil.cli.options.subject import subject_of
     from hil.record.reader import read_record, require_record_suffix
-    from hil.run.session.request import check_calibrators, chosen
-    from hil.run.session.terminal import Steps, console, show_comparison
+    from hil.run.session.request import check_calibrators, chosen_calibrators
+    from hil.run.session.terminal import ProgressBar, console, show_comparison
     from hil.tracking.adoption import Advice, closed_gates
     from hil.tracking.adoption import manifest as adoption_manifest
     from hil.tracking.twins import TrackingConfig, Twins, disturbance, too_coarse, window_kind, window_words
@@ -68,7 +68,7 @@ def command(
     if out is not None:
         require_record_suffix(out)
     check_calibrators(calibrators)
-    names, optional = chosen(calibrators or None, card)
+    names, optional = chosen_calibrators(calibrators or None, card)
     subject = subject_of(target, twin)
     data = read_record(subject.record, choice=choice)
     twins = Twins(TrackingConfig(subject.twin, tuple(data.columns), names, seed, optional, card=card))
@@ -78,11 +78,11 @@ def command(
     windows: dict[str, dict[str, int]] = {name: {} for name in twins.calibrators}
     disturbed: list[dict[str, object]] = []
     proposals: list[Proposed] = []
-    with Steps("tracking", len(data.time_s), quiet=as_json) as steps:
+    with ProgressBar("tracking", len(data.time_s), quiet=as_json) as steps:
         for name, why in twins.left_out.items():
-            steps.say(f"{name} is left out: {why}")
+            steps.print_line(f"{name} is left out: {why}")
         for message in (*data.messages, *(f"{c} is not in the record" for c in twins.network.unread(data.columns))):
-            steps.say(message)
+            steps.print_line(message)
         for done, block in twins.over(data.time_s, data.columns, BLOCK_ROWS):
             for name, values in block.outputs.items():
                 outputs.setdefault(name, []).append(values)

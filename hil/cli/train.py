@@ -73,7 +73,7 @@ def loop_command(
       hil train loop --config small --seed 0 --minutes 9
       hil train loop --config small --seed 0 --minutes 9      (again, until it says that it is done)
     """
-    from hil.run.session.terminal import Steps, console, hours, invocation
+    from hil.run.session.terminal import ProgressBar, console, hours, invocation
     from hil.training.data import least_windows, read
     from hil.training.generate import begun as simulated
     from hil.training.generate import complete, features_of, generate
@@ -94,14 +94,14 @@ def loop_command(
         )
     with Stop(minutes) as stop:
         if not complete(data, data_seed, count):
-            with Steps("simulating", 1.0, quiet=as_json, begun=simulated(data, count)) as bar:
+            with ProgressBar("simulating", 1.0, quiet=as_json, begun=simulated(data, count)) as bar:
                 bar.cut = generate(data_seed, count, data, bar.update, stop) is None
         if not complete(data, data_seed, count):
             done = Outcome(begun(out / stem), steps, 0, 0.0, simulated=simulated(data, count))
         else:
             windows = read(data, features_of())
             typed = again(name, plan, device, threads, less, anywhere(data), data_seed, count)
-            with Steps("training", steps, quiet=as_json, begun=begun(out / stem)) as bar:
+            with ProgressBar("training", steps, quiet=as_json, begun=begun(out / stem)) as bar:
                 done = train(
                     windows, name, plan, out / stem, out / f"{stem}.safetensors", stop=stop, command=typed,
                     say=bar.update, device=device, without=less,

@@ -1,1 +1,1 @@
-"""Files and text that may come from anybody: atomic writing, names, limits, escaping."""
+"""Files and text from untrusted sources: atomic writing, names, limits, escaping."""

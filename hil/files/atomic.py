@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from hil.files.names import LONGEST_NAME
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path to write to instead of `path`, moved over it when the block ends well and removed when it does not."""
+    """Yield a temporary path, which replaces `path` at the end of the block and is removed after an error.
+
+    Raises:
+        OSError: the file cannot be written or moved.
+    """
     ending = f".{os.getpid()}.part"
     # A name as long as the file system allows has no room for the ending.
     kept = os.fsencode(path.name)[: LONGEST_NAME - len(ending) - 1]

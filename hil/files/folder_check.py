@@ -1,7 +1,7 @@
-"""Checks of a run folder before anything in it is used: it may come from anybody.
+"""Checks of a run folder before its files are used: it may come from anybody.
 
-What a folder holds must be plain files and folders of its own. A link could lead a writer outside, a pipe or a device
-could hold a reader for ever. JSON is read up to a limit of size and depth.
+A run folder must hold plain files and folders of its own. A link could direct a writer outside, a pipe or a device
+could block a reader for ever. JSON is read up to a limit of size and depth.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def require_plain(folder: Path, failure: Failure) -> None:
     """Check that a folder holds nothing but files and folders, and at its top the control socket of a live run.
 
     Raises:
-        failure: a link, a pipe or a device is in it, in one sentence.
+        failure: it holds a link, a pipe or a device, in one sentence.
     """
     for path, status in _entries(folder):
         if stat.S_ISLNK(status.st_mode):
@@ -36,10 +36,10 @@ def require_plain(folder: Path, failure: Failure) -> None:
 
 
 def require_unshared(folder: Path, failure: Failure) -> None:
-    """Check that no file of a folder has a second name elsewhere: writing on here would change it there.
+    """Check that no file of a folder has a second hard link: a write would change the file under both names.
 
     Raises:
-        failure: in one sentence.
+        failure: a file has one, in one sentence.
     """
     for path, status in _entries(folder):
         if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
@@ -53,7 +53,8 @@ def read_json(path: Path, failure: Failure) -> Any:
     """Return the document of a JSON file, read without following a link.
 
     Raises:
-        failure: it is too large, too deep, or no JSON. FileNotFoundError: there is none. OSError: it cannot be read.
+        failure: the file is too large, too deep, or no JSON. FileNotFoundError: there is no file. OSError: it cannot be
+            read.
     """
     with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
         status = os.fstat(file.fileno())
@@ -71,7 +72,7 @@ def read_json(path: Path, failure: Failure) -> Any:
 
 
 def _entries(folder: Path) -> list[tuple[Path, os.stat_result]]:
-    """Everything in a folder and below, links not followed. Files of a live run that go away meanwhile are left out."""
+    """Return all paths in a folder and below, without following links or files that a live run removes meanwhile."""
     found, left = [], [folder]
     while left:
         try:

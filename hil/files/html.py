@@ -1,8 +1,8 @@
-"""The one place where text becomes HTML: every string is escaped, and only this module makes `Html`.
+"""Escaped HTML: only this module turns text into markup, the type `Html`.
 
-Run folders, records and diagnoses are data from anywhere. So a page is put together from `element` and `joined`, which
-take plain text and `Html`; there is no way to hand in ready markup. A page loads nothing and runs nothing: its
-Content-Security-Policy admits its own style and pictures that it holds itself.
+Run folders, records and diagnoses may come from anywhere. A page is therefore composed by `element` and `joined`, which
+take plain text and `Html`; they admit no ready markup. A page loads nothing and runs nothing: its
+Content-Security-Policy admits its own style and embedded pictures only.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _SECRET = object()
 
 
 class Html:
-    """Markup that was escaped where it was made. It is no str, so that it cannot be mixed with text by accident."""
+    """Escaped markup. It is no str, so that it cannot be mixed with text by accident."""
 
     __slots__ = ("_markup",)
 
@@ -39,7 +39,7 @@ class Html:
 
 
 Part = Html | str
-"""A piece of a page: markup from this module, or any text, which is escaped."""
+"""Part of a page: markup from this module, or any text, which is escaped."""
 
 
 def joined(parts: Iterable[Part]) -> Html:
@@ -55,7 +55,7 @@ def element(name: str, *content: Part, **attributes: str) -> Html:
             value are left out.
 
     Raises:
-        ValueError: another tag or attribute; these come from this project's code alone.
+        ValueError: `name` or an attribute is not admitted.
     """
     if not _NAME.fullmatch(name) or name in _ACTIVE:
         raise ValueError(f"no page has an element {name!r}")
@@ -65,9 +65,9 @@ def element(name: str, *content: Part, **attributes: str) -> Html:
 
 
 def image(kind: str, data: bytes, alt: str = "", id: str = "") -> Html:
-    """Return a picture that the page itself holds; `kind` is png or svg+xml.
+    """Return a picture embedded in the page; `kind` is png or svg+xml, else ValueError is raised.
 
-    A browser runs nothing that an SVG in an `img` holds.
+    A browser runs no script of an SVG in an `img`.
     """
     if kind not in ("png", "svg+xml"):
         raise ValueError(f"no page has a picture of kind {kind!r}")
@@ -87,7 +87,10 @@ def document(title: str, style: str, body: Iterable[Part]) -> str:
     """Return a whole page.
 
     Args:
-        title: any text. style: CSS of this project's own; it may not end its element.
+        title: any text. style: CSS of this project. body: parts of the page.
+
+    Raises:
+        ValueError: the style holds a `<`, which could end its element.
     """
     if "<" in style:
         raise ValueError("a style with < in it could end its own element")
@@ -110,5 +113,5 @@ def _markup(part: Part) -> str:
 
 
 def _escaped(text: object) -> str:
-    """Text without markup; what is no text in a forged file is shown as Python writes it. UTF-8 can hold the result."""
+    """Return text without markup that UTF-8 can hold; another type in a forged file is converted by `str`."""
     return html.escape(str(text)).encode("utf-8", "replace").decode("utf-8").replace("\0", "\N{REPLACEMENT CHARACTER}")

@@ -1,8 +1,8 @@
-"""Limits of readers, checked against what a file declares before anything is allocated for it.
+"""Limits of readers, checked against the declared size of a file before memory is allocated for it.
 
-A Parquet file of a megabyte can stand for gigabytes: runs of equal values and dictionaries are stored once. Its footer
-tells rows and columns, so the memory that reading takes is known beforehand. A CSV file cannot expand like that; there
-its size decides.
+A Parquet file of a megabyte can expand to gigabytes: runs of equal values and dictionaries are stored once. Its footer
+states rows and columns, so that the memory for reading is known beforehand. A CSV file cannot expand like that; its
+size decides.
 
 The limit is a quarter of the memory that is free (of the machine, or of the control group that the process runs in),
 and at most `CEILING`. The environment variable HIL_READ_LIMIT sets another one, in bytes, with K, M or G behind the
@@ -26,26 +26,27 @@ if TYPE_CHECKING:
 CEILING = 2 * 10**9
 """Bytes: 40 h at 10 Hz in 60 columns of 8 bytes are 0.7 GB, held `COPIES` times."""
 SHARE = 0.25
-"""Of the memory that is free: a run, its calibrators and a diagnosis work beside a reader."""
+"""Share of the free memory: a run, its calibrators and a diagnosis work at the same time."""
 COPIES = 3
 """Times that the values of a record are held at once: as read, as numbers, and put in the order of time."""
 TEXT_COPIES = 6
 """Times that the bytes of a CSV are held at once: as read, as text, as cells, trimmed, in lower case, as numbers."""
 MOST_COLUMNS = 4096
-"""Columns of a record. A large rig has some hundred points; the time to tell names apart grows with the square."""
+"""Most columns of a record. A large rig has some hundred points; the time to distinguish names grows with the
+square."""
 MOST_JSON = 64 * 10**6
-"""Bytes of a JSON document. A `run.json` or `diagnosis.json` has some ten thousand, a journal entry fewer."""
+"""Most bytes of a JSON document. A `run.json` or `diagnosis.json` has some ten thousand, a journal entry fewer."""
 _UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9}
 _CGROUPS = (
     (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")),
     (Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"), Path("/sys/fs/cgroup/memory/memory.usage_in_bytes")),
 )
 Failure = Callable[[str], Exception]
-"""The exception of the reader that asks, made of one sentence."""
+"""Exception of the calling reader, made of one sentence."""
 
 
 def limit_bytes(failure: Failure = ValueError) -> int:
-    """Return how many bytes reading one file may take.
+    """Return the most memory for reading one file, bytes.
 
     Raises:
         failure: HIL_READ_LIMIT is no size.
@@ -63,10 +64,10 @@ def require_size(path: Path, failure: Failure, copies: int = TEXT_COPIES, most: 
     """Check that a file is a regular one and that reading it stays within the limit.
 
     Args:
-        failure: what to raise, of one sentence. copies: times that its bytes are held. most: another limit, bytes.
+        failure: exception to raise. copies: times that its bytes are held in memory. most: another limit, bytes.
 
     Raises:
-        failure: it is too large, or no file that ends. OSError: it cannot be looked at.
+        failure: the file is too large, or no regular one. OSError: its status cannot be read.
     """
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
@@ -91,9 +92,9 @@ def require_columns(path: Path, count: int, failure: Failure) -> None:
 
 
 def require_cells(path: Path, rows: int, columns: int, failure: Failure) -> None:
-    """Check that a table spread from a list of readings stays within the limit; raises `failure`.
+    """Check that a table from a list of readings stays within the limit; raises `failure`.
 
-    A list of n readings stands for up to n * columns cells: every series has a cell at every time.
+    A list of n readings expands to up to n * columns cells: every series has a cell at every time.
     """
     needed, limit = TEXT_COPIES * rows * columns * 8, limit_bytes(failure)
     if needed > limit:
@@ -101,18 +102,18 @@ def require_cells(path: Path, rows: int, columns: int, failure: Failure) -> None
 
 
 def read_parquet(path: Path, source: Any, failure: Failure) -> pa.Table:
-    """Return the table of a Parquet file that stays within the limits when it is read, without columns of lists.
+    """Return the table of a Parquet file within the limits, without columns of lists.
 
-    Nothing here asks the footer for one column of a row group: pyarrow 26 ends the process there where statistics of
-    sizes are damaged, and refuses the file while reading it. A column of lists has any number of values in a row, which
-    the footer then does not tell, and holds no signal.
+    The footer is not queried for single columns of a row group: pyarrow 26 ends the process at damaged statistics of
+    sizes, and refuses such a file when it is read. A column of lists holds no signal, and the footer does not state its
+    number of values.
 
     Args:
-        path: names it in messages. source: path or Arrow file to read from.
+        path: name for messages. source: path or Arrow file to read from. failure: exception to raise.
 
     Raises:
-        failure: it declares, or its texts unpack to, more than the limit. pyarrow.ArrowException, OSError: it is
-            damaged.
+        failure: the declared size, or the size of the unpacked texts, exceeds the limit.
+        pyarrow.ArrowException, OSError: the file is damaged.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -125,8 +126,8 @@ def read_parquet(path: Path, source: Any, failure: Failure) -> pa.Table:
     if needed > limit:
         shape = f"{about.num_rows} rows of {about.num_columns} columns"
         raise _too_large(path, shape, needed, limit, failure)
-    # Texts of a dictionary are stored once and may stand for any number of rows: they are read as they are stored,
-    # and unpacked only where the result is known to fit.
+    # Texts of a dictionary are stored once for any number of rows: they are read as stored, and unpacked only where
+    # the result fits.
     # `ParquetFile` reads columns of one name, which `read_table` refuses.
     texts = [about.schema.column(i).path for i in range(about.num_columns) if _is_text(about, i)]
     flat = [about.schema.column(i) for i in range(about.num_columns)]
@@ -144,7 +145,7 @@ def read_parquet(path: Path, source: Any, failure: Failure) -> pa.Table:
 
 
 def _declared(about: Any, group: int) -> int:
-    """Return the bytes that a row group takes when it is read, by the footer."""
+    """Return the memory of a row group by the footer, bytes."""
     declared = about.row_group(group)
     widths = sum(max(8, about.schema.column(index).length) for index in range(about.num_columns))
     return int(COPIES * max(declared.num_rows, 0) * widths + max(declared.total_byte_size, 0))
@@ -155,7 +156,7 @@ def _is_text(about: Any, index: int) -> bool:
 
 
 def _unpacked(column: pa.ChunkedArray) -> int:
-    """Bytes of a column's texts once every row holds its own."""
+    """Return the bytes of a column's texts after unpacking."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -168,7 +169,8 @@ def _unpacked(column: pa.ChunkedArray) -> int:
 
 
 def _free_bytes() -> int:
-    """Memory that is free without swapping, of the machine or of the control group, whichever is less."""
+    """Return the memory that is free without swapping, bytes: of the machine or of the control group, if that is
+    less."""
     free = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     try:
         found = re.search(r"MemAvailable:\s+(\d+) kB", Path("/proc/meminfo").read_text(encoding="ascii"))

@@ -1,4 +1,4 @@
-"""Paths with any legal character, for the libraries and outputs that take less than the file system does.
+"""Paths with any legal character, for libraries and outputs that accept fewer characters than the file system.
 
 A file name on Linux is any sequence of bytes without `/` and NUL. Python holds a byte that is no UTF-8 as a lone
 surrogate (PEP 383). SQLite reads `?`, `#` and `%` of a URI as syntax (https://sqlite.org/uri.html). Arrow, Rerun and
@@ -16,27 +16,31 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LONGEST_NAME = 255
-"""Bytes of one path component where the file system does not say (NAME_MAX of ext4, XFS, btrfs and tmpfs)."""
+"""Bytes of one path component where the file system gives no limit (NAME_MAX of ext4, XFS, btrfs and tmpfs)."""
 LONGEST_DATABASE_PATH = 504
-"""Bytes of a database's absolute path: SQLite's MAX_PATHNAME is 512, and its log has `-journal` appended."""
+"""Most bytes of a database's absolute path: SQLite's MAX_PATHNAME is 512, and its log has `-journal` appended."""
 ENDINGS = 40
-"""Bytes of a folder's name that are left free for endings: `-99`, `.run.json`, `.PID.part`."""
+"""Bytes of a folder's name that stay free for endings: `-99`, `.run.json`, `.PID.part`."""
 
 
 def connect_read_only(database: Path, timeout_s: float = 5.0) -> sqlite3.Connection:
-    """Open a SQLite file that this connection never writes, whatever characters its path has.
+    """Return a read-only connection to a SQLite file, with any characters in its path.
 
-    Raises sqlite3.Error where SQLite cannot open it.
+    Raises:
+        sqlite3.Error: SQLite cannot open it.
     """
     return sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True, timeout=timeout_s)
 
 
 @contextlib.contextmanager
 def utf8_path(path: Path) -> Iterator[Path]:
-    """Yield `path`, or where its bytes are no UTF-8 another path to the same file for the length of the block.
+    """Yield `path`, or for a folder that is no UTF-8 another path to the same file, valid within the block.
 
-    The other path leads through the open folder, so this process and its children can use it; the name of the file
-    itself must be UTF-8. Raises OSError where the folder of `path` cannot be opened.
+    The other path goes through the open folder, so that this process and its children can use it. The name of the file
+    itself must be UTF-8.
+
+    Raises:
+        OSError: the folder of `path` cannot be opened.
     """
     try:
         str(path).encode()
@@ -57,14 +61,14 @@ def printable(text: str) -> str:
     return text.encode("utf-8", "replace").decode()
 
 
-def component(text: str, longest: int = LONGEST_NAME) -> str:
+def safe_file_name(text: str, longest: int = LONGEST_NAME) -> str:
     """Return a file name made of `text`: control characters, surrogates and `/` become `_`, cut to `longest` bytes."""
     plain = "".join(character if character.isprintable() and character != "/" else "_" for character in text)
     return plain.encode("utf-8")[: max(longest, 1)].decode("utf-8", "ignore")
 
 
 def longest_name(folder: Path) -> int:
-    """Return how many bytes a name in `folder` may have."""
+    """Return the most bytes of a name in `folder`."""
     try:
         return os.pathconf(folder, "PC_NAME_MAX")
     except (OSError, ValueError):
@@ -72,9 +76,9 @@ def longest_name(folder: Path) -> int:
 
 
 def accept_any_name() -> None:
-    """Let standard output and error take every string: a file name's raw bytes as they are, all else escaped.
+    """Set standard output and error to accept every string: a file name's raw bytes unchanged, all else escaped.
 
-    A path that is printed can then be pasted into a shell again, and no name ends a run with UnicodeEncodeError.
+    A printed path can then be pasted into a shell, and no name ends a run with UnicodeEncodeError.
     """
     codecs.register_error("any-name", _encoded)
     for stream in (sys.stdout, sys.stderr):

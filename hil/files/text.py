@@ -1,24 +1,25 @@
-"""Plain text: what people, files and devices send, made into text that can be stored and shown anywhere."""
+"""Plain text: input from people, files and devices as text that can be stored and shown anywhere."""
 
 from __future__ import annotations
 
 import re
 
 LONGEST = 2000
+"""Most characters of a text, such as an event of a journal."""
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
 def plain(text: str, longest: int = LONGEST) -> str:
     """Return `text` as valid Unicode without control characters, `longest` characters at most.
 
-    Bytes that came in as lone surrogates, as those of a Latin-1 terminal do, are shown as `\\xfc`.
+    Bytes in the form of lone surrogates, such as those of a Latin-1 terminal, are shown as `\\xfc`.
     """
     shown = _CONTROL.sub(" ", _escaped(text[: longest + 1]))
     return shown if len(shown) <= longest else shown[: longest - 1] + "…"
 
 
 def _escaped(text: str) -> str:
-    """Return `text` with lone surrogates as the bytes that they stand for, else as their code."""
+    """Return `text` with each lone surrogate as its byte, else as its code."""
     try:
         return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
     except UnicodeEncodeError:

@@ -1,4 +1,4 @@
-"""Engine's half of the guardian: started and told the plan before anything is armed, given a beat while ticks go on."""
+"""Engine's half of the guardian: it starts the process, sends the plan before arming, and beats while ticks go on."""
 
 from __future__ import annotations
 
@@ -22,25 +22,33 @@ from hil.guardian.plan import plan_of
 from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, SILENCE_S, takes_s
 
 BEAT_EVERY_S = 0.2
+"""Interval of beats, s: five beats within the silence on which the guardian acts."""
 TICK_BEATS_AFTER_S = 0.75 * BEAT_EVERY_S
-"""A tick gives the beat where the last one is older than this: ahead of the loop's timer, which so stays asleep."""
-LOOK_AGAIN_S = 0.02
-"""Messages of the guardian are not looked for again within this time, s: far below the silence it acts on."""
+"""Age of the last beat, s, from which on a tick gives the next one, ahead of the loop's timer, which so stays
+asleep."""
+POLL_EVERY_S = 0.02
+"""Least interval of polls for messages of the guardian, s: far below the silence on which it acts."""
 FENCE_S = 0.8 * SILENCE_S
-"""An engine that has not beaten for so long may have been relieved: it writes no more heat until it knows, s."""
+"""Silence of the engine, s, after which the guardian may have acted: the engine writes no heat until it has an
+answer."""
 STARTS_WITHIN_S = 10.0
+"""Longest wait for an answer of the guardian's process, s."""
 MUTE_AFTER_S = 2.0
-"""A guardian that says nothing for so long, while this process was running all the time, is not there, s."""
+"""Silence of the guardian, s of this process's running time, after which it counts as gone."""
 _PACKAGE = Path(__file__).resolve().parents[2]
 
 
 class GuardianError(LinkError):
-    """The guardian cannot guard this rig; the message says what would not be guarded."""
+    """Guardian that cannot guard this rig; the message names the part that would not be guarded."""
 
 
 @dataclass(frozen=True, slots=True)
-class Acted:
-    """What the guardian has done: why, whether the safe values are read back and the meters agree, and why not."""
+class GuardianReport:
+    """Report of a guardian that has acted: reason, result and meter readings.
+
+    `safe` is True where the safe values are read back and the meters agree, else `problem` states the difference.
+    `meters` maps meter names to readings in their units.
+    """
 
     reason: str
     safe: bool
@@ -49,76 +57,77 @@ class Acted:
 
 
 class Guard(Protocol):
-    """What the engine needs of a guardian."""
+    """Interface of a guardian for the engine."""
 
-    acted: Acted | None
+    acted: GuardianReport | None
 
     async def start(self) -> None:
-        """Start it and tell it the plan; raises GuardianError."""
+        """Start the guardian and send it the plan; raises GuardianError."""
 
     async def probe(self) -> list[str]:
-        """Return why wires cannot be reached beside the engine; each is taken over by ending the engine."""
+        """Return why wires cannot be reached beside the engine; on these the guardian has to end the engine first."""
 
     def watch(self) -> None:
-        """Arm it: from now on silence counts."""
+        """Arm the guardian: from now on silence counts."""
 
     def expect(self, within_s: float) -> None:
-        """Beat on by itself for so long; a tick that takes longer than that is silence."""
+        """Beat without ticks for `within_s` seconds; a tick that takes longer is silence."""
 
     def may_heat(self) -> bool:
-        """Return whether this engine is sure to be in charge: not silent meanwhile, and the guardian has not acted."""
+        """Return True where this engine certainly has control: it was not silent, and the guardian has not acted."""
 
     def failure(self) -> str | None:
-        """Return why the run has to end: the guardian is gone, or has acted."""
+        """Return why the run has to end (the guardian is gone, or has acted), or None."""
 
     def act(self) -> None:
-        """Have it make the rig safe now, beside the engine."""
+        """Have the guardian make the rig safe now, beside the engine."""
 
     async def done(self, *, safe: bool) -> None:
-        """End it; one that is not told that the rig is `safe` makes it so as soon as this process is gone."""
+        """End the guardian; without `safe` it makes the rig safe as soon as this process is gone."""
 
 
 class NoGuard:
-    """Nobody guards: the rig is this process's own virtual one, or the operator gave the guardian up."""
+    """Absence of a guardian: the rig is this process's own virtual one, or the operator chose --no-guardian."""
 
-    acted: Acted | None = None
+    acted: GuardianReport | None = None
 
     async def start(self) -> None:
-        """Nothing to start."""
+        """Do nothing: there is no process."""
 
     async def probe(self) -> list[str]:
-        """Nothing is unreachable."""
+        """Return an empty list: no wire has to be reached."""
         return []
 
     def watch(self) -> None:
-        """Nothing to arm."""
+        """Do nothing: there is nothing to arm."""
 
     def expect(self, within_s: float) -> None:
-        """Nobody waits for beats."""
+        """Do nothing: nobody waits for beats."""
 
     def may_heat(self) -> bool:
-        """Nobody else is in charge."""
+        """Return True: nobody else has control."""
         return True
 
     def failure(self) -> str | None:
-        """Nothing can fail."""
+        """Return None: nothing can fail."""
         return None
 
     def act(self) -> None:
-        """Nobody to ask."""
+        """Do nothing: there is nobody to ask."""
 
     async def done(self, *, safe: bool) -> None:
-        """Nothing to end."""
+        """Do nothing: there is no process."""
 
 
-class Guardian:
-    """The guardian of one run. `log` is its file; `keep` are descriptors that it holds open as long as it lives.
+class GuardianClient:
+    """Guardian of one run with its process. `log` is its file, `keep` are descriptors that it holds open while it
+    lives.
 
-    The rig's locks are such: nobody else drives the rig before the guardian has made it safe.
+    The rig's locks are among them, so that nobody else drives the rig before the guardian has made it safe.
     """
 
     def __init__(self, rig: Rig, log: Path, keep: Sequence[int] = ()) -> None:
-        self.acted: Acted | None = None
+        self.acted: GuardianReport | None = None
         self._plan = plan_of(rig)
         self._log = log
         self._keep = tuple(keep)
@@ -126,7 +135,7 @@ class Guardian:
         self._process: subprocess.Popen[bytes] | None = None
         self._buffer = b""
         self._probed: asyncio.Future[list[str]] | None = None
-        self._until = self._beat_s = self._heard_s = self._looked_s = self._mute_s = 0.0
+        self._until = self._beat_s = self._heard_s = self._polled_s = self._mute_s = 0.0
         self._lost: str | None = None
         self._watching = False
         self._sure = True
@@ -140,7 +149,7 @@ class Guardian:
         return None if self._process is None else self._process.pid
 
     async def start(self) -> None:
-        """Start the process and tell it the plan; raises GuardianError where it does not answer."""
+        """Start the process and send it the plan; raises GuardianError where it does not answer."""
         if self._plan is None:
             return
         self._spawn(self._plan)
@@ -177,7 +186,7 @@ class Guardian:
         if self._socket is None or self._plan is None:
             return []
         self._probed = asyncio.get_running_loop().create_future()
-        self._say(b"probe")
+        self._send(b"probe")
         # The guardian waits out the time after connecting in which a device takes no request.
         end = steady_s() + STARTS_WITHIN_S + sum(wire["connect_delay_s"] for wire in self._plan["wires"])
         while not self._probed.done():
@@ -186,13 +195,13 @@ class Guardian:
                 raise GuardianError(f"not armed: the guardian is gone ({self._lost or 'no answer'})")
             await asyncio.sleep(0.005)
         wires = self._plan["wires"]
-        return [why + _later(wire) for wire, why in zip(wires, self._probed.result(), strict=True) if why]
+        return [why + _late_note(wire) for wire, why in zip(wires, self._probed.result(), strict=True) if why]
 
     def watch(self) -> None:
-        """Arm it: from now on silence counts."""
+        """Arm the guardian: from now on silence counts."""
         if self._socket is None:
             return
-        self._say(b"watch")
+        self._send(b"watch")
         self._watching = True
         self._beat_s, self._mute_s = steady_s(), 0.0
         self._loop = asyncio.get_running_loop()
@@ -200,7 +209,7 @@ class Guardian:
         self._arm_timer()
 
     def expect(self, within_s: float) -> None:
-        """Beat now and, by the loop, for `within_s` of wall time; a tick that takes longer is silence."""
+        """Beat now and, by the loop, for `within_s` seconds of wall time; a tick that takes longer is silence."""
         if not self._watching:
             return
         now = steady_s()
@@ -225,24 +234,24 @@ class Guardian:
 
     def _beat(self, now: float) -> None:
         if now - self._beat_s > FENCE_S:
-            self._sure = False  # until the guardian says that it has not acted meanwhile
-            self._say(b"check")
-        self._say(b"beat")
+            self._sure = False  # until the guardian answers that it has not acted meanwhile
+            self._send(b"check")
+        self._send(b"beat")
         self._beat_s = now
 
     def may_heat(self) -> bool:
-        """Return whether the guardian is sure to have had beats, and has not acted."""
+        """Return True where the guardian certainly had beats, and has not acted."""
         if not self._watching:
             return True
         now = steady_s()
         if now - self._beat_s > FENCE_S:
             return False
-        if now - self._looked_s > LOOK_AGAIN_S:
+        if now - self._polled_s > POLL_EVERY_S:
             self._receive()
         return self._sure and self.acted is None and self._lost is None
 
     def failure(self) -> str | None:
-        """Return why the run has to end: the guardian has acted, is gone or does not answer."""
+        """Return why the run has to end (the guardian has acted, is gone or does not answer), or None."""
         if not self._watching:
             return None
         self._receive()
@@ -255,11 +264,11 @@ class Guardian:
         return None
 
     def act(self) -> None:
-        """Have it make the rig safe now, beside the engine."""
-        self._say(b"act")
+        """Have the guardian make the rig safe now, beside the engine."""
+        self._send(b"act")
 
     async def done(self, *, safe: bool) -> None:
-        """End it where the rig is `safe`; otherwise leave it to make the rig safe when this process is gone."""
+        """End the guardian where the rig is `safe`; else leave it to make the rig safe when this process is gone."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -267,11 +276,12 @@ class Guardian:
         if self._socket is None or self._process is None:
             return
         if safe or not watching:
-            self._say(b"done")
+            self._send(b"done")
         with contextlib.suppress(OSError):
             self._socket.close()
         self._socket = None
-        # Where it still tries to make the rig safe it is left alone: it outlives this process, and its log says more.
+        # A guardian that still tries to make the rig safe goes on: it outlives this process, and its log has the
+        # details.
         for _ in range(200 if safe or not watching else 0):
             if self._process.poll() is not None:
                 break
@@ -279,13 +289,13 @@ class Guardian:
         if self._process.returncode is None:
             self._process.returncode = 0  # no warning about a process that is meant to go on
 
-    def _say(self, line: bytes) -> None:
+    def _send(self, line: bytes) -> None:
         if self._socket is None:
             return
         try:
             self._socket.send(line + b"\n", socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
         except BlockingIOError:
-            pass  # it does not read: `failure` says so
+            pass  # it does not read: `failure` reports that
         except OSError as error:
             self._lost = self._lost or error.strerror or "its socket is closed"
 
@@ -294,8 +304,8 @@ class Guardian:
             return
         # While this process was paused the guardian may have been silent with it: such time does not count.
         now = steady_s()
-        self._mute_s += min(now - self._looked_s, 2.0 * BEAT_EVERY_S)
-        self._looked_s = now
+        self._mute_s += min(now - self._polled_s, 2.0 * BEAT_EVERY_S)
+        self._polled_s = now
         if not self._poll.poll(0):  # far cheaper than the exception of an empty socket
             return
         try:
@@ -311,23 +321,23 @@ class Guardian:
         self._heard_s, self._mute_s = now, 0.0
         *lines, self._buffer = (self._buffer + data).split(b"\n")
         for line in lines:
-            self._take(line)
+            self._handle(line)
 
-    def _take(self, line: bytes) -> None:
+    def _handle(self, line: bytes) -> None:
         if not line.startswith(b"{"):
             return
         document: dict[str, Any] = json.loads(line)
         if "acted" in document:
-            self.acted = Acted(**document["acted"])
+            self.acted = GuardianReport(**document["acted"])
         elif "checked" in document:
             self._sure = bool(document["checked"])
         elif "probe" in document and self._probed is not None and not self._probed.done():
             self._probed.set_result(document["probe"])
 
 
-def _later(wire: dict[str, Any]) -> str:
-    """Return the time that the guardian needs on a wire which it has to open first, where that is out of the ordinary;
-    the text continues a sentence."""
+def _late_note(wire: dict[str, Any]) -> str:
+    """Return the end of a sentence with the guardian's time on a wire that it has to open first; "" for a usual
+    time."""
     needs_s = takes_s(wire["connect_delay_s"])
     if needs_s <= SAFE_WITHIN_S:
         return ""

@@ -1,7 +1,7 @@
 """Plan of the guardian: the safe values of a rig as Modbus requests in bytes, wire by wire.
 
-Made by the engine before it arms. The guardian parses no rig file: it sends these bytes, compares the registers that
-it reads back with these words, and decodes a meter by these numbers.
+The engine makes it before arming. The guardian parses no rig file: it sends these bytes, compares the registers of the
+read-back with these words, and decodes a meter by these numbers.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from hil.run.outputs.setpoints import Setpoints
 from hil.run.outputs.time_to_safe import SILENCE_S
 
 DEADLINE_S = 1.0
-"""Longest wait for one reply, s, however patient the rig file is."""
+"""Longest wait for one reply, s, also where the rig file has a longer time-out."""
 
 
 def plan_of(rig: Rig) -> dict[str, Any] | None:
-    """Return the plan of `rig` as JSON has it; None for a rig without set-points, where nothing has to be made safe."""
+    """Return the plan of `rig` as plain data for JSON; None for a rig without set-points, which has no safe values."""
     safe = Setpoints(rig).safe_values()
     if not safe:
         return None
@@ -45,8 +45,8 @@ def plan_of(rig: Rig) -> dict[str, Any] | None:
         assert not isinstance(bus, CanBus)  # CAN points are read only
         wire = found.setdefault(first[point.bus], wire_of(bus))
         for block, raw in Writes({name: point}, bus).of({name: value}):
-            said = f"{name} {value:g} {point.unit}"
-            wire["writes"].append({"device": bus.device_id, "pdu": write_request(block, raw).hex(), "name": said})
+            label = f"{name} {value:g} {point.unit}"
+            wire["writes"].append({"device": bus.device_id, "pdu": write_request(block, raw).hex(), "name": label})
         (block,) = plan_reads([point], max_gap=0)
         want = encoder(point.type, point.order)((value - point.offset) / point.scale)
         wire["checks"].append(
@@ -58,7 +58,7 @@ def plan_of(rig: Rig) -> dict[str, Any] | None:
             continue
         meter = rig.get(limit.meter)
         bus = rig.bus[meter.bus]
-        # A meter on CAN, or on a device that is never written to, is the engine's to read.
+        # The engine reads a meter on CAN or on a device without writes.
         if isinstance(bus, CanBus) or first[meter.bus] not in found:
             continue
         (block,) = plan_reads([meter], max_gap=0)
@@ -73,12 +73,12 @@ def plan_of(rig: Rig) -> dict[str, Any] | None:
 
 
 def wire_of(bus: ModbusBusSection) -> dict[str, Any]:
-    """Return how a wire is reached, without requests."""
+    """Return the connection data of a wire, with empty lists of requests."""
     found: dict[str, Any] = {
         "place": bus.place, "timeout_s": min(bus.timeout_s, DEADLINE_S), "writes": [], "checks": [], "meters": [],
         "framing": "rtu" if is_rtu(bus) else "mbap" if is_numbered(bus) else "mbap0",
         "connect_delay_s": bus.connect_delay_s if isinstance(bus, ModbusTcpBus) else 0.0,
-        # A device that counts its replies wrongly is known by the length that the function code gives them.
+        # A device with a wrong length in its replies is read by the length that the function code implies.
         "counts": not isinstance(bus, ModbusTcpBus) or bus.frame_length == "checked",
     }  # fmt: skip
     if isinstance(bus, ModbusRtuBus):
@@ -96,7 +96,7 @@ def wire_of(bus: ModbusBusSection) -> dict[str, Any]:
 
 
 def _number(point: Point) -> dict[str, Any]:
-    """Return how the registers of a point become its value."""
+    """Return the data that convert the registers of a point to its value."""
     bit = point.table in ("coil", "discrete")
     kind = "bit" if bit else point.type
     return {

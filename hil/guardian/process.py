@@ -1,13 +1,13 @@
-"""Guardian process: waits for the engine's beats, and makes the rig safe by its own connection when they stop.
+"""Guardian process: it waits for the engine's beats, and makes the rig safe by its own connection when they stop.
 
-Started as `python -I -S` with the standard library alone. It talks to the engine over one socket, a line a message:
+The process runs as `python -I -S` with the standard library alone. It has one socket to the engine, a line a message:
 
     from the engine   {plan}  probe  watch  beat  check  act  done
     to the engine     alive  {"probe": ...}  {"checked": ...}  {"acted": ...}
 
-`watch` arms it: from then on it acts when no beat has come for `silence_s`, when the socket closes, or on `act`. It
-acts until the safe values are read back and the meters agree, and then keeps them so until the engine says `done` or
-is gone. What it does is written to a log of its own, a JSON object a line.
+`watch` arms it. From then on it acts when no beat has come for `silence_s`, when the socket closes, or on `act`. It
+acts until the safe values are read back and the meters agree, and then keeps them until the engine sends `done` or is
+gone. Its actions are in a log of its own, a JSON object a line.
 """
 
 from __future__ import annotations
@@ -24,26 +24,30 @@ import threading
 import time
 from typing import Any
 
-from hil.guardian.wires import Wire, WireError
+from hil.guardian.wires import BlockingWire, WireError
 
-LOOK_S = 0.1
+POLL_S = 0.1
+"""Longest wait for a message of the engine, s."""
 ALIVE_EVERY_S = 0.25
-OVERSLEPT_S = 0.3
-"""A wait that took so much longer than asked means that this process was paused, and perhaps the engine with it."""
+"""Interval of `alive` messages, s."""
+PAUSED_AFTER_S = 0.3
+"""Excess of a wait, s, that means that this process was paused, and perhaps the engine with it."""
 GRACE_S = 0.5
-"""After a pause of its own the guardian gives the engine so long to beat again, s."""
+"""Time for the engine to beat again after a pause of the guardian, s."""
 RETRY_S = 0.05
+"""Wait between two attempts to make a wire safe, s."""
 KEEP_S = 0.25
-"""The safe values are checked so often while an engine that is silent is still there."""
+"""Interval of checks of the safe values while a silent engine still exists, s."""
 FREE_AFTER_S = 0.4
-"""So long a device is tried before the silent engine is ended, whose connection may be the only one admitted, s."""
+"""Time of attempts, s, before the silent engine is ended: its connection may be the only one that the device admits."""
 GIVE_UP_S = 3600.0
+"""Time of attempts without an engine, s, after which the guardian ends."""
 METER_GIVE_UP_S = 60.0
-"""So long it goes on where the safe values are read back and a meter contradicts them although it had the time that
-the rig file gives it: nothing more can be written, s."""
+"""Time, s, after which the guardian ends where only a meter contradicts the safe values that were read back. It counts
+from the end of the time that the rig file gives the meter; nothing more can be written."""
 STANDBY_S = 5.0
-"""Interval between reads that keep a connection open, s: devices close those that are idle for some ten seconds."""
-_OF_FAULTS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP)
+"""Interval of reads that keep a connection open, s: devices close those that are idle for some ten seconds."""
+_FAULT_SIGNALS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP)
 _FORMATS = {
     "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f",
     "float64": "d",
@@ -51,12 +55,12 @@ _FORMATS = {
 
 
 def now_s() -> float:
-    """Return time that also goes on while the machine sleeps, s."""
+    """Return a time, s, that also advances while the machine sleeps."""
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
-class Log:
-    """The guardian's own file: opened before anything is armed, so that a lost folder or a full disk cannot stop it."""
+class GuardianLog:
+    """Log file of the guardian, opened before arming: a lost folder or a full disk cannot stop the guardian."""
 
     def __init__(self, path: str) -> None:
         try:
@@ -65,7 +69,7 @@ class Log:
             self._file = -1
 
     def write(self, what: str, **more: object) -> None:
-        """Append a line; what cannot be written is not."""
+        """Append a line; errors of the disk are ignored."""
         stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         line = (
             json.dumps({"time": stamp, "wall_s": round(time.time(), 3), "what": what, **more}, ensure_ascii=True) + "\n"
@@ -77,14 +81,14 @@ class Log:
             pass
 
 
-class Keeper(threading.Thread):
-    """Makes one wire safe and keeps it so. `safe` is whether the last look found it safe, `problem` why not.
+class SafeStateKeeper(threading.Thread):
+    """Thread that makes one wire safe and keeps it safe. `safe` is the result of the last check, `problem` the reason.
 
-    Until `acting` is set it only holds the connection of `wire` open, where one is given: a device that is deaf for a
-    while after connecting could otherwise not be made safe in time.
+    Until `acting` is set it only keeps the connection of `wire` open, where one is given. A device that takes no
+    request for a while after connecting could otherwise not be made safe in time.
     """
 
-    def __init__(self, plan: dict[str, Any], free: Any, wire: Wire | None = None) -> None:
+    def __init__(self, plan: dict[str, Any], free: Any, wire: BlockingWire | None = None) -> None:
         super().__init__(daemon=True, name=plan["place"])
         self.safe = False
         self.problem = f"{plan['place']}: the first attempt is under way"
@@ -98,8 +102,8 @@ class Keeper(threading.Thread):
         self._wire = wire
 
     def run(self) -> None:
-        """Write, read back, look at the meters, until `ended`; ends the silent engine where its line is not free."""
-        wire = self._wire or Wire(self._plan)
+        """Write, read back and check the meters until `ended`; end the silent engine where it occupies the line."""
+        wire = self._wire or BlockingWire(self._plan)
         self._stand_by(wire)
         self.may_open.wait()
         began = now_s()
@@ -115,56 +119,56 @@ class Keeper(threading.Thread):
             self.ended.wait(KEEP_S if self.safe else RETRY_S)
         wire.close()
 
-    def _stand_by(self, wire: Wire) -> None:
-        """Keep the connection open until `acting`, and open it anew where the device has closed it."""
+    def _stand_by(self, wire: BlockingWire) -> None:
+        """Keep the connection open until `acting`; open it anew where the device has closed it."""
         while not self.acting.wait(STANDBY_S):
             with contextlib.suppress(Exception):
                 _registers(wire, self._plan["checks"][0])
 
     def end(self) -> None:
-        """Have the thread end, whatever it waits for."""
+        """End the thread, also while it waits."""
         for event in (self.ended, self.acting, self.may_open):
             event.set()
 
-    def _attempt(self, wire: Wire) -> str:
-        """Return what is not safe after writing where that was needed."""
+    def _attempt(self, wire: BlockingWire) -> str:
+        """Write if that is needed; return the differences from the safe values as text, "" for none."""
         wrong: list[str] = []
         if not self.safe:
-            # Each output is tried whatever became of the others; what is read back counts.
+            # Each output is written, also after errors of others; the read-back decides.
             for step in self._plan["writes"]:
                 with contextlib.suppress(WireError):
                     wire.ask(step["device"], bytes.fromhex(step["pdu"]))
         for check in self._plan["checks"]:
             try:
-                wrong += [said for said in [_differs(wire, check)] if said]
+                wrong += [difference for difference in [_difference(wire, check)] if difference]
             except WireError as error:
                 wrong.append(str(error))
         self.held = not wrong
         if wrong:
             self.safe = False
             return "; ".join(dict.fromkeys(wrong))
-        return "; ".join(said for meter in self._plan["meters"] if (said := self._reads(wire, meter)))
+        return "; ".join(found for meter in self._plan["meters"] if (found := self._meter_problem(wire, meter)))
 
-    def _reads(self, wire: Wire, meter: dict[str, Any]) -> str:
+    def _meter_problem(self, wire: BlockingWire, meter: dict[str, Any]) -> str:
         raw = number(_registers(wire, meter), meter)
         value = raw * meter["scale"] + meter["offset"]
         if value != value or raw in meter["invalid"]:
-            return f"{meter['name']} reads nothing that can be trusted"
+            return f"{meter['name']} has no valid reading"
         self.meters[meter["name"]] = round(value, 3)
         if abs(value) <= meter["limit"]:
             return ""
         return f"{meter['name']} still reads {value:.1f} {meter['unit']}"
 
 
-def probe(plan: dict[str, Any]) -> tuple[str, Wire | None]:
-    """Return why the guardian cannot reach a wire beside the engine, or an empty string; nothing is written.
+def probe(plan: dict[str, Any]) -> tuple[str, BlockingWire | None]:
+    """Return why the guardian cannot reach a wire beside the engine, or ""; nothing is written.
 
-    The second item is the connection, kept open where the device is deaf for a while after connecting. A serial line is
-    not touched: the guardian would take the replies to the engine's requests.
+    The second item is the connection, kept open where the device takes no request for a while after connecting. A
+    serial line is not touched: the guardian would take the replies to the engine's requests.
     """
     if plan["kind"] == "serial":
         return f"{plan['place']}: a serial line has one master", None
-    wire = Wire(plan)
+    wire = BlockingWire(plan)
     try:
         for check in plan["checks"]:
             _registers(wire, check)
@@ -177,7 +181,7 @@ def probe(plan: dict[str, Any]) -> tuple[str, Wire | None]:
     return "", None
 
 
-def _registers(wire: Wire, step: dict[str, Any]) -> list[int]:
+def _registers(wire: BlockingWire, step: dict[str, Any]) -> list[int]:
     reply = wire.ask(step["device"], bytes.fromhex(step["pdu"]))
     if step["type"] == "bit":
         return [reply[2] & 1]
@@ -186,8 +190,8 @@ def _registers(wire: Wire, step: dict[str, Any]) -> list[int]:
     return list(struct.unpack_from(f">{step['words']}H", reply, 2))
 
 
-def _differs(wire: Wire, check: dict[str, Any]) -> str:
-    """Return how a read-back differs from its safe value by more than half a count; empty where it does not."""
+def _difference(wire: BlockingWire, check: dict[str, Any]) -> str:
+    """Return the difference of a read-back from its safe value as text; "" up to half a count."""
     found = _registers(wire, check)
     if found == check["want"]:
         return ""
@@ -198,7 +202,7 @@ def _differs(wire: Wire, check: dict[str, Any]) -> str:
 
 
 def number(registers: list[int], step: dict[str, Any]) -> float:
-    """Return the raw number in `registers`, by type and byte order of the plan."""
+    """Return the raw number in `registers` (16 bits each), by type and byte order of the plan."""
     if step["type"] == "bit":
         return float(registers[0])
     words = list(registers)
@@ -214,8 +218,8 @@ def number(registers: list[int], step: dict[str, Any]) -> float:
     return float(value)
 
 
-class Guardian:
-    """State of the guardian: the engine's socket, the plan, and the keepers once it acts."""
+class GuardianProcess:
+    """State of the guardian's process: the engine's socket, the plan, and the keepers once it acts."""
 
     def __init__(self, engine: socket.socket, pid: int) -> None:
         self._engine: socket.socket | None = engine
@@ -223,27 +227,28 @@ class Guardian:
         self._buffer = b""
         self._plan: dict[str, Any] = {}
         self._exclusive: list[bool] = []
-        self._log = Log(os.devnull)
+        self._log = GuardianLog(os.devnull)
         self._armed = False
         self._done = False
         self._beat_s = now_s()
         self._silent = False
         self._reason = self._reported = ""
         self._acted_s = 0.0
-        self._keepers: dict[str, Keeper] = {}
+        self._keepers: dict[str, SafeStateKeeper] = {}
 
     def run(self) -> None:
-        """Wait and act; returns when the rig is safe and nobody is left who could change that, or nothing was armed."""
+        """Wait and act until the rig is safe without an engine that could change it, or until the end without
+        arming."""
         alive_s = 0.0
         while not self._done and (self._engine is not None or self._armed):
             asked = now_s()
-            self._receive(LOOK_S)
+            self._receive(POLL_S)
             woke = now_s()
-            if woke - asked > LOOK_S + OVERSLEPT_S and self._armed and not self._reason:
+            if woke - asked > POLL_S + PAUSED_AFTER_S and self._armed and not self._reason:
                 self._log.write("paused", seconds=round(woke - asked, 2))
                 self._beat_s = max(self._beat_s, woke - self._plan["silence_s"] + GRACE_S)
             if woke - alive_s > ALIVE_EVERY_S:
-                self._say(b"alive")
+                self._send(b"alive")
                 alive_s = woke
             if self._armed and not self._done:
                 self._watch()
@@ -279,29 +284,29 @@ class Guardian:
             self._keeper(plan).acting.set()
         self._watch()
 
-    def _keeper(self, plan: dict[str, Any], wire: Wire | None = None) -> Keeper:
-        """Return the keeper of a wire, started where it is not there yet."""
+    def _keeper(self, plan: dict[str, Any], wire: BlockingWire | None = None) -> SafeStateKeeper:
+        """Return the keeper of a wire; start it if there is none."""
         keeper = self._keepers.get(plan["place"])
         if keeper is None:
-            keeper = self._keepers[plan["place"]] = Keeper(plan, self.free, wire)
+            keeper = self._keepers[plan["place"]] = SafeStateKeeper(plan, self.free, wire)
             keeper.start()
         elif wire is not None:
             wire.close()
         return keeper
 
     def _report(self) -> None:
-        """Log and send what has changed; end where the rig is safe and the engine is gone, or nothing helps."""
+        """Log and send a changed result; end where the engine is gone and the rig is safe, or the time is over."""
         keepers = list(self._keepers.values())
         problems = [keeper.problem for keeper in keepers if not keeper.safe]
         meters = {name: value for keeper in keepers for name, value in list(keeper.meters.items())}
-        said = "; ".join(problems) or "safe"
+        result = "; ".join(problems) or "safe"
         took_s = round(now_s() - self._acted_s, 3)
-        if said != self._reported:
-            self._reported = said
+        if result != self._reported:
+            self._reported = result
             self._log.write("safe" if not problems else "not safe", problem="; ".join(problems), after_s=took_s,
                             meters=meters)  # fmt: skip
             acted = {"reason": self._reason, "safe": not problems, "problem": "; ".join(problems), "meters": meters}
-            self._say(json.dumps({"acted": acted}, ensure_ascii=True).encode())
+            self._send(json.dumps({"acted": acted}, ensure_ascii=True).encode())
         gone = self._engine is None
         held = all(keeper.held for keeper in keepers)
         if gone and problems and took_s > (METER_GIVE_UP_S + self._falls_within_s() if held else GIVE_UP_S):
@@ -311,11 +316,11 @@ class Guardian:
         self._done = True
 
     def _falls_within_s(self) -> float:
-        """Return the longest time that the rig file gives a meter to come down, s of real time."""
+        """Return the longest time that the rig file gives a meter to fall, s of real time."""
         return max((meter["within_s"] for plan in self._plan["wires"] for meter in plan["meters"]), default=0.0)
 
     def free(self, place: str) -> None:
-        """End an engine that is there and silent: it may hold the only connection, and must not write any more."""
+        """End a silent engine that still exists: it may hold the only connection, and must not write any more."""
         if self._silent and self._engine is not None and os.getppid() == self._pid:
             self._log.write("ended the engine", pid=self._pid, wire=place)
             with contextlib.suppress(OSError):
@@ -341,14 +346,14 @@ class Guardian:
             return
         *lines, self._buffer = (self._buffer + data).split(b"\n")
         for line in lines:
-            self._take(line)
+            self._handle(line)
 
-    def _take(self, line: bytes) -> None:
+    def _handle(self, line: bytes) -> None:
         if line == b"beat":
             self._beat_s = now_s()
         elif line == b"check":
             self._beat_s = now_s()
-            self._say(json.dumps({"checked": not self._reason}).encode())
+            self._send(json.dumps({"checked": not self._reason}).encode())
         elif line == b"watch":
             self._armed, self._beat_s = bool(self._plan), now_s()
             self._log.write("watching", pid=self._pid)
@@ -364,17 +369,17 @@ class Guardian:
                     self._keeper(plan, wire)
             self._exclusive = [self._exclusive[k] or bool(why) for k, why in enumerate(found)]
             self._log.write("probe", problems=[why for why in found if why])
-            self._say(json.dumps({"probe": found}, ensure_ascii=True).encode())
+            self._send(json.dumps({"probe": found}, ensure_ascii=True).encode())
         elif line == b"done":
             self._log.write("done", reason="the engine has ended in order")
             self._done = True
         elif line.startswith(b"{"):
             self._plan = json.loads(line)
-            # A serial line has one owner: it is not touched while the engine may use it.
+            # A serial line has one master: it is not touched while the engine may use it.
             self._exclusive = [wire["kind"] == "serial" for wire in self._plan["wires"]]
-            self._log = Log(self._plan["log"])
+            self._log = GuardianLog(self._plan["log"])
 
-    def _say(self, line: bytes) -> None:
+    def _send(self, line: bytes) -> None:
         if self._engine is None:
             return
         with contextlib.suppress(OSError):  # an engine that is stopped does not read
@@ -382,9 +387,9 @@ class Guardian:
 
 
 def main(descriptor: int, pid: int) -> None:
-    """Run on the socket that the engine handed over; `pid` is the engine's process."""
-    # Whoever means the engine's process group, or all of Python, must not end the guardian with it.
-    for number_ in signal.valid_signals() - {*_OF_FAULTS, signal.SIGKILL, signal.SIGSTOP, signal.SIGCHLD}:
+    """Run the guardian on the socket `descriptor` of the engine; `pid` is the engine's process."""
+    # A signal to the engine's process group, or to all of Python, must not end the guardian.
+    for number_ in signal.valid_signals() - {*_FAULT_SIGNALS, signal.SIGKILL, signal.SIGSTOP, signal.SIGCHLD}:
         with contextlib.suppress(OSError, ValueError):
             signal.signal(number_, signal.SIG_IGN)
     try:  # the last to be ended when memory runs out; only a privileged user may ask for it
@@ -395,7 +400,7 @@ def main(descriptor: int, pid: int) -> None:
     threading.stack_size(256 * 1024)
     with socket.socket(fileno=descriptor) as engine:
         engine.setblocking(False)
-        Guardian(engine, pid).run()
+        GuardianProcess(engine, pid).run()
 
 
 if __name__ == "__main__":

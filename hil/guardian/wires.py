@@ -1,7 +1,7 @@
 """Connections of the guardian process: Modbus requests over TCP, TLS or a serial line, one at a time, blocking.
 
-Standard library only, see the package. Framing: MBAP (Modbus messaging on TCP/IP implementation guide V1.0b, 3.1.3)
-and RTU (Modbus over serial line V1.02, 2.5.1).
+This module imports the standard library only, see the package. Framing: MBAP (Modbus messaging on TCP/IP implementation
+guide V1.0b, 3.1.3) and RTU (Modbus over serial line V1.02, 2.5.1).
 """
 
 from __future__ import annotations
@@ -14,21 +14,23 @@ import time
 from typing import Any
 
 CONNECT_S = 0.5
-"""Longest wait for a connection, s: two attempts fit into the second in which the rig is to be safe."""
+"""Longest wait for a connection, s: two attempts fit into the second in which the rig has to be safe."""
 _QUIET_S = 0.03
+"""Silence on a line that ends an exchange, s: the 3.5 characters of RTU (2.5.1.1) take 16 ms at 2400 bit/s."""
 _ECHOED = (5, 6, 15, 16)
+"""Function codes whose reply repeats the head of the request."""
 
 
 class WireError(Exception):
-    """A request that got no valid reply; the message says why."""
+    """Request without a valid reply; the message states the reason."""
 
 
 class ExceptionReply(WireError):
-    """The device answered with an exception: it is there, and refuses."""
+    """Modbus exception as reply: the device is present and refuses the request."""
 
 
-class Wire:
-    """One device line as the plan describes it (`hil.guardian.plan.wire_of`); opened when it is needed."""
+class BlockingWire:
+    """Connection to the devices on one wire of the plan (`hil.guardian.plan.wire_of`); opened by the first request."""
 
     def __init__(self, plan: dict[str, Any]) -> None:
         self.place: str = plan["place"]
@@ -38,7 +40,10 @@ class Wire:
         self._line = -1
 
     def ask(self, device: int, pdu: bytes) -> bytes:
-        """Return the PDU of the reply; raises WireError, after which the wire is closed and will be opened anew."""
+        """Return the PDU of the reply of `device` to `pdu`; raises WireError.
+
+        After a WireError other than ExceptionReply the wire is closed, and the next request opens it anew.
+        """
         try:
             self._open()
             return self._ask_rtu(device, pdu) if self._plan["framing"] == "rtu" else self._ask_mbap(device, pdu)
@@ -46,8 +51,8 @@ class Wire:
             raise
         except (OSError, ValueError, struct.error) as error:
             self.close()
-            said = "no answer in time" if isinstance(error, TimeoutError) else str(error) or type(error).__name__
-            raise WireError(f"{self.place}: {said}") from None
+            reason = "no answer in time" if isinstance(error, TimeoutError) else str(error) or type(error).__name__
+            raise WireError(f"{self.place}: {reason}") from None
         except WireError:
             self.close()
             raise
@@ -101,7 +106,7 @@ class Wire:
         return _checked(reply, pdu, f"{self.place}, device {device}")
 
     def _pdu(self, end: float) -> bytes:
-        """Return the PDU that arrives, as long as its function code says."""
+        """Return the PDU that arrives, with the length that its function code implies."""
         code = self._exactly(1, end)
         if code[0] & 0x80:
             return code + self._exactly(1, end)
@@ -111,7 +116,7 @@ class Wire:
         return code + count + self._exactly(count[0], end)
 
     def _fall_silent(self) -> None:
-        """Discard what is left of an exchange that the engine began."""
+        """Discard the rest of an exchange that the engine began."""
         end = time.monotonic() + 0.3
         while time.monotonic() < end and select.select([self._descriptor()], [], [], _QUIET_S)[0]:
             if not os.read(self._descriptor(), 4096):
@@ -146,7 +151,7 @@ class Wire:
 
 
 def _checked(reply: bytes, request: bytes, where: str) -> bytes:
-    """Return `reply` where it answers `request` and confirms it; raises WireError."""
+    """Return `reply` where it answers and confirms `request`; raises WireError."""
     if len(reply) >= 2 and reply[0] == request[0] | 0x80:
         raise ExceptionReply(f"{where} refuses function {request[0]}: exception {reply[1]}")
     if not reply or reply[0] != request[0]:

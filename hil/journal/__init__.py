@@ -1,1 +1,1 @@
-"""Crash-safe journal of a run, its states, and the record made from it."""
+"""Crash-safe journal of a run, its states, and the export of its record."""

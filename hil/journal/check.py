@@ -1,7 +1,7 @@
 """Checks of a journal before it is queried: a SQLite file can hold more than tables.
 
-A view or a trigger would have a query or a write run statements of whoever made the file, a virtual table would have
-it call an extension, a generated column would compute without end. A journal has none of these.
+A view or a trigger would run statements of the file's author in a query or a write. A virtual table would call an
+extension, and a generated column could compute without end. A journal has none of these.
 """
 
 from __future__ import annotations
@@ -21,16 +21,25 @@ P = ParamSpec("P")
 R = TypeVar("R")
 C = TypeVar("C")
 _LONGEST_SAID = 120
-"""Characters of SQLite's words: a damaged schema is quoted in them."""
+"""Characters of a message of SQLite that are shown: it quotes a damaged schema."""
 _KINDS = {"int": (int,), "float": (int, float), "str": (str,), "dict[str, Any]": (dict,)}
 _ROLLBACK = bytes.fromhex("d9d505f920a163d7")
 """Magic of a rollback journal, which ends with it too where it names a super-journal."""
-WRONG = (sqlite3.Error, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RecursionError)
-"""Errors of SQLite, JSON and numpy where a row, a cell or a table is not what the writer made."""
+DAMAGE_ERRORS = (
+    sqlite3.Error,
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
+"""Errors of SQLite, JSON and numpy for a row, cell or table that the writer did not make."""
 
 
 def require_tables(database: sqlite3.Connection, path: Path) -> None:
-    """Check that a journal holds tables and indices only, and have SQLite trust nothing in it.
+    """Check that a journal holds tables and indices only, and set SQLite to trust nothing in it.
 
     Raises:
         JournalError: it holds something else. sqlite3.Error: it is damaged.
@@ -51,12 +60,12 @@ def require_tables(database: sqlite3.Connection, path: Path) -> None:
 
 
 def _computed(database: sqlite3.Connection, table: str) -> bool:
-    """Return whether a table has generated columns; the last of `table_xinfo` is 2 or 3 for these."""
+    """Return True for a table with generated columns; the last field of `table_xinfo` is 2 or 3 for these."""
     return any(row[6] for row in database.execute("SELECT * FROM pragma_table_xinfo(?)", (table,)))
 
 
 def require_header(header: Header) -> None:
-    """Check that what a reader relies on fits together; raises ShapeError."""
+    """Check that the entries of a header are consistent; raises ShapeError."""
     columns = {signal.column for signal in header.signals}
     unknown = [c for sensor in header.twin_sensors.values() for c in sensor if c not in columns]
     if unknown:
@@ -76,7 +85,7 @@ def require_alone(journal: Path) -> None:
     done with it (https://www.sqlite.org/fileformat2.html, section 3.3). A journal of a run is a database by itself.
 
     Raises:
-        JournalError: it names one.
+        JournalError: the rollback journal names one.
     """
     beside = journal.with_name(f"{journal.name}-journal")
     try:
@@ -89,8 +98,8 @@ def require_alone(journal: Path) -> None:
         raise JournalError(f"{beside} names another file that SQLite would delete; take it away and resume again")
 
 
-def sentences(read: Callable[P, R]) -> Callable[P, R]:
-    """Have a method of a reader with `_path` raise JournalError where the journal holds something of another kind."""
+def reports_damage(read: Callable[P, R]) -> Callable[P, R]:
+    """Return a reader's method that raises JournalError for content that the writer did not make."""
 
     @functools.wraps(read)
     def checked(*arguments: P.args, **options: P.kwargs) -> R:
@@ -99,7 +108,7 @@ def sentences(read: Callable[P, R]) -> Callable[P, R]:
             for row in found if isinstance(found, list) else ():
                 _require_kinds(row)
             return found
-        except WRONG as error:
+        except DAMAGE_ERRORS as error:
             part = read.__name__.replace("_read_", "")
             raise _damaged(getattr(arguments[0], "_path", "the journal"), part, error) from error
 
@@ -107,7 +116,7 @@ def sentences(read: Callable[P, R]) -> Callable[P, R]:
 
 
 def _require_kinds(row: object) -> None:
-    """Check the cells of a row against the kinds that its class declares: SQLite keeps anything in any column."""
+    """Check the cells of a row against the types that its class declares: SQLite stores any type in any column."""
     for field in dataclasses.fields(row):  # type: ignore[arg-type]
         kinds = _KINDS.get(str(field.type))
         cell = getattr(row, field.name)
@@ -118,14 +127,14 @@ def _require_kinds(row: object) -> None:
 
 
 def on_one_line(error: Exception) -> str:
-    """Return the words of an error as the beginning of one line without control characters."""
+    """Return the message of an error on one line without control characters, cut to `_LONGEST_SAID`."""
     text = "".join(letter if letter.isprintable() else " " for letter in str(error))
     return " ".join(text.split())[:_LONGEST_SAID]
 
 
 def _damaged(path: object, part: str, error: Exception) -> JournalError:
-    """Return the error of a journal of which a part cannot be read, in one sentence."""
-    named = isinstance(error, sqlite3.Error | ShapeError)  # the words of Python's own errors help nobody
+    """Return the error for a journal with an unreadable part, in one sentence."""
+    named = isinstance(error, sqlite3.Error | ShapeError)  # messages of Python's own errors help no user
     why = on_one_line(error) if named else "a row is not as this version writes it"
     return JournalError(
         f"{path} is damaged: its {part} cannot be read ({why}); take the journal from the machine that made it"
@@ -133,11 +142,19 @@ def _damaged(path: object, part: str, error: Exception) -> JournalError:
 
 
 def checked_reader(cls: type[C]) -> type[C]:
-    """Wrap every public method of a reader in `sentences`."""
+    """Wrap every public method of a reader in `reports_damage`."""
     for name, value in vars(cls).items():
         if callable(value) and not name.startswith("_") and name != "close":
-            setattr(cls, name, sentences(value))
+            setattr(cls, name, reports_damage(value))
     return cls
 
 
-__all__ = ["WRONG", "checked_reader", "on_one_line", "require_alone", "require_header", "require_tables", "sentences"]
+__all__ = [
+    "DAMAGE_ERRORS",
+    "checked_reader",
+    "on_one_line",
+    "reports_damage",
+    "require_alone",
+    "require_header",
+    "require_tables",
+]

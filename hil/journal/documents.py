@@ -1,6 +1,6 @@
-"""The shape of the documents in a journal: what reports and reviews rely on in windows, proposals and bands.
+"""Shapes of the JSON documents in a journal: entries of windows, proposals and bands that reports and reviews read.
 
-Keys that they do not read may be anything.
+Other keys may hold anything.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ Numbers = dict[str, float | None]
 
 
 class ShapeError(ValueError):
-    """A value of a journal is of another kind than its writer makes; the message names the value in one line."""
+    """Value of a journal that its writer does not make; the message names the value in one line."""
 
 
 class _Shape(BaseModel):
@@ -53,7 +53,7 @@ _SHAPES: dict[str, type[_Shape]] = {"CalibrationRow": _Calibration, "ProposalRow
 
 
 def require_document(row: str, document: dict[str, Any]) -> None:
-    """Check the document of a row of this class; raises ShapeError."""
+    """Check the document of a row; `row` is the name of its class. Raises ShapeError."""
     shape = _SHAPES.get(row)
     if shape is None:
         return

@@ -1,4 +1,4 @@
-"""The record of a run, made from its journal."""
+"""Export of a run's record from its journal."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _KIND_ORDER = {"measured": 0, "setpoint": 1, "status": 2}
 
 
 @dataclass(frozen=True, slots=True)
-class Exported:
-    """What was written: rows, columns besides `time_s`, bytes, and the signals that were not always good."""
+class ExportedRecord:
+    """Result of an export: rows, columns besides `time_s`, size in bytes, and the signals that were not always good."""
 
     path: Path
     rows: int
@@ -33,18 +33,20 @@ class Exported:
     not_always_good: tuple[str, ...]
 
 
-def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | None = None) -> Exported:
+def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | None = None) -> ExportedRecord:
     """Write the record `parquet` from the run's `journal`, atomically.
 
     Columns: `time_s`, then measured signals, set-points and status signals in the rig's order, float64. A value whose
-    quality is not GOOD becomes missing (the journal keeps what was received) and the signal gets a column
-    `<column>_quality`, uint8, at the end. Where the profile's clock did not go with the record's (a run that waited, or
-    was cut and resumed) `profile_s` says where it stood, and `segment`, from 1, which rows belong together. The unit,
-    kind, role and bus of each column go into its field's metadata; `metadata` (run uid, hashes, ...), as JSON, into the
-    schema's under `hil`, with the journal's own header. Without `metadata` the `run.json` beside the journal is taken,
-    where there is one.
+    quality is not GOOD becomes missing (the journal keeps the received value), and the signal gets a column
+    `<column>_quality`, uint8, at the end. A run that waited or was resumed gets two further columns. `profile_s` is the
+    profile's clock, s, and `segment`, from 1, the number of the segment.
 
-    Raises JournalError for an unreadable journal, OSError for an unwritable target.
+    The unit, kind, role and bus of each column go into its field's metadata. `metadata` (run uid, hashes, ...) goes as
+    JSON into the schema's metadata under `hil`, with the journal's own header. Without `metadata` the `run.json` beside
+    the journal is taken, where there is one.
+
+    Raises:
+        JournalError: the journal cannot be read. OSError: the target cannot be written.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -65,16 +67,16 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
     order = sorted(range(len(header.signals)), key=lambda index: _KIND_ORDER[header.signals[index].kind])
     fields = [pa.field("time_s", pa.float64(), nullable=False, metadata={"unit": "s"})]
     arrays = [pa.array(time_s)]
-    doubtful = []
+    not_always_good = []
     for index in order:
         signal = header.signals[index]
-        told = {"unit": signal.unit, "kind": signal.kind, "role": signal.role or "", "bus": signal.bus}
-        fields.append(pa.field(signal.column, pa.float64(), metadata=told))
+        field_metadata = {"unit": signal.unit, "kind": signal.kind, "role": signal.role or "", "bus": signal.bus}
+        fields.append(pa.field(signal.column, pa.float64(), metadata=field_metadata))
         bad = quality[:, index] != Quality.GOOD
         arrays.append(pa.array(values[:, index], mask=bad | np.isnan(values[:, index])))
         if bad.any():
-            doubtful.append(index)
-    for index in doubtful:
+            not_always_good.append(index)
+    for index in not_always_good:
         codes = ", ".join(f"{member.value} {member.name}" for member in Quality)
         fields.append(pa.field(header.signals[index].column + "_quality", pa.uint8(), metadata={"codes": codes}))
         arrays.append(pa.array(quality[:, index]))
@@ -87,19 +89,19 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
     # Arrow takes paths in UTF-8 alone, an open file takes any.
     with replacing(parquet) as unfinished, unfinished.open("wb") as file:
         pq.write_table(pa.Table.from_arrays(arrays, schema=schema), file, compression="zstd")
-    return Exported(
+    return ExportedRecord(
         parquet,
         len(time_s),
         len(arrays) - 1,
         parquet.stat().st_size,
-        tuple(header.signals[index].column for index in doubtful),
+        tuple(header.signals[index].column for index in not_always_good),
     )
 
 
 def _all_samples(
     reader: JournalReader,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
-    """`tick (n,)`, `time_s (n,)`, `values (n, k)` and `quality (n, k)` of the whole journal."""
+    """Return `tick (n,)`, `time_s (n,)`, `values (n, k)` and `quality (n, k)` of the whole journal."""
     pages = []
     after = -1
     while True:

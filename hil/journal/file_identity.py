@@ -1,9 +1,9 @@
 """Detection of a journal that another program replaces while a run writes it.
 
-The files of the database are looked at before every write: another inode, size or time than this process left behind,
-or a commit of another program, raises a suspicion. The mark in the file's header and a second connection then decide: a
-lock or a checkpoint of another program leaves the rows of this run whole, a file that was copied or restored over the
-journal does not.
+Inode, size and time of the database's files are compared before every write with those after the last write of this
+process. A difference, or a commit of another program, starts a full check. The mark in the file's header and a second
+connection then decide. A lock or a checkpoint of another program leaves the rows of this run whole. A file that was
+copied or restored over the journal does not.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import sqlite3
 from pathlib import Path
 
 BUSY_S = 0.1
-"""So long the second connection waits for a lock of another program, s; the suspicion stays where that holds on."""
+"""Longest wait of the second connection for a lock of another program, s. A longer lock defers the check to the next
+write."""
 _File = tuple[int, int, int, int]
 _SIDE_FILES = ("-wal", "-shm")
 _MARK_AT = 68
@@ -23,13 +24,13 @@ _MARK_AT = 68
 
 
 def put_mark(database: sqlite3.Connection) -> None:
-    """Give a database without one an application id of its own, by which its file is known."""
+    """Set a random application id in a database without one: it identifies the file."""
     if int(database.execute("PRAGMA application_id").fetchone()[0]) == 0:
         database.execute(f"PRAGMA application_id={random.SystemRandom().randrange(1, 1 << 31)}")
 
 
 class FileIdentity:
-    """Files of the journal at `path` as this process has left them, and the rows that have to be in it.
+    """State of the files of the journal at `path` after the last write of this process, and the rows that it must hold.
 
     `database` is the connection that writes. Not thread-safe.
     """
@@ -38,25 +39,25 @@ class FileIdentity:
         self._path = path
         self._database = database
         self.overwritten: str | None = None
-        """Why the file holds what another program put there; nothing may be written into that any more."""
+        """Sentence about an overwritten file, which must not be written any more; None while it is whole."""
         self._last: int | None = None
         self._mark = self._header_mark()
         self.recount()
         self._commits = self._foreign_commits()
 
     def wrote(self, ticks: list[int]) -> None:
-        """Note what the files are after a write of this process, and the `ticks` of the samples that it wrote."""
+        """Store the state of the files after a write of this process, and the `ticks` of the samples in it."""
         self._rows += len(ticks)
         self._last = ticks[-1] if ticks else self._last
         self._stated = self._state()
 
     def recount(self) -> None:
-        """Note the same after a write of which some rows could not be stored."""
+        """Store the state of the files and count the samples, after a write in which some rows could not be stored."""
         self._rows = self._count(self._database)
         self._stated = self._state()
 
     def replaced(self) -> str | None:
-        """Return why the journal is not the one that this process writes any more; None while it is."""
+        """Return why the journal is not the file of this process any more; None while it is."""
         if self.overwritten is not None:
             return self.overwritten
         state = self._state()
@@ -73,7 +74,7 @@ class FileIdentity:
             problem = self._other_file(state) or self._missing()
         except sqlite3.OperationalError as error:
             if getattr(error, "sqlite_errorcode", 0) & 0xFF in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-                return None  # looked at again before the next write
+                return None  # checked again before the next write
             problem = str(error)
         except sqlite3.Error as error:
             problem = str(error)
@@ -102,7 +103,7 @@ class FileIdentity:
         return int(self._database.execute("PRAGMA data_version").fetchone()[0])
 
     def _other_file(self, state: dict[str, _File]) -> str | None:
-        """Return why the file itself is not this run's, whatever the write-ahead log still holds."""
+        """Return why the file itself is not this run's, independent of the write-ahead log; None if it is."""
         if self._mark is not None and self._header_mark() != self._mark:
             return "it is another database"
         shrunk_by = self._stated[""][2] - state[""][2]
@@ -122,7 +123,7 @@ class FileIdentity:
         return None
 
     def _missing(self) -> str | None:
-        """Return what a new connection does not find of this run's rows; raises sqlite3.Error."""
+        """Return a text about rows of this run that a new connection does not find, or None; raises sqlite3.Error."""
         other = sqlite3.connect(self._path, timeout=BUSY_S)
         try:
             other.execute("PRAGMA query_only=ON")

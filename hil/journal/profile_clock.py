@@ -12,7 +12,11 @@ from hil.journal.states import State
 
 
 def profile_times(states: Sequence[StateRow], tick: NDArray[np.int64], period_s: float) -> NDArray[np.float64]:
-    """Profile time (n,) s at `tick (n,)`, from its transitions, at least one: it goes in `running` alone."""
+    """Return the profile time (n,), s, at `tick (n,)`: its clock runs in state `running` alone.
+
+    Args:
+        states: transitions of the run, at least one. tick: ticks. period_s: length of a tick, s.
+    """
     at = np.searchsorted(np.array([row.tick for row in states]), tick, side="right") - 1
     row_tick, row_s, goes = (
         np.array([value(row) for row in states])[np.maximum(at, 0)]

@@ -1,4 +1,4 @@
-"""Reads a journal, finished or still growing; see `hil.journal.writer` for its tables."""
+"""Reader of a journal, finished or still growing; see `hil.journal.writer` for its tables."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.signals import Signal
 from hil.files.names import LONGEST_DATABASE_PATH, connect_read_only
-from hil.journal.check import WRONG, checked_reader, on_one_line, require_header, require_tables, sentences
+from hil.journal.check import DAMAGE_ERRORS, checked_reader, on_one_line, reports_damage, require_header, require_tables
 from hil.journal.documents import ShapeError
 from hil.journal.rows import (
     BandRow,
@@ -36,7 +36,8 @@ _STATES = frozenset(state.value for state in State)
 
 @checked_reader
 class JournalReader:
-    """Reads a journal, finished or still growing. Each call sees what is committed, and may raise JournalError."""
+    """Reader of a journal, finished or still growing. Each call reads the committed rows, and may raise
+    JournalError."""
 
     def __init__(self, path: Path) -> None:
         if not path.is_file():
@@ -47,7 +48,7 @@ class JournalReader:
             require_tables(self._database, path)
             begun = self._database.execute("SELECT 1 FROM sqlite_master WHERE name = 'meta'").fetchone()
             meta = dict(self._database.execute("SELECT key, value FROM meta")) if begun else {}
-        except WRONG as error:
+        except DAMAGE_ERRORS as error:
             if len(os.fsencode(path.resolve())) > LONGEST_DATABASE_PATH:
                 raise JournalError(
                     f"{path} cannot be opened: SQLite takes {LONGEST_DATABASE_PATH} bytes for a path; move the run's "
@@ -60,7 +61,7 @@ class JournalReader:
             )
         self.header = self._read_header(meta)
 
-    @sentences
+    @reports_damage
     def _read_header(self, meta: dict[str, str]) -> Header:
         version = json.loads(meta.get("schema_version", "0"))
         if version != SCHEMA_VERSION:
@@ -77,12 +78,12 @@ class JournalReader:
         return header
 
     def meta(self, key: str) -> Any:
-        """One entry of the header table, or None."""
+        """Return one entry of the header table, or None."""
         row = self._database.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         return None if row is None else json.loads(row[0])
 
     def samples(self, after_tick: int = -1, limit: int = -1) -> Samples:
-        """Ticks later than `after_tick`, at most `limit` (-1: all)."""
+        """Return the ticks later than `after_tick`, at most `limit` (-1: all)."""
         k = len(self.header.signals)
         rows = self._database.execute(
             "SELECT * FROM samples WHERE tick > ? ORDER BY tick LIMIT ?", (after_tick, limit)
@@ -96,19 +97,20 @@ class JournalReader:
         )
 
     def timing(self) -> NDArray[np.float64]:
-        """Of each tick (n, 3): its number, when its work began, s since 1970, and how long that took, s."""
+        """Return for each tick (n, 3) its number, the begin of its work, s since 1970, and the duration of the work,
+        s."""
         rows = self._database.execute(
             "SELECT tick, wall_s - latency_s, latency_s FROM samples ORDER BY tick"
         ).fetchall()
         return np.array(rows, dtype=np.float64).reshape(len(rows), 3)
 
     def latencies(self) -> NDArray[np.float64]:
-        """Time from the start of each tick to the end of its work, s, shape (n,)."""
+        """Return the time from the start of each tick to the end of its work, s, shape (n,)."""
         rows = self._database.execute("SELECT latency_s FROM samples ORDER BY tick").fetchall()
         return np.array([row[0] for row in rows], dtype=np.float64)
 
     def twin_outputs(self, twin: str, after_tick: int = -1, limit: int = -1) -> TwinOutput:
-        """Predictions of `twin` later than `after_tick`."""
+        """Return the predictions of `twin` later than `after_tick`, at most `limit` (-1: all)."""
         m = len(self.header.twin_sensors)
         rows = self._database.execute(
             "SELECT * FROM twins WHERE twin = ? AND tick > ? ORDER BY id LIMIT ?", (twin, after_tick, limit)
@@ -121,22 +123,22 @@ class JournalReader:
         )
 
     def last_twin_tick(self, twin: str) -> int:
-        """Latest tick that `twin` has answered, -1 for none."""
+        """Return the latest tick with a prediction of `twin`, -1 for none."""
         row = self._database.execute("SELECT max(tick) FROM twins WHERE twin = ?", (twin,)).fetchone()
         return -1 if row[0] is None else int(row[0])
 
     def calibrations(self, after_id: int = 0) -> list[CalibrationRow]:
-        """Finished windows with an id above `after_id`."""
+        """Return the finished windows with an id above `after_id`."""
         rows = self._database.execute("SELECT * FROM calibrations WHERE id > ? ORDER BY id", (after_id,))
         return [CalibrationRow(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in rows]
 
     def proposals(self, after_id: int = 0) -> list[ProposalRow]:
-        """Proposals with an id above `after_id`; none in a journal from before there were any."""
+        """Return the proposals with an id above `after_id`; none in a journal of an older version."""
         rows = self._optional("proposals", after_id)
         return [ProposalRow(row[0], row[1], row[2], json.loads(row[3])) for row in rows]
 
     def bands(self, after_id: int = 0) -> list[BandRow]:
-        """Bands with an id above `after_id`; none in a journal from before there were any."""
+        """Return the bands with an id above `after_id`; none in a journal of an older version."""
         rows = self._optional("bands", after_id)
         return [BandRow(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in rows]
 
@@ -147,21 +149,21 @@ class JournalReader:
         return self._database.execute(f"SELECT * FROM {table} WHERE id > ? ORDER BY id", (after_id,)).fetchall()
 
     def writes(self, after_id: int = 0) -> list[WriteRow]:
-        """Set-point changes with an id above `after_id`."""
+        """Return the set-point changes with an id above `after_id`."""
         return [
             WriteRow(*row)
             for row in self._database.execute("SELECT * FROM writes WHERE id > ? ORDER BY id", (after_id,))
         ]
 
     def events(self, after_id: int = 0) -> list[EventRow]:
-        """Events with an id above `after_id`."""
+        """Return the events with an id above `after_id`."""
         return [
             EventRow(*row)
             for row in self._database.execute("SELECT * FROM events WHERE id > ? ORDER BY id", (after_id,))
         ]
 
     def states(self, after_id: int = 0) -> list[StateRow]:
-        """Transitions with an id above `after_id`; none in a journal from before there were any."""
+        """Return the transitions with an id above `after_id`; none in a journal of an older version."""
         rows = [StateRow(*row) for row in self._optional("states", after_id)]
         for row in rows:
             if row.target not in _STATES:
@@ -169,11 +171,11 @@ class JournalReader:
         return rows
 
     def segments(self) -> list[SegmentRow]:
-        """Where the run went on after a gap, in order; none in a run that nothing cut."""
+        """Return the segments after the first in order; none for an uninterrupted run."""
         return [SegmentRow(*row) for row in self._optional("segments", 0)]
 
     def wall_s(self) -> float:
-        """Wall time that the ticks took, without the gaps between segments, s."""
+        """Return the wall time of all ticks, without the gaps between segments, s."""
         ends = [*(row.tick for row in self.segments()), 2**62]
         spans = [
             self._database.execute(
@@ -184,7 +186,7 @@ class JournalReader:
         return float(sum(span or 0.0 for span in spans)) or float("nan")
 
     def last(self) -> tuple[int, float]:
-        """Tick that was recorded last, and when, s since 1970; -1 and NaN where there is none."""
+        """Return the last recorded tick and its time, s since 1970; -1 and NaN where there is none."""
         row = self._database.execute("SELECT tick, wall_s FROM samples ORDER BY tick DESC LIMIT 1").fetchone()
         return (-1, math.nan) if row is None else (int(row[0]), float(row[1]))
 

@@ -1,4 +1,4 @@
-"""What a journal holds, as plain data: its header and the rows of its tables."""
+"""Header and rows of a journal as plain data."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from drivers.signals import Signal
 
 
 class JournalError(Exception):
-    """The journal cannot be written or read; the message names the file and the remedy."""
+    """Journal that cannot be written or read; the message names the file and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a reader must know before the first sample: the signals, and per twin sensor the columns it predicts."""
+    """Header of a journal: signals, and for each twin sensor the columns that it predicts.
+
+    `duration_s` and `period_s` are in s of rig time, `noise_K` is the noise by twin sensor, K.
+    """
 
     signals: tuple[Signal, ...]
     twin_sensors: dict[str, tuple[str, ...]]
@@ -30,7 +33,10 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """A block of ticks: `tick (n,)`, `time_s (n,)`, `values (n, k)`, `quality (n, k)`, `source_time_s (n, k)`."""
+    """Block of ticks: `tick (n,)`, `time_s (n,)`, `values (n, k)`, `quality (n, k)`, `source_time_s (n, k)`.
+
+    Times are in s of rig time, values in the units of their signals.
+    """
 
     tick: NDArray[np.int64]
     time_s: NDArray[np.float64]
@@ -51,7 +57,7 @@ class TwinOutput:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationRow:
-    """One finished window of a calibrator; `document` is what the calibrator reported, as plain data."""
+    """Finished window of a calibrator, its bounds in s; `document` is the calibrator's report as plain data."""
 
     id: int
     calibrator: str
@@ -62,7 +68,7 @@ class CalibrationRow:
 
 @dataclass(frozen=True, slots=True)
 class ProposalRow:
-    """What a calibrator proposed at a moment; `document` is what it reported, as plain data."""
+    """Proposal of a calibrator at `time_s`; `document` is the calibrator's report as plain data."""
 
     id: int
     calibrator: str
@@ -72,7 +78,10 @@ class ProposalRow:
 
 @dataclass(frozen=True, slots=True)
 class BandRow:
-    """Minutes of a twin: `document` has mean error and predicted half width by sensor, K (`hil.tracking.bands`)."""
+    """Band of a twin over some minutes: `document` has mean error and predicted half width by sensor, K.
+
+    See `hil.tracking.bands`.
+    """
 
     id: int
     twin: str
@@ -83,7 +92,7 @@ class BandRow:
 
 @dataclass(frozen=True, slots=True)
 class WriteRow:
-    """One set-point that the engine changed, and why (`profile`, `slew`, `safe: ...`)."""
+    """Set-point that the engine changed, in its unit, and the reason (`profile`, `slew`, `safe: ...`)."""
 
     id: int
     tick: int
@@ -95,7 +104,7 @@ class WriteRow:
 
 @dataclass(frozen=True, slots=True)
 class EventRow:
-    """One event; `level` is INFO, WARN or ERROR."""
+    """Event of a run; `level` is INFO, WARN or ERROR, `wall_s` in s since 1970."""
 
     id: int
     tick: int
@@ -107,7 +116,7 @@ class EventRow:
 
 @dataclass(frozen=True, slots=True)
 class StateRow:
-    """One transition of the run's state (see `hil.journal.states`); `profile_s` is where the profile's clock stood."""
+    """Transition of the run's state (see `hil.journal.states`); `profile_s` is the profile's clock."""
 
     id: int
     tick: int
@@ -122,10 +131,10 @@ class StateRow:
 
 @dataclass(frozen=True, slots=True)
 class SegmentRow:
-    """Where a run went on after it had been cut: from `tick` on, after `gap_s` without a row.
+    """Segment of a resumed run: it begins at `tick` after `gap_s` without a row.
 
-    `number` counts from 2, the run's beginning being the first. `profile_s` is where the profile's clock stood,
-    `aim_tick` the tick whose temperatures the soak led back to (a cut soak has that of the one before).
+    `number` counts from 2; the first segment has no row. `profile_s` is the profile's clock. `aim_tick` is the tick
+    whose temperatures the thermal restore aims at; a restore that was interrupted itself keeps the former one.
     """
 
     number: int

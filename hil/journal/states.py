@@ -1,18 +1,18 @@
-"""The states of a run and the only ways from one to another, as a table.
+"""State machine of a run as a table of transitions.
 
-Names follow ANSI/ISA-88.00.01 (5.6) and PackML (ISA-TR88.00.02) where they mean the same: `held` is an operator's, and
-keeps the outputs; `suspended` is the process's, and ends by itself. `paused` is Open-Pectus' pause: an operator's, with
-safe outputs. Terms of the rig's outputs:
+Names follow ANSI/ISA-88.00.01 (5.6) and PackML (ISA-TR88.00.02) where they mean the same: an operator requests `held`,
+which keeps the outputs; the process causes `suspended`, which ends by itself. `paused` is the pause of Open-Pectus: an
+operator requests it, with safe outputs. The rig's outputs in each state:
 
     running                      moved towards the profile, no faster than the slew rates
-    soaking                      at their safe values until armed; of a run that was cut, moved so as to lead the rig
-                                 back to where it was, no faster than the slew rates
+    restoring                    at their safe values until armed; in a resumed run moved by the thermal restore, no
+                                 faster than the slew rates
     held                         kept as they are
     paused, suspended, finishing at their safe values
     idle, validating, connecting untouched
     done, aborted, faulted       left at their safe values
 
-The profile's clock goes in `running` alone; that of a soak stands in `held` and `paused`.
+The profile's clock runs in `running` alone. The clock of a thermal restore stands in `held` and `paused`.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from dataclasses import dataclass
 
 
 class State(enum.StrEnum):
-    """Where a run is."""
+    """State of a run, as in journals and messages."""
 
     IDLE = "idle"
     VALIDATING = "validating"
     CONNECTING = "connecting"
-    SOAKING = "soaking"
+    RESTORING = "soaking"  # value in all journals; warm-up of a new run, thermal restore of a resumed one
     RUNNING = "running"
     HELD = "held"
     PAUSED = "paused"
@@ -40,11 +40,11 @@ class State(enum.StrEnum):
 
 
 class Event(enum.StrEnum):
-    """What moves a run: an operator's verb, or what happened."""
+    """Cause of a transition: an operator's verb, or an event of the run."""
 
     VALIDATE = "validate"
     CONNECT = "connect"
-    SOAK = "soak"
+    RESTORE = "soak"  # value in all journals
     START = "start"
     HOLD = "hold"
     PAUSE = "pause"
@@ -62,8 +62,8 @@ _S, _E = State, Event
 TABLE: dict[tuple[State, Event], State] = {
     (_S.IDLE, _E.VALIDATE): _S.VALIDATING,
     (_S.VALIDATING, _E.CONNECT): _S.CONNECTING,
-    (_S.CONNECTING, _E.SOAK): _S.SOAKING,
-    (_S.SOAKING, _E.START): _S.RUNNING,
+    (_S.CONNECTING, _E.RESTORE): _S.RESTORING,
+    (_S.RESTORING, _E.START): _S.RUNNING,
     (_S.RUNNING, _E.HOLD): _S.HELD,
     (_S.RUNNING, _E.PAUSE): _S.PAUSED,
     (_S.HELD, _E.PAUSE): _S.PAUSED,
@@ -71,19 +71,19 @@ TABLE: dict[tuple[State, Event], State] = {
     (_S.HELD, _E.RESUME): _S.RUNNING,
     (_S.PAUSED, _E.RESUME): _S.RUNNING,
     (_S.RUNNING, _E.WARN): _S.SUSPENDED,
-    # What an operator stopped does not go on by itself when a warning has gone.
+    # A run that an operator stopped does not continue by itself when a warning has gone.
     (_S.HELD, _E.WARN): _S.PAUSED,
     (_S.SUSPENDED, _E.CLEAR): _S.RUNNING,
-    # A rig that is led back goes on being led back, and not with the profile, whoever or whatever stopped it.
-    (_S.SOAKING, _E.HOLD): _S.HELD,
-    (_S.SOAKING, _E.PAUSE): _S.PAUSED,
-    (_S.SOAKING, _E.WARN): _S.SUSPENDED,
-    **{(state, _E.SOAK): _S.SOAKING for state in (_S.HELD, _S.PAUSED, _S.SUSPENDED)},
+    # A thermal restore that was stopped is continued as a restore, and not with the profile.
+    (_S.RESTORING, _E.HOLD): _S.HELD,
+    (_S.RESTORING, _E.PAUSE): _S.PAUSED,
+    (_S.RESTORING, _E.WARN): _S.SUSPENDED,
+    **{(state, _E.RESTORE): _S.RESTORING for state in (_S.HELD, _S.PAUSED, _S.SUSPENDED)},
     **{(state, _E.TRIP): _S.PAUSED for state in (_S.RUNNING, _S.HELD, _S.SUSPENDED, _S.PAUSED)},
     (_S.RUNNING, _E.COMPLETE): _S.FINISHING,
     **{
         (state, event): _S.FINISHING
-        for state in (_S.SOAKING, _S.RUNNING, _S.HELD, _S.PAUSED, _S.SUSPENDED)
+        for state in (_S.RESTORING, _S.RUNNING, _S.HELD, _S.PAUSED, _S.SUSPENDED)
         for event in (_E.ABORT, _E.FAIL)
     },
     # Before anything was written there is nothing to make safe.
@@ -97,21 +97,22 @@ TABLE: dict[tuple[State, Event], State] = {
 UNTOUCHED = frozenset({State.IDLE, State.VALIDATING, State.CONNECTING})
 """States in which nothing has been written to the rig yet."""
 ENDED = frozenset({State.DONE, State.ABORTED, State.FAULTED})
+"""Final states."""
 LIVE = frozenset({State.RUNNING, State.HELD, State.PAUSED, State.SUSPENDED})
-"""States in which the loop ticks, beside the soaking of a run that was cut."""
-HEATED = frozenset({State.SOAKING, State.RUNNING, State.HELD})
-"""The only states in which an output may be away from its safe value."""
+"""States in which the loop ticks, besides the thermal restore of a resumed run."""
+HEATED = frozenset({State.RESTORING, State.RUNNING, State.HELD})
+"""States in which an output may differ from its safe value; in all others it may not."""
 WAITING = frozenset({State.HELD, State.PAUSED})
 """States that a person ends."""
 
 
 class TransitionError(Exception):
-    """The table has no such way."""
+    """Event that has no transition from the present state."""
 
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """One step along the table, and why."""
+    """Transition of the table, with its reason."""
 
     source: State
     event: Event
@@ -119,32 +120,32 @@ class Transition:
     reason: str
 
 
-def following(state: State, event: Event) -> State | None:
-    """Where `event` leads from `state`; None where it leads nowhere."""
+def next_state(state: State, event: Event) -> State | None:
+    """Return the state after `event` in `state`; None where the table has no such transition."""
     return TABLE.get((state, event))
 
 
-def level_of(step: Transition) -> str:
-    """How loud a transition is: INFO, WARN or ERROR."""
+def event_level(step: Transition) -> str:
+    """Return the level of the event of a transition: INFO, WARN or ERROR."""
     if step.event is Event.FAIL or step.event is Event.TRIP:
         return "ERROR"
     return "WARN" if step.event in (Event.WARN, Event.ABORT) else "INFO"
 
 
-class Machine:
-    """The state of one run. Every transition is passed to `told`, which must not raise."""
+class StateMachine:
+    """State machine of one run. Every transition is passed to `on_transition`, which must not raise."""
 
-    def __init__(self, told: Callable[[Transition], None]) -> None:
+    def __init__(self, on_transition: Callable[[Transition], None]) -> None:
         self.state = State.IDLE
         self.reason = ""
-        self._told = told
+        self._on_transition = on_transition
 
     def take(self, event: Event, reason: str) -> State:
-        """Take the way of `event`; raises TransitionError where there is none."""
-        target = following(self.state, event)
+        """Make the transition of `event` and return the new state; raises TransitionError where there is none."""
+        target = next_state(self.state, event)
         if target is None:
             raise TransitionError(f"a run that is {self.state} knows no {event}")
         transition = Transition(self.state, event, target, reason)
         self.state, self.reason = target, reason
-        self._told(transition)
+        self._on_transition(transition)
         return target

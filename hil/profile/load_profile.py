@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from drivers.signals import SUFFIX_OF_UNIT, column_name, split_column
 from hil.files.atomic import replacing
 from hil.files.limits import require_size
-from hil.files.names import component
+from hil.files.names import safe_file_name
 
 MAX_LINE = 2000
 """Longest line in characters; anything longer is no table of set-points."""
@@ -167,7 +167,9 @@ def read_profile(path: Path, unitless: Collection[str] = ()) -> Profile:
         )
     digest = hashlib.sha256(content).hexdigest()
     values_array = np.array(rows, dtype=np.float64)
-    return Profile(component(path.stem), np.array(times), columns[1:], values_array, path, digest, tuple(lines), notes)
+    return Profile(
+        safe_file_name(path.stem), np.array(times), columns[1:], values_array, path, digest, tuple(lines), notes
+    )
 
 
 def write_profile(profile: Profile, path: Path, comments: Iterable[str] = ()) -> None:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from drivers.signals import Quality, column_name, split_column
 from hil.files.atomic import replacing
-from hil.journal.export import Exported, export_record
+from hil.journal.export import ExportedRecord, export_record
 from hil.profile.load_profile import WRITTEN_UNITS
 from hil.record.file import read_raw
 from hil.record.order import describe_steps, order
@@ -35,7 +35,16 @@ from hil.record.values.numbers import LOST, DecimalSignError, Numbers, Sign, dec
 from hil.record.values.units import of_a_room, remarks
 from twin.column_names import column_hint
 
-__all__ = ["SENTINELS", "Exported", "Reading", "Record", "RecordError", "export_record", "read_record", "write_record"]
+__all__ = [
+    "SENTINELS",
+    "ExportedRecord",
+    "Reading",
+    "Record",
+    "RecordError",
+    "export_record",
+    "read_record",
+    "write_record",
+]
 
 QUALITY = "_quality"
 """Ending of a column that holds the quality of the column before it."""

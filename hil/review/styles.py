@@ -62,7 +62,7 @@ STATE_COLOURS = {
     State.IDLE: FAINT,
     State.VALIDATING: FAINT,
     State.CONNECTING: FAINT,
-    State.SOAKING: (45, 95, 120),
+    State.RESTORING: (45, 95, 120),
     State.RUNNING: GREEN,
     State.HELD: (45, 150, 255),
     State.PAUSED: YELLOW,

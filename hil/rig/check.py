@@ -1,4 +1,4 @@
-"""What a rig file holds, before anything moves: points, interlocks, the plan of its reads; every mistake of it."""
+"""Check of a rig file without the rig: points, interlocks, plan of the reads, and every mistake."""
 
 from __future__ import annotations
 
@@ -26,8 +26,12 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 
-def checked(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]]:
-    """A rig, what polling its Modbus buses costs and its CAN buses; raises RigFileError with every mistake."""
+def checked_rig(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]]:
+    """Return a rig, the polling load of its Modbus buses and the receivers of its CAN buses.
+
+    Raises:
+        RigFileError: the file has mistakes; the message names all of them.
+    """
     rig = load_rig(file)
     polled: dict[str, Polling] = {}
     receivers: dict[str, CanReceiver] = {}
@@ -46,8 +50,8 @@ def checked(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]
 
 
 def show(file: Path, out: Console) -> None:
-    """Tell `out` what the rig file holds; raises RigFileError with every mistake."""
-    rig, polled, receivers = checked(file)
+    """Print the content of the rig file to `out`; raises RigFileError with every mistake."""
+    rig, polled, receivers = checked_rig(file)
     out.print(_points(rig))
     if rig.interlock:
         out.print(_interlocks(rig))
@@ -135,8 +139,8 @@ def _reads(rig: Rig, name: str, cost: Polling) -> Table:
 
 
 def as_json(file: Path) -> str:
-    """The read plan as a document; raises RigFileError with every mistake."""
-    rig, polled, receivers = checked(file)
+    """Return the plan of the reads as JSON; raises RigFileError with every mistake."""
+    rig, polled, receivers = checked_rig(file)
     plan = {
         name: {
             "bytes_per_tick": cost.bytes_per_tick,

@@ -1,4 +1,4 @@
-"""Element kinds of a twin file as a table: what each is, its keys, its parameters with units and bounds."""
+"""Table of the element kinds of a twin file: description, keys, parameters with units and bounds."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ROLES = {
 
 
 def kinds_table() -> Table:
-    """One block a kind: its first row says what it is, then come its keys, then its parameters."""
+    """Return a table with one block a kind: its description, its keys, its parameters."""
     from rich import box
     from rich.table import Table
 
@@ -47,9 +47,9 @@ def kinds_table() -> Table:
 
 
 def parameters_of(cls: type[Element]) -> list[tuple[ParameterSpec, str]]:
-    """Parameters that an element of the kind may have, each with the keys that it depends on, "" for none.
+    """Return the parameters that an element of the kind may have, each with the keys that it depends on, "" for none.
 
-    They are asked of elements with every choice, and with and without each key that may be left out.
+    They come from elements with every choice, and with and without each optional key.
     """
     places = cls.places()
     options = {key: _options(key, field) for key, field in places.items()}
@@ -69,7 +69,7 @@ def _about(cls: type[Element]) -> str:
 
 
 def _place(field: dataclasses.Field[Any]) -> tuple[str, str, str]:
-    """What may stand there, what holds without it, what it is."""
+    """Return the admitted values of a key, its default, and its description."""
     role = field.metadata["role"]
     may = ", ".join(field.metadata["choices"]) if role == "choice" else _ROLES[role]
     return may, _default(None if _needed(field) else field.default), field.metadata["about"]
@@ -86,7 +86,7 @@ def _needed(field: dataclasses.Field[Any]) -> bool:
 
 
 def _options(key: str, field: dataclasses.Field[Any]) -> tuple[Any, ...]:
-    """What an example has there: each choice; a name, and nothing where the key may be left out."""
+    """Return the values of a key in examples: each choice, or a name, and the default of an optional key."""
     role = field.metadata["role"]
     if role == "choice":
         return tuple(field.metadata["choices"])
@@ -96,7 +96,7 @@ def _options(key: str, field: dataclasses.Field[Any]) -> tuple[Any, ...]:
 
 
 def _only(options: Mapping[str, tuple[Any, ...]], seen: list[dict[str, Any]]) -> str:
-    """Keys without which, or choices in which alone, elements like those `seen` have a parameter."""
+    """Return the keys and choices that the elements `seen` have in common and others lack, as text."""
     parts = []
     for key, may in options.items():
         with_it = [value for value in may if any(keys[key] == value for keys in seen)]

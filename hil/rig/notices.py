@@ -1,4 +1,4 @@
-"""Notes on a rig file that is allowed and most likely not meant: a sentence each, with the line."""
+"""Notes on entries of a rig file that are allowed and probably not meant: a sentence each, with the line."""
 
 from __future__ import annotations
 
@@ -7,25 +7,29 @@ from pathlib import Path
 from drivers.rig_file import ModbusTcpBus, Point, Rig, line_of, read_regular
 from drivers.signals import HEATER, ROLES, nearest_role
 from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, takes_s
-from hil.run.restore.thermal_restore import has_memory, role_of, unled
+from hil.run.restore.thermal_restore import restore_obstacle, role_of, stores_heat
 
 
 def notices(rig: Rig, file: Path) -> list[str]:
-    """Heaters that stay on, roles that are none, and a rig that `hil resume` cannot lead back."""
+    """Return notes on heaters that stay on, unknown roles, unsafe set-ups, and a rig without thermal restore."""
     text = read_regular(file).decode("utf-8")
     found = []
     for index, point in enumerate(rig.point):
         for key, what in (("safe_value", _stays_on(rig, point)), ("role", _no_role(point))):
             if what is not None:
                 found.append(f"{file}, line {line_of(text, ('point', index, key))}: {what}")
-    if any(has_memory(point.as_signal()) for point in rig.point) and (what := unled(rig, rig.setpoints)) is not None:
+    if (
+        any(stores_heat(point.as_signal()) for point in rig.point)
+        and (what := restore_obstacle(rig, rig.setpoints)) is not None
+    ):
         found.append(f"{file}: {what}")
     return [*found, *_entity_numbers(rig, file, text), *unguarded(rig, file)]
 
 
 _ENTITY_NUMBERS = {"holding": 40000, "input": 30000, "discrete": 10000}
-"""First number of a table where manuals have it as leading digit: 40001 is the first holding register, address 0."""
+"""Offset of a table's entity numbers in manuals: 40001 is the first holding register, address 0."""
 _NUMBERS_OF_A_TABLE = 10000
+"""Entity numbers of a table, by the four digits after the leading one."""
 
 
 def _entity_numbers(rig: Rig, file: Path, text: str) -> list[str]:
@@ -48,7 +52,7 @@ def _entity_numbers(rig: Rig, file: Path, text: str) -> list[str]:
 
 
 def unguarded(rig: Rig, file: Path) -> list[str]:
-    """Return notes on a rig with set-points that nothing resets or trips: no heartbeat, no alarm."""
+    """Return notes on a rig with set-points but without heartbeat or without alarm."""
     if not rig.setpoints:
         return []
     found = []
@@ -88,7 +92,7 @@ def _late_guardian(rig: Rig, file: Path) -> list[str]:
 
 def _stays_on(rig: Rig, point: Point) -> str | None:
     role = role_of(rig, point)
-    # With another role that is known, what is set in W is a fan or a pump.
+    # A set-point in W with another known role is a fan or a pump.
     is_heater = role == HEATER or (point.unit in ("W", "kW") and role not in ROLES)
     if not point.is_setpoint or not is_heater or not point.safe_value:
         return None

@@ -1,4 +1,4 @@
-"""`hil check --online`: a rig before anything moves: all that is wrong as one tree, then the points as they come."""
+"""Online check of a rig without writes (`hil check --online`): all faults as one tree, then the live points."""
 
 from __future__ import annotations
 
@@ -17,17 +17,20 @@ if TYPE_CHECKING:
     from rich.tree import Tree
 
 SHOWN_EVERY_S = 0.25
+"""Interval of updates of the table, s."""
 _AROUND = 7
-"""Lines of the terminal that title, heading and frame of the table take."""
+"""Lines of the terminal for title, heading and frame of the table."""
 _WIDE = 110
-"""Columns of a terminal that has room for the limits."""
+"""Columns of a terminal from which on the limits are shown."""
 _STYLE = {Quality.GOOD: "green", Quality.STALE: "yellow", Quality.OUT_OF_RANGE: "yellow"}
 
 
-async def look(rig: Rig, seconds: float | None, out: Console | None) -> dict[str, Any]:
-    """Open all buses, tell `out` what is wrong, show the points for `seconds` or until SIGINT; how it was at the end.
+async def watch_online(rig: Rig, seconds: float | None, out: Console | None) -> dict[str, Any]:
+    """Open all buses, print the faults, show the points for `seconds` or until SIGINT, and return the last state.
 
-    Without `seconds` a look that nobody can watch ends at once. Nothing is ever written to the rig.
+    Args:
+        rig: the rig; nothing is written to it. seconds: time to show the points; None ends at once without a terminal.
+        out: console, None to print nothing.
     """
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -74,7 +77,7 @@ async def _show(watch: RigWatch, out: Console | None, stop: asyncio.Event, secon
 
 
 def tree(watch: RigWatch) -> Tree:
-    """Each bus, and under it everything that is wrong."""
+    """Return a tree of the buses with their faults."""
     from rich.text import Text
     from rich.tree import Tree
 
@@ -82,14 +85,14 @@ def tree(watch: RigWatch) -> Tree:
     up = sum(bus.opened_s is not None for bus in watch.buses)
     root = Tree(Text(f"{watch.rig.name}: {up} of {len(watch.buses)} buses answer", style="red" if faults else "green"))
     for bus in watch.buses:
-        said = faults.get(bus.name, [])
-        branch = root.add(Text(_of(watch.rig, bus), style="red" if said else "green"))
-        for sentence in said:
+        sentences = faults.get(bus.name, [])
+        branch = root.add(Text(_bus_line(watch.rig, bus), style="red" if sentences else "green"))
+        for sentence in sentences:
             branch.add(Text(sentence))
     return root
 
 
-def _of(rig: Rig, bus: BusWatch) -> str:
+def _bus_line(rig: Rig, bus: BusWatch) -> str:
     config = rig.bus[bus.name]
     where = config.place if isinstance(config, CanBus) else config.where
     count = len(bus.seen())
@@ -98,7 +101,7 @@ def _of(rig: Rig, bus: BusWatch) -> str:
 
 
 def table(watch: RigWatch, rows: int | None = None, limits: bool = True) -> Table:
-    """The points as they are now; where more than `rows`, those with a fault come first and the rest is counted."""
+    """Return a table of the points now; of more than `rows`, those with a fault come first and the rest is counted."""
     from rich.table import Table
     from rich.text import Text
 
@@ -147,7 +150,7 @@ def _limits(seen: PointState) -> str:
 
 
 def document(watch: RigWatch) -> dict[str, Any]:
-    """Buses, points and faults as JSON has them; what is not known is null."""
+    """Return buses, points and faults as plain data for JSON; unknown values are None."""
 
     def known(value: float) -> float | None:
         return round(value, 9) if math.isfinite(value) else None
@@ -167,5 +170,5 @@ def document(watch: RigWatch) -> dict[str, Any]:
             }
             for seen in watch.seen()
         ],
-        "faults": [sentence for said in faults.values() for sentence in said],
+        "faults": [sentence for sentences in faults.values() for sentence in sentences],
     }  # fmt: skip

@@ -1,1 +1,1 @@
-"""Folder of a run: its files, its manifest, and commands that start from it."""
+"""Folder of a run: paths of its files, its lock, and the checks of its manifest."""

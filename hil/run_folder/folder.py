@@ -1,4 +1,4 @@
-"""The folder of a run: `runs/<utc>-<profile>/` with journal, record, review, twin, report and `run.json`."""
+"""Folder of a run: `runs/<utc>-<profile>/` with journal, record, review, twin, report and `run.json`."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from drivers.rig_file import file_sha256
 from hil import __version__
 from hil.files.atomic import replacing
 from hil.files.folder_check import read_json, require_plain
-from hil.files.names import ENDINGS, LONGEST_DATABASE_PATH, component, longest_name
+from hil.files.names import ENDINGS, LONGEST_DATABASE_PATH, longest_name, safe_file_name
 from hil.run_folder.manifest_check import checked_manifest
 
 LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "pyarrow", "rerun-sdk")
 BYTES_PER_TICK = 2500
-"""What a tick costs on disk, journal and record and review together, rounded up."""
+"""Bytes of a tick on disk, in journal, record and review together, rounded up."""
 
 
 class RunFolderError(Exception):
-    """The run folder cannot be made or read; the message says what to do."""
+    """Run folder that cannot be made or read; the message states the remedy."""
 
 
 class FolderLostError(RunFolderError):
-    """The folder of a run was deleted, or cannot be written any more; the message says what is left of the run."""
+    """Folder of a run that was deleted, or cannot be written any more; the message states the rest of the run."""
 
 
 def _damaged(sentence: str) -> RunFolderError:
@@ -43,15 +43,15 @@ def _damaged(sentence: str) -> RunFolderError:
 
 @dataclass(frozen=True, slots=True)
 class RunFolder:
-    """Paths of one run."""
+    """Paths of one run, and the lock on its folder."""
 
     path: Path
     _held: list[int] = field(default_factory=list, compare=False, repr=False)
-    """Open directory, while this process holds the folder: it leads there also after somebody moved it."""
+    """Open directory while this process holds the folder: it stays valid after somebody moved the folder."""
 
     @property
     def journal(self) -> Path:
-        """SQLite journal, the source of everything else."""
+        """SQLite journal, the source of all derived files."""
         return self.path / "journal.sqlite"
 
     @property
@@ -66,7 +66,7 @@ class RunFolder:
 
     @property
     def twin(self) -> Path:
-        """The twin file that the run began with."""
+        """Twin file with which the run began."""
         return self.path / "twin.toml"
 
     @property
@@ -90,9 +90,9 @@ class RunFolder:
         return self.path / "run.json"
 
     def read_manifest(self) -> dict[str, Any]:
-        """`run.json`, checked; raises RunFolderError where this is no run folder, or one that leads outside itself."""
+        """Return `run.json`, checked; raises RunFolderError for another folder, or one with links to the outside."""
         try:
-            self.manifest.lstat()  # before the folder is looked through: it may be anybody's home
+            self.manifest.lstat()  # before the folder is searched: it may be anybody's home
             require_plain(self.path, RunFolderError)
             document = read_json(self.manifest, _damaged)
         except FileNotFoundError:
@@ -102,8 +102,7 @@ class RunFolder:
         return checked_manifest(document, self.manifest, RunFolderError)
 
     def is_current(self, made: Path, within_s: float = 0.0) -> bool:
-        """Return whether a file that was made from the journal is there and no older than the journal's last row, but
-        for `within_s`."""
+        """Return True for a derived file that exists and is at most `within_s` seconds older than the last row."""
         log = self.journal.with_name(f"{self.journal.name}-wal")
         try:
             newest = max(path.stat().st_mtime for path in (self.journal, log) if path.is_file())
@@ -113,7 +112,7 @@ class RunFolder:
 
     @property
     def was_cut(self) -> bool:
-        """Whether its run neither ended nor goes on: it was killed, or its power went."""
+        """True for an interrupted run, which has not ended and is not live: it was killed, or the power failed."""
         try:
             if self.read_manifest()["exit_status"] != "running":
                 return False
@@ -124,9 +123,9 @@ class RunFolder:
 
     @contextlib.contextmanager
     def owned(self) -> Iterator[None]:
-        """Hold the folder as the one run that goes on in it; raises RunFolderError where another process does.
+        """Lock the folder for the run of this process; raises RunFolderError where another process holds it.
 
-        The kernel lets go of it with the process, whatever ends that. A file system without locks is trusted.
+        The kernel releases the lock at the end of the process. A file system without locks is accepted.
         """
         handle = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
         try:
@@ -146,10 +145,10 @@ class RunFolder:
             os.close(handle)
 
     def located(self) -> RunFolder:
-        """Return the folder where it lies now, which is elsewhere if somebody moved it while it was held.
+        """Return the folder at its present path, which differs if somebody moved it while it was locked.
 
         Raises:
-            FolderLostError: it was deleted.
+            FolderLostError: the folder was deleted.
         """
         if not self._held:
             if self.path.is_dir():
@@ -162,25 +161,25 @@ class RunFolder:
                     return self if path == self.path else RunFolder(path, self._held)
         raise FolderLostError(f"{self.path} was deleted")
 
-    def keep_twin(self, files: Sequence[Path]) -> None:
-        """Copy the twin file that a run begins with, and after it what that was made of, newest first.
+    def copy_twin(self, files: Sequence[Path]) -> None:
+        """Copy the twin file of a run, and then its earlier revisions, newest first.
 
-        A healthy record may belong to one of the latter.
+        A healthy record may belong to one of these.
         """
         for age, file in enumerate(files):
             shutil.copyfile(file, self.path / f"twin.before-{age}.toml" if age else self.twin)
 
     def write_manifest(self, document: dict[str, Any]) -> None:
-        """Write `run.json` in one step."""
+        """Write `run.json` atomically; raises OSError."""
         with replacing(self.manifest) as temporary:
             temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
-    """Make a new, empty run folder under `parent`, named by time and profile.
+    """Make a new, empty run folder under `parent`, named by time and profile, and return it.
 
     Runs that begin in the same second get folders of their own. Characters of `profile_name` that a terminal or a
-    library could not take are replaced in the folder's name, and a long one is cut.
+    library would refuse are replaced in the folder's name, and a long name is cut.
 
     Raises:
         RunFolderError: `parent` is no folder or takes no new one, its path is too long for a journal, or its disk has
@@ -198,7 +197,9 @@ def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
             f"{parent} is too long: SQLite takes {LONGEST_DATABASE_PATH} bytes for the path of a journal; "
             "choose a shorter folder with --runs"
         )
-    path = _made(parent, f"{stamp}-{component(profile_name, min(longest_name(parent) - len(stamp) - ENDINGS, room))}")
+    path = _made(
+        parent, f"{stamp}-{safe_file_name(profile_name, min(longest_name(parent) - len(stamp) - ENDINGS, room))}"
+    )
     try:
         _require(path, ticks * BYTES_PER_TICK, "use --runs")
     except RunFolderError:
@@ -208,7 +209,7 @@ def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
 
 
 def _made(parent: Path, name: str) -> Path:
-    """Make a folder of this name, or with a number after it where others have the name already."""
+    """Make and return a folder of this name, with a number after it where the name is taken."""
     for suffix in ("", *(f"-{n}" for n in range(2, 100))):
         path = parent / f"{name}{suffix}"
         try:
@@ -224,7 +225,7 @@ def _made(parent: Path, name: str) -> Path:
 
 
 def require_room(folder: RunFolder, ticks: int) -> None:
-    """Raise RunFolderError where the disk has no room for what a run of so many ticks still lacks in its folder."""
+    """Check that the disk has room for the rest of a run of `ticks` ticks; raises RunFolderError."""
     held = sum(path.stat().st_size for path in folder.path.iterdir() if path.is_file())
     _require(folder.path, max(ticks * BYTES_PER_TICK - held, 0), "move the run's folder to another disk")
 
@@ -239,7 +240,7 @@ def _require(path: Path, needed: int, otherwise: str) -> None:
 
 
 def new_manifest(files: dict[str, Path | None], **settings: Any) -> dict[str, Any]:
-    """What is known before a run begins: identity, versions, host, hash of every file that it depends on."""
+    """Return the manifest of a run at its begin: identity, versions, host, hash of every file that it depends on."""
     return {
         "uid": str(uuid.uuid4()),
         "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),

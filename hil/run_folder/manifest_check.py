@@ -1,6 +1,6 @@
-"""The shape of `run.json`: what report, review and resume rely on, checked when it is read.
+"""Shape of `run.json`: the entries that report, review and resume read, checked when it is read.
 
-A manifest is data from anywhere. Keys that nobody here reads may be anything.
+A manifest may come from anywhere. Other keys may hold anything.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ _LONGEST_SHOWN = 40
 
 
 def wrong_place(error: ValidationError) -> str:
-    """Return the first entry that a check of shapes refused, and why, in words for the user."""
+    """Return the first entry that a check of shapes refused, and the reason, as text for the user."""
     first = error.errors(include_url=False)[0]
     place = ".".join(ascii(part)[1:-1] if isinstance(part, str) else str(part) for part in first["loc"])
     given = ascii(first["input"])
@@ -100,10 +100,10 @@ def wrong_place(error: ValidationError) -> str:
 
 
 def checked_manifest(document: Any, path: Path, failure: Failure) -> dict[str, Any]:
-    """Return the manifest with an empty value for whatever it lacks and a report shows.
+    """Return the manifest with an empty value for each missing entry that a report shows.
 
     Raises:
-        failure: an entry is of another kind than a run writes, in one sentence.
+        failure: an entry is of another type than a run writes, in one sentence.
     """
     try:
         _Manifest.model_validate(_as_tuples(document))
@@ -117,14 +117,14 @@ def checked_manifest(document: Any, path: Path, failure: Failure) -> dict[str, A
 
 
 def require_settings(settings: dict[str, Any], path: Path, failure: Failure) -> None:
-    """Check that a manifest holds all settings that a run is resumed with; raises `failure`."""
+    """Check that a manifest holds all settings for a resume; raises `failure`."""
     missing = [key for key in _REQUIRED if key not in settings]
     if missing:
         raise failure(f"{path} lacks settings.{missing[0]}, so the run cannot be resumed; start a new run")
 
 
 def _as_tuples(document: Any) -> Any:
-    """The document with lists of fixed length as tuples, which JSON does not know."""
+    """Return the document with tuples in place of lists of fixed length: JSON has no tuples."""
     if not isinstance(document, dict):
         return document
     found = dict(document)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.run.session.terminal import Steps
+from hil.run.session.terminal import ProgressBar
 from hil.training.plant_windows import campaign as plant_campaign
 from hil.training.stopping import Stop
 from twin.calibrators.hiera_unet.campaigns import WINDOWS, Campaign, ends, label, simulated
@@ -223,7 +223,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     try:
-        with Stop() as stop, Steps("windows", 1.0, begun=begun(given.out, given.count)) as steps:
+        with Stop() as stop, ProgressBar("windows", 1.0, begun=begun(given.out, given.count)) as steps:
             store = generate(given.seed, given.count, given.out, steps.update, stop)
             steps.cut = store is None
     except TwinFileError as error:

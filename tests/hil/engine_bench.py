@@ -16,8 +16,8 @@ from hil.run.engine.components import Options
 from hil.run.engine.engine import Engine
 from hil.run.engine.operator import RefusedError, Verb
 from hil.run.engine.status import Outcome
-from hil.run.restore.resumption import Resumption, Standing
-from hil.run.restore.thermal_restore import SoakRule
+from hil.run.restore.resumption import Resumption, RunPosition
+from hil.run.restore.thermal_restore import RestoreRule
 from tests.hil.simulated_rig import MemoryJournal, RigTime, SimulatedClock, SimulatedRig
 
 WITHIN_S = 1.0
@@ -34,8 +34,8 @@ def profile(duration_s: float = 600.0, power_W: float = 700.0) -> Profile:
 def cut_at(profile_s: float, aim: dict[str, float], *, timeout_s: float = 600.0, gap_s: float = 100.0) -> Resumption:
     """How a run goes on that was cut at `profile_s`, with the rig at `aim`, `gap_s` ago."""
     tick = int(profile_s)
-    standing = Standing(tick, profile_s, time.time() - gap_s, profile_s, "running", 2, tick, aim)
-    return Resumption(standing, SoakRule(1.0, timeout_s), "the run was cut while running")
+    standing = RunPosition(tick, profile_s, time.time() - gap_s, profile_s, "running", 2, tick, aim)
+    return Resumption(standing, RestoreRule(1.0, timeout_s), "the run was cut while running")
 
 
 class EngineBench:
@@ -44,7 +44,7 @@ class EngineBench:
     def __init__(
         self, rig: Rig, duration_s: float = 600.0, resumption: Resumption | None = None, rearm: bool = False
     ) -> None:
-        self._soaks = resumption is not None
+        self._restores = resumption is not None
         self.loop = asyncio.new_event_loop()
         self.rig = SimulatedRig(rig)
         self.clock = SimulatedClock(self.rig)
@@ -124,8 +124,8 @@ class EngineBench:
     def _look(self, passed_s: float) -> None:
         """The safety property, judged whenever rig time goes on, on what reaches the heater."""
         state = self.engine.state
-        led_back = state is State.SOAKING and self._soaks
-        if state in {State.RUNNING, State.HELD} | UNTOUCHED or led_back or self.rig.heater_W == 0.0:
+        restored = state is State.RESTORING and self._restores
+        if state in {State.RUNNING, State.HELD} | UNTOUCHED or restored or self.rig.heater_W == 0.0:
             self._unsafe_s = self._unreachable_s = 0.0
             return
         if not self.rig.link or self.rig.loses_writes:

@@ -21,9 +21,9 @@ from hil.cli.options.subject import SubjectError, subject_of
 from hil.cli.report import command as report
 from hil.errors import exit_code
 from hil.record.reader import RecordError
-from hil.run.session.derived_files import RUN_UID, Derived, derive_files, missing_sentence
+from hil.run.session.derived_files import RUN_UID, DerivedFiles, derive_files, missing_sentence
 from hil.run.session.interrupted_run import request_of
-from hil.run.session.regenerate import remake
+from hil.run.session.regenerate import regenerate_files
 from hil.run_folder.folder import FolderLostError, RunFolderError
 from tests.hil.ended_run import ended_run
 
@@ -103,13 +103,13 @@ def test_a_signal_ends_the_making_at_once_and_leaves_what_is_made(tmp_path, monk
     assert folder.read_manifest()["missing"] == {"review.rrd": why, "report.html": why}
     assert "not made: review.rrd" in said[-1]
     assert derived.exit_code(True) == derived.exit_code(False) == 128 + number
-    remake(folder, False, said.append)
+    regenerate_files(folder, False, said.append)
     assert names(folder) == ALL
 
 
 def test_a_signal_after_the_last_file_changes_no_exit_code(tmp_path):
     folder, manifest = ended_run(tmp_path / "run")
-    assert Derived(folder, {}, signal.SIGTERM).exit_code(True) == 0
+    assert DerivedFiles(folder, {}, signal.SIGTERM).exit_code(True) == 0
     assert derive_files(folder, manifest, lambda text: None).stopped_by is None
 
 
@@ -194,7 +194,7 @@ def test_a_folder_that_cannot_be_written_any_more_is_said_to_be(tmp_path, monkey
 def test_a_run_killed_before_it_could_say_how_it_ended_is_reported_by_its_journal(tmp_path):
     folder, manifest = ended_run(tmp_path / "run")
     folder.write_manifest(manifest | {"exit_status": "running", "reason": ""})
-    remake(folder, False, lambda text: None)
+    regenerate_files(folder, False, lambda text: None)
     found = folder.read_manifest()
     assert (found["exit_status"], found["reason"], found["ticks"]) == ("done", "the profile is over", 300)
     assert names(folder) == ALL
@@ -203,7 +203,7 @@ def test_a_run_killed_before_it_could_say_how_it_ended_is_reported_by_its_journa
 def test_a_run_that_was_cut_is_reported_as_far_as_it_came_and_stays_cut(tmp_path):
     folder, manifest = ended_run(tmp_path / "run", ended=False)
     folder.write_manifest(manifest)
-    remake(folder, False, lambda text: None)
+    regenerate_files(folder, False, lambda text: None)
     assert names(folder) == ALL
     assert folder.was_cut
     assert pq.read_metadata(folder.record).num_rows == 300
@@ -213,21 +213,21 @@ def test_a_live_run_is_not_reported(tmp_path):
     folder, manifest = ended_run(tmp_path / "run", ended=False)
     folder.write_manifest(manifest)
     with folder.owned(), pytest.raises(RunFolderError, match="still goes on"):
-        remake(folder, False, lambda text: None)
+        regenerate_files(folder, False, lambda text: None)
 
 
 def test_record_and_review_are_made_again_where_they_are_older_or_it_is_asked(tmp_path):
     folder, manifest = ended_run(tmp_path / "run")
     derive_files(folder, manifest, lambda text: None)
     said = []
-    remake(folder, False, said.append)
+    regenerate_files(folder, False, said.append)
     assert said == ["writing report.html"]
     os.utime(folder.record, (1e9, 1e9))
     said.clear()
-    remake(folder, False, said.append)
+    regenerate_files(folder, False, said.append)
     assert said == ["writing record.parquet", "writing report.html"]
     said.clear()
-    remake(folder, True, said.append)
+    regenerate_files(folder, True, said.append)
     assert said == ["writing record.parquet", "writing review.rrd", "writing report.html"]
 
 

@@ -10,7 +10,14 @@ import sys
 import pytest
 
 from hil.files.atomic import replacing
-from hil.files.names import LONGEST_DATABASE_PATH, accept_any_name, component, connect_read_only, printable, utf8_path
+from hil.files.names import (
+    LONGEST_DATABASE_PATH,
+    accept_any_name,
+    connect_read_only,
+    printable,
+    safe_file_name,
+    utf8_path,
+)
 from hil.journal.writer import JournalError, JournalReader
 from hil.profile.load_profile import read_profile
 from hil.record.reader import read_record, write_record
@@ -50,11 +57,11 @@ def test_a_run_folder_is_named_by_any_profile(tmp_path, name):
     assert len(os.fsencode(made.name)) < 255 - len(".run.json")
     assert made.name.isprintable()
     printable(made.name).encode()
-    assert component(path.stem)[:150] in made.name
+    assert safe_file_name(path.stem)[:150] in made.name
 
 
 def test_a_name_is_cut_between_characters():
-    assert component("a" + "\N{FIRE}" * 3, 8) == "a\N{FIRE}"
+    assert safe_file_name("a" + "\N{FIRE}" * 3, 8) == "a\N{FIRE}"
 
 
 def test_folders_of_one_second_are_told_apart(tmp_path):

@@ -19,8 +19,8 @@ from hil.files.html import joined
 from hil.journal.writer import JournalError, JournalReader
 from hil.report.page import write_report
 from hil.run.engine.control_socket import ControlError, ask
-from hil.run.session.interrupted_run import named, request_of, standing
-from hil.run.session.regenerate import remake
+from hil.run.session.interrupted_run import position_of, request_of, resume_notices
+from hil.run.session.regenerate import regenerate_files
 from hil.run.session.request import RunRequest
 from hil.run_folder.folder import RunFolder, RunFolderError, new_manifest
 from tests.hil.synthetic_journal import make, write
@@ -224,7 +224,7 @@ def test_a_state_that_no_run_has_is_one_sentence(run: RunFolder) -> None:
     database.commit()
     database.close()
     altered(run, exit_status="running")
-    for use in (lambda: remake(run, False, print), lambda: standing(run)):
+    for use in (lambda: regenerate_files(run, False, print), lambda: position_of(run)):
         with pytest.raises(JournalError, match="its states cannot be read \\('flying' is no state of a run"):
             use()
 
@@ -285,10 +285,10 @@ def request(run: RunFolder, **moved: Path) -> RunRequest:
 
 
 def test_a_run_in_order_can_be_resumed_and_names_the_rig(run: RunFolder) -> None:
-    (sentence,) = named(request(run))
+    (sentence,) = resume_notices(request(run))
     assert str(RIG) in sentence and str(LOAD) in sentence and "virtual rig of its own" in sentence
     altered(run, settings=SETTINGS | {"virtual": False})
-    (sentence,) = named(request(run))
+    (sentence,) = resume_notices(request(run))
     assert "127.0.0.1" in sentence and str(RIG) in sentence
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from drivers.signals.points import ConfigurationError
 from hil.run.restore import gap_evidence
-from hil.run.restore.gap_evidence import LONG_GAP_S, ClockReading, clocks_noted, duration_s, read_clocks, with_gap
-from hil.run.restore.resumption import Standing
+from hil.run.restore.gap_evidence import LONG_GAP_S, ClockReading, clocks_recorded, duration_s, read_clocks, with_gap
+from hil.run.restore.resumption import RunPosition
 from hil.run_folder.folder import RunFolderError
 
 NOW_S, UP_S = 1.8e9, 50_000.0
@@ -35,16 +35,16 @@ def clocks(monkeypatch):
     return Clocks
 
 
-def cut(gap_s: float) -> Standing:
+def cut(gap_s: float) -> RunPosition:
     """A run whose last row is `gap_s` old by the wall clock of that time."""
-    return Standing(100, 100.0, NOW_S - gap_s, 100.0, "running", 2, 100, {})
+    return RunPosition(100, 100.0, NOW_S - gap_s, 100.0, "running", 2, 100, {})
 
 
 def noted(boot_id: str = "one", host: str = "bench", up_s: float = UP_S) -> dict[str, object]:
     return {"boot_id": boot_id, "host": host, "wall_at_boot_s": NOW_S - up_s}
 
 
-def found(was: Standing, note: object, stated_s: float | None = None) -> tuple[float, list[str]]:
+def found(was: RunPosition, note: object, stated_s: float | None = None) -> tuple[float, list[str]]:
     said: list[str] = []
     return with_gap(was, note, stated_s, said.append).gap_s(1.0), said
 
@@ -108,7 +108,7 @@ def test_a_gap_counts_on_in_rig_time(clocks):
 
 
 def test_a_jump_of_the_wall_clock_while_a_run_goes_on_is_noted(monkeypatch):
-    monkeypatch.setattr(gap_evidence, "LOOK_EVERY_S", 0.01)
+    monkeypatch.setattr(gap_evidence, "CHECK_EVERY_S", 0.01)
     kept: list[dict[str, object]] = []
 
     class Journal:
@@ -117,7 +117,7 @@ def test_a_jump_of_the_wall_clock_while_a_run_goes_on_is_noted(monkeypatch):
             kept.append(value)
 
     async def run() -> None:
-        async with clocks_noted(Journal()):
+        async with clocks_recorded(Journal()):
             await asyncio.sleep(0.05)
             assert len(kept) == 1
             real = time.time

@@ -18,7 +18,7 @@ import pytest
 
 from drivers.rig_file.reader import load_rig
 from hil.guardian import process
-from hil.guardian.client import Guardian
+from hil.guardian.client import GuardianClient
 from hil.guardian.plan import plan_of
 from hil.rig.notices import unguarded
 from tests.hil.guarded_device import HEATER, Device
@@ -29,13 +29,13 @@ import asyncio, sys, time
 from pathlib import Path
 from drivers.rig.connection import RigConnection
 from drivers.rig_file.reader import load_rig
-from hil.guardian.client import Guardian
+from hil.guardian.client import GuardianClient
 
 async def main(rig_path, log, how):
     rig = load_rig(Path(rig_path))
     connection = RigConnection(rig, time.monotonic)
     await connection.connect()
-    guardian = Guardian(rig, Path(log))
+    guardian = GuardianClient(rig, Path(log))
     await guardian.start()
     alone = await guardian.probe()
     while alone and not await tried(connection):
@@ -203,7 +203,7 @@ def test_the_standby_connection_is_opened_anew_where_the_device_has_closed_it(tm
     assert plan is not None
     why, wire = process.probe(plan["wires"][0])
     assert (why, device.connections) == ("", 1)
-    keeper = process.Keeper(plan["wires"][0], lambda place: None, wire)
+    keeper = process.SafeStateKeeper(plan["wires"][0], lambda place: None, wire)
     keeper.start()
     device.hang_up()
     assert until(lambda: device.connections >= 2, 3.0)
@@ -222,7 +222,7 @@ async def test_a_deaf_device_with_one_connection_is_reported_with_the_time_that_
     (tmp_path / "rig.toml").write_text(device.rig_text())
     rig = load_rig(tmp_path / "rig.toml")
     with socket.create_connection(("127.0.0.1", device.port)):
-        guardian = Guardian(rig, tmp_path / "guardian.log")
+        guardian = GuardianClient(rig, tmp_path / "guardian.log")
         await guardian.start()
         (why,) = await guardian.probe()
         await guardian.done(safe=True)
@@ -245,7 +245,7 @@ def test_a_meter_has_the_time_of_the_rig_file_by_the_clock_of_the_rig(tmp_path):
 def test_a_guardian_that_waits_for_the_engine_names_the_wire_and_the_cause(tmp_path):
     device = Device(serial=True)
     (tmp_path / "rig.toml").write_text(device.rig_text())
-    guardian = Guardian(load_rig(tmp_path / "rig.toml"), tmp_path / "guardian.log")
+    guardian = GuardianClient(load_rig(tmp_path / "rig.toml"), tmp_path / "guardian.log")
 
     async def asked() -> None:
         await guardian.start()
@@ -334,7 +334,7 @@ def test_the_guardian_is_small(tmp_path):
 async def test_a_run_that_ends_in_order_leaves_no_guardian_and_no_write(tmp_path):
     device = Device()
     (tmp_path / "rig.toml").write_text(device.rig_text())
-    guardian = Guardian(load_rig(tmp_path / "rig.toml"), tmp_path / "guardian.log")
+    guardian = GuardianClient(load_rig(tmp_path / "rig.toml"), tmp_path / "guardian.log")
     await guardian.start()
     assert await guardian.probe() == []
     guardian.watch()
@@ -351,7 +351,7 @@ async def test_a_run_that_ends_in_order_leaves_no_guardian_and_no_write(tmp_path
 async def test_the_guardian_acts_when_the_engine_asks(tmp_path):
     device = Device()
     (tmp_path / "rig.toml").write_text(device.rig_text())
-    guardian = Guardian(load_rig(tmp_path / "rig.toml"), tmp_path / "guardian.log")
+    guardian = GuardianClient(load_rig(tmp_path / "rig.toml"), tmp_path / "guardian.log")
     await guardian.start()
     guardian.watch()
     device.registers[HEATER] = 500

@@ -237,7 +237,7 @@ def test_own_weights_are_asked_where_their_card_is_named(
     missing = hil("track", record, "--twin", LOOP, "--network", tmp_path / "no.json")
     assert missing.exit_code == 2 and "no.json: there is no such file" in missing.output
     unasked = hil("track", record, "--twin", LOOP, "--network", card, "--calibrator", "pso")
-    assert "no calibrator asks it; add --calibrator hiera_unet or hiera_ls" in str(unasked.exception)
+    assert "no calibrator uses it; add --calibrator hiera_unet or hiera_ls" in str(unasked.exception)
 
 
 @network_here
@@ -254,7 +254,7 @@ def test_a_run_names_its_network_and_goes_on_with_that_alone(tmp_path: Path, mon
     assert request_of(folder, manifest, {}).card == card
     moved = card.with_name("moved.json")
     card.rename(moved)
-    with pytest.raises(RunFolderError, match="the run's network, is not there; say where it is with --network"):
+    with pytest.raises(RunFolderError, match="the run's network, is not there; give its place with --network"):
         request_of(folder, manifest, {})
     assert request_of(folder, manifest, {"network": moved}).card == moved
     moved.write_text(moved.read_text(encoding="utf-8").replace('"format": 2', '"format": 99'), encoding="utf-8")

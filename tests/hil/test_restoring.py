@@ -12,7 +12,7 @@ import pytest
 
 import hil.run.session.run
 from hil.journal.writer import Header, JournalError, JournalReader, JournalWriter
-from hil.run.restore.calibrators import Remainder
+from hil.run.restore.calibrators import NewResults
 from tests.hil.synthetic_journal import make
 
 
@@ -27,7 +27,7 @@ def test_only_what_the_journal_lacks_is_passed_on(tmp_path):
     journal.band("static", 0.0, 600.0, band)
     journal.commit()
     reader = JournalReader(tmp_path / "journal.sqlite")
-    rest = Remainder(journal, reader)
+    rest = NewResults(journal, reader)
     rest.twin_outputs("static", [1, 2, 3, 4], [1.0, 2.0, 3.0, 4.0], np.arange(16.0).reshape(4, 4))
     rest.twin_outputs("pso", [0, 1], [0.0, 1.0], np.ones((2, 4)))
     for end_s in (600.0, 1200.0):
@@ -81,10 +81,10 @@ async def test_calibrators_that_do_not_come_back_start_anew_and_that_is_said(mon
         pass
 
     fresh.close = close
-    monkeypatch.setattr(hil.run.session.run, "restore", fails)
+    monkeypatch.setattr(hil.run.session.run, "restore_calibrators", fails)
     monkeypatch.setattr(hil.run.session.run, "start_tracking", start)
     run: Any = SimpleNamespace(
-        resumption=SimpleNamespace(standing=SimpleNamespace(tick=7, time_s=7.0)), folder=SimpleNamespace(journal=None),
+        resumption=SimpleNamespace(position=SimpleNamespace(tick=7, time_s=7.0)), folder=SimpleNamespace(journal=None),
         announce=said.append, request=None, ready=None,
     )  # fmt: skip
     tracking: Any = SimpleNamespace(failures=[])

@@ -22,9 +22,9 @@ from hil.diagnosis.columns import read_columns
 from hil.journal.writer import JournalReader
 from hil.record.reader import Record, read_record
 from hil.review.rerun_io import read_words
-from hil.run.restore.thermal_restore import has_memory
-from hil.run.session.interrupted_run import standing
-from hil.run.session.terminal import cut_time
+from hil.run.restore.thermal_restore import stores_heat
+from hil.run.session.interrupted_run import position_of
+from hil.run.session.terminal import interruption_summary
 from hil.run_folder.folder import RunFolder, RunFolderError
 from tests.hil.command_line import typed
 from twin.segments import LONG_GAP_S, find_segments
@@ -163,7 +163,7 @@ def test_profile_time_goes_on_where_it_stood_and_every_second_of_it_is_run_once(
 
 
 def outside_the_gap(record: Record, cut: int) -> dict[str, np.ndarray]:
-    """Columns by second of profile time, without the soak and the ten minutes after it."""
+    """Columns by second of profile time, without the restore and the ten minutes after it."""
     profile_s = record.columns.get("profile_s", record.time_s)
     moves = np.concatenate([[True], np.diff(profile_s) > 0])
     order = {int(p): i for i, p in enumerate(profile_s) if moves[i]}
@@ -182,7 +182,7 @@ def test_outside_the_gap_the_record_is_that_of_a_run_that_nothing_disturbed(stor
     room = mine["T_ambient_C"][after] - whole["T_ambient_C"][after]
     for name in TEMPERATURES:
         off = mine[name][after] - whole[name][after]
-        # The soak may leave a kelvin, and the room is not as warm at another hour.
+        # The restore may leave a kelvin, and the room is not as warm at another hour.
         assert np.abs(off).max() < 1.0 + np.abs(room).max() + 0.4, name
 
 
@@ -224,7 +224,7 @@ def test_a_file_that_is_gone_is_asked_for(story, tmp_path):
     RunFolder(tmp_path / "run").write_manifest(manifest)
     done = typed("resume", tmp_path / "run")
     assert done.returncode == 2
-    assert "/nowhere/rig.toml, the run's rig, is not there; say where it is with --rig" in done.stderr
+    assert "/nowhere/rig.toml, the run's rig, is not there; give its place with --rig" in done.stderr
 
 
 def test_a_run_that_is_over_or_goes_on_is_refused(story):
@@ -268,10 +268,10 @@ def test_a_run_whose_trip_has_its_cause_still_is_refused_by_name_and_stays_as_it
         assert "not started: T_pm2 has been without a good value for 5 s: sensor fault" in refused.stdout
     after = rows(folder.journal)
     assert after["values"] == pytest.approx(np.array(before["values"]), nan_ok=True)
-    was = standing(folder)
+    was = position_of(folder)
     assert was.tick == before["tick"][-1]
     assert was.number == 2
-    assert set(was.aim) == {s.name for s in JournalReader(folder.journal).header.signals if has_memory(s)}
+    assert set(was.aim) == {s.name for s in JournalReader(folder.journal).header.signals if stores_heat(s)}
 
 
 def test_a_run_that_was_killed_while_its_report_was_written_gets_it(story, tmp_path):
@@ -351,20 +351,20 @@ def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_co
     whole, messages = read_columns(network, story.whole.record, None)
     assert len(whole.time_s) == 8401
     assert not any("cut" in message for message in messages)
-    said = cut_time(story.folder.read_manifest())
+    said = interruption_summary(story.folder.read_manifest())
     assert said.startswith(" (cut once: ")
-    assert said.endswith("of leading the rig back)")
-    assert cut_time(story.whole.read_manifest()) == ""
+    assert said.endswith("of thermal restore)")
+    assert interruption_summary(story.whole.read_manifest()) == ""
 
 
-def test_a_soak_that_takes_too_long_ends_safe_and_can_be_tried_again(story, tmp_path):
+def test_a_restore_that_takes_too_long_ends_safe_and_can_be_tried_again(story, tmp_path):
     shutil.copytree(story.folder.path.parents[1] / "as it was cut", tmp_path / "run")
     for attempt in range(2):
         done = hil("resume", tmp_path / "run", "--timeout", 60, "--no-viewer", "--json")
         assert done.returncode == 1, done.stderr
         manifest = json.loads(done.stdout)
         assert (manifest["exit_status"], manifest["safe"]) == ("faulted", True)
-        assert manifest["reason"].startswith("not resumed: after 60 s of soaking T_")
+        assert manifest["reason"].startswith("not resumed: after 60 s of thermal restore T_")
         assert len(manifest["segments"]) == attempt + 1
         # The aim is still where the rig was when the profile's clock went.
         assert manifest["segments"][-1]["profile_s"] == story.cut

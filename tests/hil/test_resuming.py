@@ -10,9 +10,9 @@ import pytest
 
 from drivers.rig.connection import RigConnection
 from drivers.signals.points import Quality
-from hil.journal.states import Event, State, following
+from hil.journal.states import Event, State, next_state
 from hil.journal.writer import Header, JournalError, JournalWriter
-from hil.run.session.interrupted_run import standing
+from hil.run.session.interrupted_run import position_of
 from hil.run_folder.folder import BYTES_PER_TICK, RunFolder, RunFolderError, require_room
 from tests.hil.simulated_rig import SHIPPED
 
@@ -28,11 +28,11 @@ class Story:
         self.folder = RunFolder(folder)
         self.period_s = period_s
         self._journal = JournalWriter(self.folder.journal, Header(SIGNALS, {}, (), "load", 9000.0, period_s, {}))
-        self._state, self._tick, self._profile_s = State.SOAKING, 0, 0.0
+        self._state, self._tick, self._profile_s = State.RESTORING, 0, 0.0
 
     def then(self, event: Event, ticks: int, temperature_C: float, bad: tuple[str, ...] = ()) -> Story:
         """Take `event`, then `ticks` at a temperature; `bad` sensors have no good value."""
-        target = following(self._state, event)
+        target = next_state(self._state, event)
         assert target is not None
         # The tick of the transition has been recorded still as it was.
         at = max(self._tick - 1, 0)
@@ -66,35 +66,35 @@ class Story:
         (Event.TRIP, (Event.FAIL,)),  # nobody acknowledged it
     ],
 )
-def test_a_rig_is_led_back_to_where_the_profile_left_it_not_to_where_it_cooled_since(tmp_path, first, then):
+def test_a_rig_is_restored_to_where_the_profile_left_it_not_to_where_it_cooled_since(tmp_path, first, then):
     story = Story(tmp_path).then(Event.START, 300, HOT_C)
     for event in (first, *then):
         story.then(event, 200 if event is not Event.FAIL else 0, COOL_C)
-    found = standing(story.end())
+    found = position_of(story.end())
     assert set(found.aim.values()) == {HOT_C}
     assert len(found.aim) == sum(signal.unit == "degC" and signal.role != "T_ambient" for signal in SIGNALS)
     assert found.profile_s == pytest.approx(300.0, abs=1.0)
 
 
-def test_what_was_held_is_led_back_to_where_the_hold_had_brought_it(tmp_path):
+def test_what_was_held_is_restored_to_where_the_hold_had_brought_it(tmp_path):
     story = Story(tmp_path).then(Event.START, 300, COOL_C).then(Event.HOLD, 200, HOT_C).then(Event.PAUSE, 100, COOL_C)
-    found = standing(story.end())
+    found = position_of(story.end())
     assert set(found.aim.values()) == {HOT_C}
     assert found.profile_s == pytest.approx(300.0, abs=1.0)
 
 
 @pytest.mark.parametrize("period_s", [0.1, 1.0])
-def test_a_sensor_whose_loss_ended_the_run_is_still_led_back_to_its_last_good_values(tmp_path, period_s):
+def test_a_sensor_whose_loss_ended_the_run_is_still_restored_to_its_last_good_values(tmp_path, period_s):
     ticks = round(6.0 / period_s)
     story = Story(tmp_path, period_s).then(Event.START, 900, HOT_C)
     story.then(Event.HOLD, 0, HOT_C).then(Event.RESUME, ticks, HOT_C, bad=("T_pm2", "T_tank"))
-    found = standing(story.then(Event.FAIL, 0, COOL_C).end())
+    found = position_of(story.then(Event.FAIL, 0, COOL_C).end())
     assert found.aim["T_pm2"] == found.aim["T_tank"] == found.aim["T_heater"] == HOT_C
 
 
-def test_a_sensor_that_was_lost_for_long_is_not_led_back_to_what_it_said_long_ago(tmp_path):
+def test_a_sensor_that_was_lost_for_long_is_not_restored_to_what_it_said_long_ago(tmp_path):
     story = Story(tmp_path).then(Event.START, 300, COOL_C).then(Event.HOLD, 120, HOT_C, bad=("T_pm2",))
-    found = standing(story.end())
+    found = position_of(story.end())
     assert "T_pm2" not in found.aim
     assert found.aim["T_heater"] == HOT_C
 
@@ -102,9 +102,9 @@ def test_a_sensor_that_was_lost_for_long_is_not_led_back_to_what_it_said_long_ag
 def test_a_run_that_never_had_a_sample_says_so(tmp_path):
     sentence = "ended before its first sample; start a new run"
     with pytest.raises(RunFolderError, match=sentence):
-        standing(RunFolder(tmp_path))
+        position_of(RunFolder(tmp_path))
     with pytest.raises(RunFolderError, match=sentence):
-        standing(Story(tmp_path / "a").then(Event.FAIL, 0, COOL_C).end())
+        position_of(Story(tmp_path / "a").then(Event.FAIL, 0, COOL_C).end())
 
 
 def test_a_journal_that_was_cut_while_it_was_made_says_so(tmp_path):
@@ -117,7 +117,7 @@ def test_a_journal_that_was_cut_while_it_was_made_says_so(tmp_path):
             database.execute(statement)
             database.close()
         with pytest.raises(JournalError, match="was cut while it was made, before anything moved"):
-            standing(RunFolder(tmp_path / name))
+            position_of(RunFolder(tmp_path / name))
 
 
 def test_a_run_that_is_nearly_over_needs_room_for_what_it_lacks_alone(tmp_path, monkeypatch):

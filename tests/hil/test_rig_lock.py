@@ -56,7 +56,7 @@ rig = load_rig(Path(sys.argv[1]))
 end_points(rig)  # imports what another user may not read
 os.setuid(int(sys.argv[2]))
 with claimed(rig, print) as claim:
-    claim.tell(Path("/runs/first"))
+    claim.record_holder(Path("/runs/first"))
     print("held", flush=True)
     time.sleep(60)
 """

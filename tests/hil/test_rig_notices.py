@@ -14,7 +14,7 @@ from drivers.rig_file.reader import load_rig
 from drivers.signals.roles import ROLES
 from hil.cli.check import command
 from hil.rig.notices import notices, unguarded
-from hil.run.restore.thermal_restore import unled
+from hil.run.restore.thermal_restore import restore_obstacle
 from hil.run.session.request import RunRequest, prepare
 from tests.hil.test_resume import hil, killed
 
@@ -85,14 +85,14 @@ def test_a_role_that_nothing_knows_is_told_with_the_nearest_and_all(tmp_path, kn
     ]
 
 
-def test_a_rig_that_resume_cannot_lead_back_is_told(tmp_path):
+def test_a_rig_that_resume_cannot_restore_is_named(tmp_path):
     path = rig_file(tmp_path, NO_ROLES, HOT)
     rig = load_rig(path)
     stays_on, cannot = told(path)
     assert "stay on" in stays_on
-    assert cannot == f"{path}: {unled(rig, rig.setpoints)}"
+    assert cannot == f"{path}: {restore_obstacle(rig, rig.setpoints)}"
     assert "none of heater_power_set, pump_speed_set, fan_speed_set has the role heater_power or fan_speed" in cannot
-    assert "`hil resume` only holds the profile's load and waits" in cannot
+    assert "`hil resume` keeps the profile's load and waits" in cannot
 
 
 NO_HEARTBEAT = (r"(?s)\[heartbeat\].*?\n\n", "")
@@ -128,8 +128,8 @@ def test_one_set_point_that_leads_is_enough(tmp_path):
     assert told(rig_file(tmp_path, NO_ROLES)) == []  # in W, and safe at 0
     rig = load_rig(rig_file(tmp_path))
     pump = [point for point in rig.setpoints if point.name == "pump_speed_set"]
-    assert unled(rig, pump) is not None  # a profile that moves the pump alone
-    assert unled(rig, rig.setpoints[2:]) is None  # the fan
+    assert restore_obstacle(rig, pump) is not None  # a profile that moves the pump alone
+    assert restore_obstacle(rig, rig.setpoints[2:]) is None  # the fan
 
 
 def test_a_rig_without_a_temperature_has_nowhere_to_be_led_back_to(tmp_path):
@@ -144,7 +144,7 @@ def test_resume_says_so_before_it_moves_anything(tmp_path):
     folder = killed(tmp_path, 60, "--rig", rig, "--virtual", "--lockstep", "--no-twin")
     done = hil("resume", folder, "--no-viewer", "--timeout", 0, "--band", 0.001)
     loaded = load_rig(rig)
-    sentence = unled(loaded, loaded.setpoints)
+    sentence = restore_obstacle(loaded, loaded.setpoints)
     assert sentence is not None
     assert done.stderr.index(sentence) < done.stderr.index("soaking")
 

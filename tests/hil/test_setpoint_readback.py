@@ -11,7 +11,7 @@ from drivers.rig_file.model import Point, Rig
 from drivers.signals.points import DeviceExceptionError, LinkError, Quality, Snapshot
 from drivers.virtual.devices.registers import HEATER_SET
 from hil.run.engine.operator import Verb
-from hil.run.interlocks.conditions import Tick
+from hil.run.interlocks.conditions import TickValues
 from hil.run.outputs.readback import CLOSE_S, INTERVAL_S, LOCKSTEP_INTERVAL_S, SetpointReadback
 from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import SHIPPED, rig_with
@@ -140,7 +140,7 @@ async def run(
         device.now = tick * period_s
         meddle(tick)
         await readback.look(device.snapshot(), values, device.now)
-        said = readback.judge(Tick(device.now, {}, {}, {}), False)
+        said = readback.judge(TickValues(device.now, {}, {}, {}), False)
         if said is not None:
             return said
         values = SAFE | {"heater_power_set": wanted(tick)}
@@ -265,5 +265,5 @@ async def test_a_write_that_was_not_confirmed_leaves_the_next_check_out():
         device.now = 2.0 * tick
         readback.not_confirmed()  # the device took it, its reply was lost
         await readback.look(device.snapshot(), SAFE, device.now)
-        assert readback.judge(Tick(device.now, {}, {}, {}), False) is None
+        assert readback.judge(TickValues(device.now, {}, {}, {}), False) is None
     assert not device.asked and not device.events

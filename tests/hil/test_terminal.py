@@ -11,7 +11,7 @@ import hil.run.session.terminal
 from hil.diagnosis.live import Reply, found_of
 from hil.run.engine.status import Outcome
 from hil.run.session.run import RunResult
-from hil.run.session.terminal import LiveRun, Steps, last_words
+from hil.run.session.terminal import ProgressBar, RunProgress, closing_advice
 from tests.hil.made_diagnosis import SAYS, SENSORS, made
 
 
@@ -22,9 +22,9 @@ def clock(monkeypatch):
     return now
 
 
-def test_what_a_soak_took_does_not_make_the_rest_look_longer(clock, capsys):
-    with Steps("replaying", 100.0, begun=60.0) as steps:
-        for _ in range(100):  # it soaks for 600 s
+def test_what_a_restore_took_does_not_make_the_rest_look_longer(clock, capsys):
+    with ProgressBar("replaying", 100.0, begun=60.0) as steps:
+        for _ in range(100):  # it restores for 600 s
             clock.s += 6.0
             steps.update(60.0, "SOAKING  T_tank is 9.0 K below")
         soaking = capsys.readouterr().err.splitlines()
@@ -38,10 +38,10 @@ def test_what_a_soak_took_does_not_make_the_rest_look_longer(clock, capsys):
 def test_a_path_that_is_told_can_be_pasted(monkeypatch, capsys):
     path = Path("runs") / "a folder with a rather long name" / "20260520T120000Z-battle_40h" / "twin.r2.toml"
     monkeypatch.setenv("COLUMNS", "40")
-    with LiveRun() as live:
+    with RunProgress() as live:
         live.announce(f"adopted as {path}")
-    with Steps("diagnosing", 6.0) as steps:
-        steps.say(f"adopted as {path}")
+    with ProgressBar("diagnosing", 6.0) as steps:
+        steps.print_line(f"adopted as {path}")
     assert capsys.readouterr().err.splitlines() == 2 * [f"adopted as {path}"]
     outcome = Outcome("done", "", safe=True)
     told = Reply(problem="too short", revision=path)
@@ -57,7 +57,7 @@ def test_a_run_that_was_diagnosed_ends_with_verdict_errors_and_files(tmp_path, c
     diagnosis = made()
     told = Reply(found_of(diagnosis, 36_000.0), page=page, document=diagnosis.document())
     folder = SimpleNamespace(path=tmp_path, review=review, read_manifest=dict)
-    LiveRun().show_result(RunResult(folder, Outcome("done", "", safe=True), None, 1.0, 1.0, False, told))
+    RunProgress().show_result(RunResult(folder, Outcome("done", "", safe=True), None, 1.0, 1.0, False, told))
     out = capsys.readouterr().out
     end = out[out.index(f"effect found: {SAYS}.") :]
     for words in ("free run from 7 h 30 min to 10 h, ", "as it was", "re-tuned", "with the effect", "noise", *SENSORS):
@@ -67,11 +67,11 @@ def test_a_run_that_was_diagnosed_ends_with_verdict_errors_and_files(tmp_path, c
 
 @pytest.mark.parametrize("status", ["faulted", "aborted"])
 def test_the_safety_sentence_comes_last_and_a_resume_only_after_a_look_at_the_rig(status, tmp_path):
-    unsafe = last_words(Outcome(status, "the link is lost", ticks=10, safe=False), tmp_path)
+    unsafe = closing_advice(Outcome(status, "the link is lost", ticks=10, safe=False), tmp_path)
     assert unsafe[-1].startswith("The rig was NOT confirmed safe: go to the rig now")
     assert "once somebody has seen at the rig that nothing heats" in unsafe[0] and "resume" in unsafe[0]
-    safe = last_words(Outcome(status, "the link is lost", ticks=10, safe=True), tmp_path)
+    safe = closing_advice(Outcome(status, "the link is lost", ticks=10, safe=True), tmp_path)
     assert len(safe) == 1 and "go on with it" in safe[0]
-    assert last_words(Outcome("done", "", ticks=10, safe=True), tmp_path) == []
-    (done,) = last_words(Outcome("done", "", ticks=10, safe=True, away="heater still reads 40 W"), tmp_path)
+    assert closing_advice(Outcome("done", "", ticks=10, safe=True), tmp_path) == []
+    (done,) = closing_advice(Outcome("done", "", ticks=10, safe=True, away="heater still reads 40 W"), tmp_path)
     assert done.startswith("The rig was NOT confirmed safe")

@@ -1,7 +1,7 @@
-"""A plant that is led back to where its run was cut: the heater does not swing, and a band out of reach is said to be.
+"""Thermal restore of a plant: the heater does not swing, and a band out of reach is said to be.
 
 The plant is an element and a water volume, heated through a dead time: plants of several time constants, in simulated
-time, with the soak alone in the loop.
+time, with the thermal restore alone in the loop.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import pytest
 
 from drivers.signals.points import Quality, Snapshot
 from hil.profile.load_profile import Profile
-from hil.run.restore.thermal_restore import Soak, SoakRule
+from hil.run.restore.thermal_restore import RestoreRule, ThermalRestore
 from tests.hil.simulated_rig import rig_with
 
 RIG = rig_with()
@@ -53,7 +53,7 @@ class Plant:
 
 @dataclass
 class Course:
-    """A soak that is over."""
+    """Ended thermal restore."""
 
     reached: bool
     said: str | None
@@ -74,18 +74,20 @@ class Course:
         return count
 
 
-def led_back(
+def restored(
     plant: Plant, band_K: float, noise_K: float = 0.0, timeout_s: float = 7200.0, gap_s: int = 300, sway_K: float = 0.0
 ) -> Course:
-    """Cut a run on `plant`, let it cool at safe values for `gap_s`, and lead it back."""
+    """Cut a run on `plant`, let it cool at safe values for `gap_s`, and restore it."""
     columns = ("heater_power_W", "pump_speed_pct", "fan_speed_pct")
     values = np.array([[0.0, 90.0, 70.0], [LOAD_W, 90.0, 70.0], [MOST_W, 90.0, 70.0]])
     rng = np.random.default_rng(1)
     aim = dict(zip(SENSORS, plant.temperatures, strict=True))
     for _ in range(gap_s):
         plant.second(0.0)
-    rule = SoakRule(band_K, timeout_s)
-    soak = Soak(RIG, POINTS, Profile("cut", np.array([0.0, 100.0, 200.0]), columns, values), 100.0, aim, rule)
+    rule = RestoreRule(band_K, timeout_s)
+    restore = ThermalRestore(
+        RIG, POINTS, Profile("cut", np.array([0.0, 100.0, 200.0]), columns, values), 100.0, aim, rule
+    )
     at = [[point.name for point in POINTS].index(name) for name in SENSORS]
     power, powers, shown = 0.0, [], []
     for second in range(int(timeout_s) + 2):
@@ -93,16 +95,16 @@ def led_back(
         for i, value in zip(at, plant.temperatures, strict=True):
             readings[i] = value + noise_K * float(rng.standard_normal())
         good = [int(Quality.GOOD)] * len(POINTS)
-        soak.look(Snapshot(readings, good, [float(second)] * len(POINTS), []), float(second))
-        if soak.reached or soak.failure is not None:
-            return Course(soak.reached, soak.failure, soak.elapsed_s, powers, shown)
-        wanted = soak.targets()["heater_power_set"]
-        shown.append(soak.said)
+        restore.update(Snapshot(readings, good, [float(second)] * len(POINTS), []), float(second))
+        if restore.reached or restore.failure is not None:
+            return Course(restore.reached, restore.failure, restore.elapsed_s, powers, shown)
+        wanted = restore.targets()["heater_power_set"]
+        shown.append(restore.progress)
         power += min(max(wanted - power, -RATE_W_PER_S), RATE_W_PER_S)
         powers.append(power)
         plant.room = 20.0 + sway_K * math.sin(2.0 * math.pi * second / 14_400.0)
         plant.second(power)
-    raise AssertionError("the soak neither reached its aim nor failed")
+    raise AssertionError("the restore neither reached its aim nor failed")
 
 
 def proposed_K(sentence: str | None) -> float:
@@ -116,14 +118,14 @@ def proposed_K(sentence: str | None) -> float:
 @pytest.mark.parametrize("dead_s", [0, 30])
 @pytest.mark.parametrize(("band_K", "noise_K"), [(0.1, 0.0), (0.1, 0.02), (0.3, 0.05), (1.0, 0.05), (1.5, 0.3)])
 def test_plant_at_rest_is_led_back_without_swinging(tau_s, dead_s, band_K, noise_K):
-    course = led_back(Plant(tau_s, dead_s), band_K, noise_K)
+    course = restored(Plant(tau_s, dead_s), band_K, noise_K)
     assert course.reached, course.said
     assert course.reversals <= 2
 
 
 @pytest.mark.parametrize("tau_s", [600.0, 6000.0])
 def test_heater_does_not_swing_at_a_band_that_noise_seldom_allows(tau_s):
-    course = led_back(Plant(tau_s, 30), 0.1, 0.05)
+    course = restored(Plant(tau_s, 30), 0.1, 0.05)
     assert course.reversals <= 2
     settled = course.power_W[len(course.power_W) // 2 :]
     assert max(settled) - min(settled) < 0.1 * MOST_W
@@ -131,11 +133,11 @@ def test_heater_does_not_swing_at_a_band_that_noise_seldom_allows(tau_s):
 
 @pytest.mark.parametrize("noise_K", [0.1, 0.4])
 def test_band_below_the_noise_is_refused_within_minutes_with_one_that_does(noise_K):
-    course = led_back(Plant(1200.0, 0), 0.5 * noise_K, noise_K)
+    course = restored(Plant(1200.0, 0), 0.5 * noise_K, noise_K)
     assert not course.reached
     assert course.elapsed_s < 300.0
     assert "noise" in course.said
-    assert led_back(Plant(1200.0, 0), proposed_K(course.said), noise_K).reached
+    assert restored(Plant(1200.0, 0), proposed_K(course.said), noise_K).reached
 
 
 def after_a_step(tau_s: float) -> Plant:
@@ -150,35 +152,35 @@ def after_a_step(tau_s: float) -> Plant:
 @pytest.mark.parametrize("tau_s", [300.0, 1200.0])
 @pytest.mark.parametrize("noise_K", [0.0, 0.05])
 def test_steady_state_outside_the_band_is_refused_before_the_timeout_with_a_band_that_does(tau_s, noise_K):
-    course = led_back(after_a_step(tau_s), 0.1, noise_K)
+    course = restored(after_a_step(tau_s), 0.1, noise_K)
     assert not course.reached
     assert course.elapsed_s < 5000.0
     assert course.reversals <= 2
     assert re.search(r"T_(heater|tank) stays 0\.\d+ K (above|below) the temperature", course.said)
-    assert led_back(after_a_step(tau_s), proposed_K(course.said), noise_K).reached
+    assert restored(after_a_step(tau_s), proposed_K(course.said), noise_K).reached
 
 
 def test_plant_that_is_slow_to_come_back_is_waited_for():
-    course = led_back(Plant(20_000.0, 0), 1.0, 0.02, gap_s=6000)
+    course = restored(Plant(20_000.0, 0), 1.0, 0.02, gap_s=6000)
     assert course.reached, course.said
     assert course.elapsed_s > 3000.0
 
 
 def test_room_that_sways_does_not_swing_the_heater():
-    course = led_back(Plant(1200.0, 30), 0.2, 0.02, sway_K=1.5)
+    course = restored(Plant(1200.0, 30), 0.2, 0.02, sway_K=1.5)
     assert course.reached, course.said
     assert course.reversals <= 2
 
 
 def test_timeout_proposes_a_band():
-    course = led_back(Plant(6000.0, 0), 0.05, 0.0, timeout_s=400.0)
+    course = restored(Plant(6000.0, 0), 0.05, 0.0, timeout_s=400.0)
     assert not course.reached
-    assert "after 400 s of soaking" in course.said
+    assert "after 400 s of thermal restore" in course.said
     assert proposed_K(course.said) > 0.05
 
 
 def test_plant_too_slow_for_the_timeout_is_announced_while_it_is_waited_for():
-    course = led_back(after_a_step(6000.0), 0.1, 0.02, gap_s=3000, timeout_s=4000.0)
-    assert "after 4000 s of soaking" in course.said
+    course = restored(after_a_step(6000.0), 0.1, 0.02, gap_s=3000, timeout_s=4000.0)
+    assert "after 4000 s of thermal restore" in course.said
     announced = [second for second, text in enumerate(course.shown) if "too slow for the timeout" in text]
     assert 600 <= announced[0] < 3900

@@ -14,9 +14,9 @@ import pytest
 from drivers.rig_file.reader import RigFileError, load_rig
 from drivers.virtual.rig import start_virtual_rig
 from hil.journal.writer import JournalReader
-from hil.rig.check import checked
-from hil.run.restore.resumption import Resumption, Standing
-from hil.run.restore.thermal_restore import SoakRule
+from hil.rig.check import checked_rig
+from hil.run.restore.resumption import Resumption, RunPosition
+from hil.run.restore.thermal_restore import RestoreRule
 from hil.run.session.request import RunRequest
 from hil.run.session.rig_time import speed_of
 from hil.run_folder.folder import RunFolder
@@ -92,8 +92,8 @@ def test_declared_scale_is_of_the_real_rig_alone(tmp_path, virtual, control, mod
 
 
 def test_gap_of_a_fast_rig_is_as_long_as_on_its_clock():
-    was = Standing(100, 100.0, time.time() - 6.0, 100.0, "running", 2, 100, {})
-    assert Resumption(was, SoakRule(), "cut", SPEED).first_tick(1.0) == pytest.approx(161, abs=3)
+    was = RunPosition(100, 100.0, time.time() - 6.0, 100.0, "running", 2, 100, {})
+    assert Resumption(was, RestoreRule(), "cut", SPEED).first_tick(1.0) == pytest.approx(161, abs=3)
 
 
 async def test_check_tells_how_fast_the_clock_is(tmp_path):
@@ -112,7 +112,7 @@ def test_serial_line_is_as_slow_as_it_is_in_real_time(tmp_path):
     text = rig_file(tmp_path, 1.0).read_text(encoding="utf-8")
     text = text.replace('transport = "modbus_tcp"', 'transport = "modbus_rtu_tcp"\nserial_baud = 9600')
     (tmp_path / "slow.toml").write_text(text, encoding="utf-8")
-    checked(tmp_path / "slow.toml")
+    checked_rig(tmp_path / "slow.toml")
     (tmp_path / "fast.toml").write_text(text.replace("time_scale = 1.0", "time_scale = 100"), encoding="utf-8")
     with pytest.raises(RigFileError, match=r"9600 bit/s and the period is 0\.01 s"):
-        checked(tmp_path / "fast.toml")
+        checked_rig(tmp_path / "fast.toml")

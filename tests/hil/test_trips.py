@@ -7,7 +7,7 @@ import pytest
 from drivers.rig_file.interlock_specs import LimitSpec
 from drivers.signals.points import Quality
 from hil.run.engine.operator import Verb
-from hil.run.interlocks.conditions import Restarted, Tick
+from hil.run.interlocks.conditions import RigRestart, TickValues
 from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import rig_with
 
@@ -306,9 +306,9 @@ def test_a_rig_that_restarted_while_its_link_was_lost_is_not_taken_for_the_same(
 
 
 def test_a_clock_that_passes_the_end_of_its_range_is_no_restart():
-    seen = Restarted(rig_with().get("cycle_counter"))
+    seen = RigRestart(rig_with().get("cycle_counter"))
     values = [65000.0, 65535.0, 3.0, 40000.0, 39000.0]
-    said = [seen.judge(Tick(0.0, {"cycle_counter": v}, {"cycle_counter": 0}, {}), False) for v in values]
+    said = [seen.judge(TickValues(0.0, {"cycle_counter": v}, {"cycle_counter": 0}, {}), False) for v in values]
     assert [text is not None for text in said] == [False, False, False, False, True]
 
 

@@ -38,7 +38,7 @@ def hiera_command(
 
     from hil.bench.hiera import trial as hiera
     from hil.bench.hiera.cases import RIGS as SCORED
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
     from twin.calibrators import CALIBRATOR_NAMES
 
     for what, given, known in (("rig", rigs, SCORED), ("calibrator", calibrators, CALIBRATOR_NAMES)):
@@ -47,7 +47,7 @@ def hiera_command(
             raise click.UsageError(f"no {what} {', '.join(unknown)}; there are {', '.join(known)}")
     size = hiera.QUICK if quick else hiera.FULL
     size = replace(size, rigs=rigs or size.rigs, trackers=calibrators or size.trackers)
-    with Steps("cases", 1.0, quiet=as_json) as steps:
+    with ProgressBar("cases", 1.0, quiet=as_json) as steps:
         tables, skipped = hiera.measure(size, seed, data_folder(), steps.update, network)
     finish("hiera", seed, tables, skipped, out, as_json)
 
@@ -70,14 +70,14 @@ def ablations_command(data: Path, name: str, minutes: float, seed: int, out: Pat
       hil bench ablations --minutes 5 --out docs/results
     """
     from hil.bench.hiera import ablations as hiera_ablations
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
     from hil.training.data import read
     from hil.training.generate import features_of
     from twin.calibrators.hiera_unet.device import ready
 
     ready(threads=1)
     windows = read(data, features_of())
-    with Steps("trainings", 1.0, quiet=as_json) as steps:
+    with ProgressBar("trainings", 1.0, quiet=as_json) as steps:
         tables, skipped = hiera_ablations.measure(windows, name, seed, minutes, steps.update)
     finish("hiera_ablations", seed, tables, skipped, out, as_json)
 
@@ -146,14 +146,14 @@ def discovery_command(
         return
     from hil.bench.discovery import trial as discovery
     from hil.bench.discovery.tables import tables
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
 
     alone = bool(only or only_healthy or only_doubles)
     numbers = only if alone else tuple(range(12 if quick else cases))
     further = only_healthy if alone else tuple(range(healthy))
     pairs = only_doubles if alone else tuple(range(doubles))
     size = discovery.Size(numbers, further, hours, direct, twin, not no_ablations, pairs, not no_healthy)
-    with Steps("diagnosing", 1.0, quiet=as_json) as steps:
+    with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
         done = discovery.measure(size, seed, work, steps.update)
     finish("discovery", seed, tables(done, size), discovery.left_out(), out, as_json)
 
@@ -177,8 +177,8 @@ def again_command(cases: int, hours: float, work: Path, seed: int, out: Path | N
       hil bench again --seed 1821 --out docs/results
     """
     from hil.bench.discovery import repeated as discovery_again
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
 
-    with Steps("diagnosing", 1.0, quiet=as_json) as steps:
+    with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
         done = discovery_again.measure(cases, hours, seed, work, steps.update)
     finish("discovery_again", seed, discovery_again.tables(done, hours), (), out, as_json)

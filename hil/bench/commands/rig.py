@@ -48,7 +48,7 @@ def faults_command(
     """
     from hil.bench.faults import campaign as faults
     from hil.bench.faults.kinds import KINDS
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
 
     if chaos and pairs is not None:
         raise click.UsageError("--chaos and --pairs exclude each other: half of the chaos runs are pairs anyway")
@@ -56,7 +56,7 @@ def faults_command(
         _chaos(runs, kinds, jobs, work, seed, out, as_json)
         return
     _require_known(kinds, KINDS)
-    with Steps("faults", 1.0, quiet=as_json) as steps:
+    with ProgressBar("faults", 1.0, quiet=as_json) as steps:
         two, count = pairs is not None, pairs or runs
         tables, skipped, kept = faults.measure(count, seed, work, steps.update, kinds=kinds, jobs=jobs, two=two)
     finish("faults_pairs" if two else "faults", seed, tables, skipped, out, as_json)
@@ -70,10 +70,10 @@ def _chaos(
     """Run the chaos campaign, and exit with 1 where a must was broken."""
     from hil.bench.chaos import campaign as chaos
     from hil.bench.chaos.kinds import CHAOS_KINDS
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
 
     _require_known(kinds, CHAOS_KINDS)
-    with Steps("chaos", 1.0, quiet=as_json) as steps:
+    with ProgressBar("chaos", 1.0, quiet=as_json) as steps:
         tables, skipped, kept = chaos.measure(runs, seed, work, steps.update, kinds=kinds, jobs=jobs)
     finish("chaos", seed, tables, skipped, out, as_json)
     if not kept:
@@ -105,9 +105,9 @@ def loop_command(work: Path, quick: bool, seed: int, out: Path | None, as_json: 
       hil bench loop --out docs/results
     """
     from hil.bench.loop import timing as loop
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
 
-    with Steps("running", 1.0, quiet=as_json) as steps:
+    with ProgressBar("running", 1.0, quiet=as_json) as steps:
         tables, skipped = loop.measure(loop.QUICK if quick else loop.FULL, seed, work, steps.update)
     finish("loop", seed, tables, skipped, out, as_json)
 
@@ -125,9 +125,9 @@ def bus_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> None
       hil bench bus --quick
     """
     from hil.bench.loop import bus
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
 
-    with Steps("round trips", 1.0, quiet=as_json) as steps:
+    with ProgressBar("round trips", 1.0, quiet=as_json) as steps:
         tables, skipped = bus.measure(bus.QUICK if quick else bus.FULL, seed, steps.update)
     finish("bus", seed, tables, skipped, out, as_json)
 
@@ -146,9 +146,9 @@ def wire_command(count: int | None, quick: bool, seed: int, out: Path | None, as
       hil bench wire --quick
     """
     from hil.bench.fuzz import wire
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
 
-    with Steps("mutations", 1.0, quiet=as_json) as steps:
+    with ProgressBar("mutations", 1.0, quiet=as_json) as steps:
         tables, skipped, kept = wire.measure(count or (wire.QUICK if quick else wire.FULL), seed, steps.update)
     finish("wire", seed, tables, skipped, out, as_json)
     if not kept:
@@ -169,9 +169,9 @@ def files_command(count: int | None, quick: bool, seed: int, out: Path | None, a
       hil bench files --quick
     """
     from hil.bench.fuzz import tables as files
-    from hil.run.session.terminal import Steps
+    from hil.run.session.terminal import ProgressBar
 
-    with Steps("mutations", 1.0, quiet=as_json) as steps:
+    with ProgressBar("mutations", 1.0, quiet=as_json) as steps:
         tables, skipped, kept = files.measure(count or (files.QUICK if quick else files.FULL), seed, steps.update)
     finish("files", seed, tables, skipped, out, as_json)
     if not kept:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hil.bench.experiments.public_records import FITTED_TEST, TWINS
 from hil.bench.measure.report import Cell, Table, number
 from hil.record.public import PIPE_TESTS, Columns, dry_cooler, heated_pipe, tclab, wet_tower
-from hil.run.session.terminal import Steps
+from hil.run.session.terminal import ProgressBar
 from twin.discovery.growing.growth import Added, Growth, grow, grow_at_rest
 from twin.kernel import simulate
 from twin.network import Network
@@ -56,7 +56,7 @@ def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
         return (), (f"records: no {real}; set HIL_DATA to the folder that holds 'real'",)
     tables: list[Table] = []
     refused: list[tuple[Cell, ...]] = []
-    with Steps("growing twins", float(len(PARTS))) as steps:
+    with ProgressBar("growing twins", float(len(PARTS))) as steps:
         for done, (name, part) in enumerate(PARTS.items()):
 
             def say(what: str, done: int = done, name: str = name) -> None:

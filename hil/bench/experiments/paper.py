@@ -23,7 +23,7 @@ from hil.bench.experiments.published import (
 from hil.bench.experiments.tracked import Tracked, after, first_error, follow, heat_balance, windows_to_recover
 from hil.bench.measure.report import Cell, Table
 from hil.bench.peers import Absent
-from hil.run.session.terminal import Steps
+from hil.run.session.terminal import ProgressBar
 from twin.calibrators import UNTRAINED_CALIBRATORS
 from twin.network import Network
 
@@ -54,11 +54,11 @@ def measure(size: Size, seed: int, cache: Path, data: Path) -> tuple[tuple[Table
     absent: dict[str, None] = {}
     records: dict[tuple[str, str], Campaign] = {}
     changes = [c for c in campaigns.CHANGES if c in size.experiments or (c == "healthy" and _needs_healthy(size))]
-    with Steps("records", len(size.rigs) * len(changes)) as bar:
+    with ProgressBar("records", len(size.rigs) * len(changes)) as bar:
         for number, (rig, change) in enumerate((r, c) for r in size.rigs for c in changes):
             bar.update(number, f"{rig}, {change}")
             try:
-                records[rig, change] = _campaign(rig, change, size, seed, cache, data, bar.say)
+                records[rig, change] = _campaign(rig, change, size, seed, cache, data, bar.print_line)
             except Absent as why:
                 absent[str(why)] = None
     jobs: list[tuple[str, Callable[[], Table]]] = []
@@ -75,7 +75,7 @@ def measure(size: Size, seed: int, cache: Path, data: Path) -> tuple[tuple[Table
             jobs.append((experiment, lambda here=here, e=experiment: changed(e, here, size, seed)))  # type: ignore[misc]
             jobs.append((f"{experiment}, place", lambda here=here, e=experiment: placed(e, here)))  # type: ignore[misc]
     tables = []
-    with Steps("experiments", max(len(jobs), 1)) as bar:
+    with ProgressBar("experiments", max(len(jobs), 1)) as bar:
         for done, (name, work) in enumerate(jobs):
             bar.update(done, name)
             tables.append(work())

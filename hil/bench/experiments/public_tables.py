@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.bench.measure.report import Cell, Table
-from hil.run.session.terminal import Steps
+from hil.run.session.terminal import ProgressBar
 
 
 def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
@@ -17,7 +17,7 @@ def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
         return (), (f"records: no {data / 'real'}; set HIL_DATA to the folder that holds 'real'",)
     from hil.bench.experiments.public_records import PARTS, run
 
-    with Steps("public records", len(PARTS)) as bar:
+    with ProgressBar("public records", len(PARTS)) as bar:
         found = run(data, seed=seed, progress=bar.update)
     tables = list(tables_of("records", "Public records", found))
     said = tuple(getattr(found, "messages", ()))

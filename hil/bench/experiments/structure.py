@@ -17,7 +17,7 @@ import numpy as np
 from hil.bench.experiments.campaigns import PROFILES
 from hil.bench.measure.report import Cell, Table
 from hil.record.reader import read_record
-from hil.run.session.terminal import Steps
+from hil.run.session.terminal import ProgressBar
 from twin.commissioning import CommissionOptions, commission
 from twin.datasheet import from_datasheet
 from twin.kernel import Kernel, simulate
@@ -64,7 +64,7 @@ def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
             f"structure: no {data / 'stranger' / 'KEY.json'}; set HIL_DATA to the folder that holds 'stranger'",
         )
     found: list[Left] = []
-    with Steps("commissioning", len(rigs) * len(TEMPLATES)) as bar:
+    with ProgressBar("commissioning", len(rigs) * len(TEMPLATES)) as bar:
         for rig in rigs:
             for name, template in TEMPLATES.items():
                 bar.update(len(found), f"{rig.name}, {name}")

@@ -14,7 +14,7 @@ from hil.bench.kernel.whole_record import whole_table
 from hil.bench.measure.machine import median
 from hil.bench.measure.report import Cell, Table
 from hil.bench.peers import Absent, filter_peer, optimisers
-from hil.run.session.terminal import Steps
+from hil.run.session.terminal import ProgressBar
 from twin.calibrators import UNTRAINED_CALIBRATORS, make_calibrator
 from twin.gauss_newton import FitData, GaussianPrior, Scaling
 from twin.gauss_newton import FitProblem as GaussNewton
@@ -89,7 +89,7 @@ def measure(size: Size, seed: int, record: Record | None = None) -> tuple[tuple[
         cut = measured(record.twin, "nine", record.path, size.windows)
         groups.append(("measured", f"{len(cut)} windows of {record.path.name}, {len(cut[0].ids)} tunables", cut))
     tables = []
-    with Steps("fitting", sum(len(problems) for _, _, problems in groups)) as bar:
+    with ProgressBar("fitting", sum(len(problems) for _, _, problems in groups)) as bar:
         done = 0
         for key, title, problems in groups:
             scores: dict[str, _Score] = {}

@@ -15,7 +15,7 @@ from hil.bench.measure.machine import cpu_s
 from hil.bench.measure.report import Cell, Table, number
 from hil.bench.peers import Absent
 from hil.bench.peers.formulas import sensor_rows
-from hil.run.session.terminal import Steps
+from hil.run.session.terminal import ProgressBar
 from twin.network import Array, Network
 from twin.reference_simulation import simulate_fine_steps
 from twin.twinfile import load
@@ -84,7 +84,7 @@ def measure(size: Size, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
     facts: dict[str, float] = {}
     if size.processes:
         steps += footprint.process_steps(size.memory_count, facts)
-    with Steps("measuring", len(steps)) as bar:
+    with ProgressBar("measuring", len(steps)) as bar:
         for done, (name, step) in enumerate(steps):
             bar.update(done, name)
             try:

@@ -12,7 +12,7 @@ import numpy as np
 from hil.bench.kernel.windows import drive, steady_start
 from hil.bench.measure.machine import median
 from hil.bench.measure.report import Cell, Table
-from hil.run.session.terminal import Steps
+from hil.run.session.terminal import ProgressBar
 from twin.calibrators import UNTRAINED_CALIBRATORS, Calibration, Calibrator, Window, make_calibrator
 from twin.kernel import simulate
 from twin.network import Array, Network
@@ -73,7 +73,7 @@ def whole_table(network: Network, hours: float, seed: int) -> Table:
         for tunables in (("paper4",) if name == "pso_paper" else ("paper4", "nine", "twelve"))
     ]
     rows: list[tuple[Cell, ...]] = []
-    with Steps(f"tracking {hours:g} h", len(plan)) as bar:
+    with ProgressBar(f"tracking {hours:g} h", len(plan)) as bar:
         for done, (name, tunables) in enumerate(plan):
             bar.update(done, f"{name}, {tunables}")
             clocked = Clocked(make_calibrator(name, network, tunables, seed))

@@ -18,7 +18,7 @@ from drivers.rig import RigConnection
 from drivers.rig_file import Rig
 from drivers.signals import Snapshot
 from hil.bench.measure.report import Table
-from hil.guardian.client import Guardian
+from hil.guardian.client import GuardianClient
 from hil.journal.writer import Header, JournalWriter
 from hil.run.engine.clock import MonotonicClock
 from hil.run.interlocks.conditions import Residuals
@@ -130,7 +130,7 @@ class CountedJournal(JournalWriter):
         self._counts.add("journal, handed over", time.thread_time() - began)
 
 
-class CountedGuardian(Guardian):
+class CountedGuardian(GuardianClient):
     """Guardian's client that counts its processor time, and where the checks of a tick begin and end."""
 
     def __init__(self, rig: Rig, log: Path, counts: Counts) -> None:

@@ -57,7 +57,7 @@ class Components:
         resumption = options.resumption
         if resumption is not None:
             self.first_tick = resumption.first_tick(clock.period_s)
-            self.at = Position(clock.period_s, self.first_tick, resumption.standing.profile_s)
+            self.at = Position(clock.period_s, self.first_tick, resumption.position.profile_s)
         self.recorder = Recorder(
             journal, self.at, publisher=options.publisher, told=options.told, lockstep=options.lockstep
         )

@@ -27,7 +27,7 @@ from hil.run.engine.supervisor import End
 from hil.run.engine.tick import FIRST_SAMPLE_TIMEOUT_S, TickWork
 from hil.run.outputs.safing import write_safe
 from hil.run.restore.resumption import Resumption
-from hil.run.restore.thermal_restore import Soak
+from hil.run.restore.thermal_restore import ThermalRestore
 
 OBSERVE_EVERY_S = 0.2
 """Shortest interval between two statuses for the observer, s: faster than a person reads, and slow for the tick."""
@@ -81,10 +81,10 @@ class Engine:
             rows = zip(self._connection.points, snapshot.values, snapshot.quality, strict=True)
             values = {point.name: value if quality == 0 else math.nan for point, value, quality in rows}
         standing, machine = self._interlocks.standing(), self._machine
-        restores = machine.state is State.SOAKING and restore is not None
+        restores = machine.state is State.RESTORING and restore is not None
         return Status(
             machine.state,
-            restore.said if restores and restore is not None else machine.reason,
+            restore.progress if restores and restore is not None else machine.reason,
             self._at.tick,
             self._at.time_s,
             self._at.profile_s,
@@ -121,7 +121,7 @@ class Engine:
             outcome.status = self._machine.state.value  # type: ignore[assignment]
         outcome.reason = "" if event is Event.COMPLETE else reason
         outcome.ticks, outcome.overruns = self._at.tick, self._clock.overruns
-        outcome.soaked_s, outcome.restarts = self._work.restored_s, self._interlocks.restarts
+        outcome.restore_s, outcome.restarts = self._work.restore_s, self._interlocks.restarts
         outcome.trips = self._interlocks.standing().trips
         if outcome.status == "done":
             outcome.deviations = self._work.deviations.found(self._clock.period_s)
@@ -160,7 +160,7 @@ class Engine:
         if self._supervisor.stop is not None:
             return self._supervisor.stop
         self._guard.watch()
-        machine.take(Event.SOAK, "safe set-points, heartbeat, arming")
+        machine.take(Event.RESTORE, "safe set-points, heartbeat, arming")
         armed = self._outputs.arm(self._parts.advance, self._interlocks.rig_trip)
         cut = await attended(armed, self._supervisor.stopping, self._parts.trouble)
         if isinstance(cut, Cut):
@@ -195,7 +195,7 @@ class Engine:
 
     def _go_on(self, resumption: Resumption) -> End | None:
         """Begin a new segment of a run that was cut: lead the rig back, unless there is nothing left to run."""
-        was, period_s = resumption.standing, self._clock.period_s
+        was, period_s = resumption.position, self._clock.period_s
         self._parts.first_tick = self._at.tick = resumption.first_tick(period_s)
         gap_s = self._at.time_s - was.time_s
         self._recorder.segment(was.number, gap_s, was.aim_tick, resumption.reason)
@@ -203,8 +203,8 @@ class Engine:
             self._machine.take(Event.START, "nothing is left of the profile")
             return Event.COMPLETE, "the profile was over"
         points, rig = self._connection.points, self._parts.rig
-        self._work.restore = Soak(rig, points, self._profile, self._at.profile_s, was.aim, resumption.rule)
-        self._supervisor.soaks = True
+        self._work.restore = ThermalRestore(rig, points, self._profile, self._at.profile_s, was.aim, resumption.rule)
+        self._supervisor.restoring = True
         return None
 
     async def _first_snapshot(self) -> Snapshot:

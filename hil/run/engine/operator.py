@@ -7,7 +7,7 @@ import enum
 from collections import deque
 from dataclasses import dataclass
 
-from hil.journal.states import LIVE, UNTOUCHED, Event, State, following
+from hil.journal.states import LIVE, UNTOUCHED, Event, State, next_state
 
 
 class Verb(enum.StrEnum):
@@ -26,7 +26,7 @@ _EVENTS = {Verb.HOLD: Event.HOLD, Verb.PAUSE: Event.PAUSE, Verb.RESUME: Event.RE
 _ALREADY = {
     Verb.HOLD: {State.HELD},
     Verb.PAUSE: {State.PAUSED},
-    Verb.RESUME: {State.RUNNING, State.SOAKING},
+    Verb.RESUME: {State.RUNNING, State.RESTORING},
 }
 
 
@@ -77,21 +77,21 @@ class Desk:
         return [self._asked.popleft() for _ in range(last)]
 
 
-def event_of(verb: Verb, *, soaks: bool) -> Event:
-    """Return the event of `verb` in the state table; a run in thermal restore (`soaks`) resumes that."""
-    return Event.SOAK if soaks and verb is Verb.RESUME else _EVENTS[verb]
+def event_of(verb: Verb, *, restoring: bool) -> Event:
+    """Return the event of `verb` in the state table; a run in thermal restore (`restoring`) resumes that."""
+    return Event.RESTORE if restoring and verb is Verb.RESUME else _EVENTS[verb]
 
 
 def unheard(state: State) -> str | None:
     """Return why a run in `state` takes no verb but abort, or None where it takes them on its next tick."""
     if state in UNTOUCHED:
         return f"a run that is {state} can only be aborted; ask again when it runs"
-    if state in LIVE or state is State.SOAKING:
+    if state in LIVE or state is State.RESTORING:
         return None
     return f"the run is {state}: its outputs go to their safe values, and it takes no verb any more"
 
 
-def refusal(state: State, verb: Verb, trips: tuple[str, ...], *, soaks: bool) -> str | None:
+def refusal(state: State, verb: Verb, trips: tuple[str, ...], *, restoring: bool) -> str | None:
     """Return why a run in `state` with latched `trips` does not obey `verb`, or None."""
     if verb is Verb.ACK:
         return None if trips else "nothing has tripped, so there is nothing to acknowledge"
@@ -99,6 +99,6 @@ def refusal(state: State, verb: Verb, trips: tuple[str, ...], *, soaks: bool) ->
         return f"tripped: {trips[0]}; remove the cause, then `hil ctl ack`, then resume"
     if verb is Verb.RESUME and state is State.SUSPENDED:
         return "a warning suspends the run; it goes on by itself when that is gone (`hil ctl status` names it)"
-    if following(state, event_of(verb, soaks=soaks)) is None and state not in _ALREADY[verb]:
+    if next_state(state, event_of(verb, restoring=restoring)) is None and state not in _ALREADY[verb]:
         return f"a run that is {state} cannot {verb}: its outputs are at their safe values"
     return None

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from drivers.signals.points import Quality, Snapshot
 from hil.journal.rows import SegmentRow
-from hil.journal.states import Transition, level_of
+from hil.journal.states import Transition, event_level
 from hil.journal.writer import JournalError, JournalWriter
 
 _GOOD = int(Quality.GOOD)
@@ -130,7 +130,7 @@ class Recorder:
         self._journal.state(
             at.tick, at.time_s, at.profile_s, step.source.value, step.event.value, step.target.value, step.reason
         )
-        self.event(level_of(step), f"{step.source} → {step.target}: {step.reason}")
+        self.event(event_level(step), f"{step.source} → {step.target}: {step.reason}")
         if self._told is not None:
             # Nothing that a person sees may come between a fault and safe outputs.
             with contextlib.suppress(BaseException):

@@ -33,7 +33,7 @@ class Status:
 
 @dataclass(slots=True)
 class Outcome:
-    """End of a run. `ticks` counts from the run's beginning, gaps included; `soaked_s` is the time of thermal restore
+    """End of a run. `ticks` counts from the run's beginning, gaps included; `restore_s` is the time of thermal restore
     after a gap, `restarts` the number of restarts of the rig's program. `safe` is True where the safe values were read
     back from the rig and no heater's meter contradicts them, `away` the measured value that did not get there."""
 
@@ -45,7 +45,7 @@ class Outcome:
     away: str = ""
     problems: list[str] = field(default_factory=list)
     trips: tuple[str, ...] = ()
-    soaked_s: float = 0.0
+    restore_s: float = 0.0
     restarts: int = 0
     guardian: str = ""
     """Action of the guardian, where it acted."""

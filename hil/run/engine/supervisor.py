@@ -14,10 +14,10 @@ from collections.abc import Callable, Mapping
 
 from drivers.rig_file.model import Point, Rig
 from drivers.signals.points import Snapshot
-from hil.journal.states import HEATED, Event, Machine, State, Transition, following
+from hil.journal.states import HEATED, Event, State, StateMachine, Transition, next_state
 from hil.run.engine.operator import URGENT, Desk, RefusedError, Request, Verb, event_of, refusal, unheard
 from hil.run.interlocks.conditions import Residuals
-from hil.run.interlocks.interlocks import Interlocks, Judgement
+from hil.run.interlocks.interlocks import Interlocks, InterlockStatus
 from hil.run.outputs.outputs import ARMING_TICKS
 
 SECOND_REQUEST_S = 1.0
@@ -39,12 +39,12 @@ class Supervisor:
         log: Callable[[Transition], None],
         note: Callable[[str, str], None],
     ) -> None:
-        self.machine = Machine(log)
+        self.machine = StateMachine(log)
         self.interlocks = Interlocks(rig, points)
         self.hurried = False
         self.stopping = asyncio.Event()
         self.urgent = asyncio.Event()  # a request that must not wait for the next tick
-        self.soaks = False  # whether a rig is led back to where a run was cut
+        self.restoring = False  # whether a rig is led back to where a run was cut
         self._waits_s = rig.acknowledge_within_s
         self._suspends_s = rig.suspend_at_most_s
         self._suspended_s: float | None = None
@@ -149,7 +149,7 @@ class Supervisor:
 
     def _obey(self, requests: list[Request], trips: tuple[str, ...]) -> None:
         for request in requests:
-            why_not = refusal(self.state, request.verb, self.interlocks.standing().trips, soaks=self.soaks)
+            why_not = refusal(self.state, request.verb, self.interlocks.standing().trips, restoring=self.restoring)
             if why_not is not None:
                 request.refuse(why_not)
             elif request.verb is Verb.ACK and self._acking is not None:
@@ -158,8 +158,8 @@ class Supervisor:
                 self._acking = request, ARMING_TICKS
                 self._note("INFO", f"acknowledged {request.reason}: {'; '.join(trips)}")
             else:
-                event = event_of(request.verb, soaks=self.soaks)
-                if following(self.state, event) is not None:
+                event = event_of(request.verb, restoring=self.restoring)
+                if next_state(self.state, event) is not None:
                     self.machine.take(event, request.reason)
                 self._obeyed.append(request)
 
@@ -187,11 +187,11 @@ class Supervisor:
         why = "; ".join(self.interlocks.standing().warnings) or self.machine.reason
         return Event.FAIL, f"{why}; suspended for longer than {self._suspends_s:g} s"
 
-    def _protect(self, judgement: Judgement, now_s: float) -> End | None:
+    def _protect(self, judgement: InterlockStatus, now_s: float) -> End | None:
         trips = judgement.trips
         if trips:
             said = trips[0] + (f" (and {len(trips) - 1} more)" if len(trips) > 1 else "")
-            if self._waits_s <= 0 or self.soaks:
+            if self._waits_s <= 0 or self.restoring:
                 return Event.FAIL, said
             if not self._trips:
                 self._tripped_s = now_s
@@ -203,5 +203,5 @@ class Supervisor:
         elif judgement.warnings and self.state in HEATED:
             self.machine.take(Event.WARN, "; ".join(judgement.warnings))
         elif not judgement.warnings and self.state is State.SUSPENDED:
-            self.machine.take(Event.SOAK if self.soaks else Event.CLEAR, "all warnings are gone")
+            self.machine.take(Event.RESTORE if self.restoring else Event.CLEAR, "all warnings are gone")
         return None

@@ -15,7 +15,7 @@ from hil.run.engine.supervisor import End
 from hil.run.outputs.deviations import Deviations
 from hil.run.outputs.heaters import Descent, GoodReadings, still_hot
 from hil.run.outputs.setpoints import bind
-from hil.run.restore.thermal_restore import Soak
+from hil.run.restore.thermal_restore import ThermalRestore
 
 FIRST_SAMPLE_TIMEOUT_S = 10.0
 PAUSED_S = 1.0
@@ -31,12 +31,12 @@ def age(snapshot: Snapshot, points: tuple[Point, ...], seconds: float) -> None:
 
 class TickWork:
     """Work of one tick after the other. `snapshot` holds the latest readings, `restore` the thermal restore while one
-    goes on, and `restored_s` how long it has taken, s. `show` is called at the end of each tick."""
+    goes on, and `restore_s` how long it has taken, s. `show` is called at the end of each tick."""
 
     def __init__(self, parts: Components, show: Callable[[], None]) -> None:
         self.snapshot: Snapshot | None = None
-        self.restore: Soak | None = None
-        self.restored_s = 0.0
+        self.restore: ThermalRestore | None = None
+        self.restore_s = 0.0
         self.deviations = Deviations(parts.rig)
         self._parts = parts
         self._show = show
@@ -126,14 +126,16 @@ class TickWork:
             "values from before the gap are stale",
         )
 
-    def _lead_back(self, restore: Soak, snapshot: Snapshot, now_s: float) -> End | None:
+    def _lead_back(self, restore: ThermalRestore, snapshot: Snapshot, now_s: float) -> End | None:
         """Do one tick of thermal restore: go on with the profile once the rig is back, end a run that takes too long
         to get there."""
-        restore.look(snapshot, now_s, stands=self._machine.state in WAITING)
-        self.restored_s = restore.elapsed_s
-        if restore.reached and self._machine.state is State.SOAKING:
-            self.restore, self._supervisor.soaks = None, False
-            self._machine.take(Event.START, f"the rig is back where it was, after {self.restored_s:.0f} s of soaking")
+        restore.update(snapshot, now_s, stopped=self._machine.state in WAITING)
+        self.restore_s = restore.elapsed_s
+        if restore.reached and self._machine.state is State.RESTORING:
+            self.restore, self._supervisor.restoring = None, False
+            self._machine.take(
+                Event.START, f"the rig is back where it was, after {self.restore_s:.0f} s of thermal restore"
+            )
         return None if restore.failure is None else (Event.FAIL, restore.failure)
 
     async def _obeyed(self) -> str:
@@ -183,11 +185,11 @@ class TickWork:
                 raise
             self._recorder.event("WARN", str(error))
         if self._outputs.values != before:
-            reason = {State.RUNNING: "profile", State.SOAKING: "soak"}.get(state, f"safe: {state}")
+            reason = {State.RUNNING: "profile", State.RESTORING: "soak"}.get(state, f"safe: {state}")
             self._recorder.written(before, self._outputs.values, reason)
 
     def _wanted(self) -> dict[str, float]:
         """Return the targets of the set-points; nothing where they stay."""
         if self._machine.state is State.RUNNING:
             return dict(zip(self._targets, self._profile.at(self._at.profile_s), strict=True))
-        return self.restore.targets() if self._machine.state is State.SOAKING and self.restore is not None else {}
+        return self.restore.targets() if self._machine.state is State.RESTORING and self.restore is not None else {}

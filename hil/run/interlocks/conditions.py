@@ -1,7 +1,7 @@
-"""What an interlock watches: conditions that are judged on one tick's values, each with its own sentence.
+"""Conditions of interlocks: each is evaluated on the values of one tick and states its violation in a sentence.
 
-A condition says why it is violated, or None. `engaged` tells it that it counts already, so that it asks for its
-deadband before it lets go (ANSI/ISA-18.2). Delays and latches are those of `interlocks`.
+`judge` returns the sentence, or None. With `engaged` the condition is active already and applies its deadband before it
+clears (ANSI/ISA-18.2). Delays and latches are those of `interlocks`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,11 @@ Residuals = Mapping[tuple[str, str], float]
 
 
 @dataclass(frozen=True, slots=True)
-class Tick:
-    """What is known on one tick: rig time in s, readings and their quality by point, what was commanded before it."""
+class TickValues:
+    """Values of one tick: rig time in s, readings and their quality by point, commands before the tick.
+
+    Readings and commands are in the units of their points.
+    """
 
     now_s: float
     values: Mapping[str, float]
@@ -33,20 +36,20 @@ class Tick:
     residuals: Residuals = field(default_factory=dict)
 
     def good(self, name: str) -> float:
-        """Value of a point, NaN where it cannot be trusted."""
+        """Return the value of a point in its unit, NaN where its quality is not GOOD."""
         return self.values[name] if self.quality[name] == _GOOD else math.nan
 
 
 class Condition(Protocol):
-    """One thing that is watched."""
+    """Condition that an interlock evaluates on every tick."""
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Why this is violated, or None."""
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
+        """Return the violation as a sentence, or None."""
 
 
 @dataclass(frozen=True, slots=True)
-class Limit:
-    """A reading beyond its limits. One that is implausible counts too: it may be the worst of them."""
+class LimitViolation:
+    """Reading beyond its limits. An implausible one counts, too: it may be the worst violation."""
 
     point: Point
     low: float
@@ -54,8 +57,8 @@ class Limit:
     deadband: float = 0.0
     what: str = "alarm"
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated outside `low` to `high`; engaged, outside the same less the deadband."""
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
+        """Return the violation outside `low` to `high`; engaged, outside these limits less the deadband."""
         if tick.quality[self.point.name] not in _MEASURED:
             return f"{self.point.name} was beyond its {self.what} limits and is not known now" if engaged else None
         value, inside = tick.values[self.point.name], self.deadband if engaged else 0.0
@@ -72,15 +75,15 @@ class Limit:
 
 
 @dataclass(frozen=True, slots=True)
-class Untrusted:
-    """A point without a good value. Not `strict`: its sensor may be faulty, only its link may not be lost."""
+class NoGoodValue:
+    """Point without a good value. Without `strict` a faulty sensor is allowed and a lost link is not."""
 
     point: Point
     after_s: float
     strict: bool
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated while the quality is not GOOD."""
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
+        """Return the violation while the quality is not GOOD."""
         quality = tick.quality[self.point.name]
         if quality == _GOOD or not (self.strict or quality in (Quality.STALE, Quality.LINK_FAULT)):
             return None
@@ -90,14 +93,14 @@ class Untrusted:
 
 
 @dataclass(slots=True)
-class Paused:
-    """A gap between two ticks: the process or its machine stood still, and nobody watched the rig."""
+class TickGap:
+    """Gap between two ticks: the process or its machine was paused, and the rig was not supervised."""
 
     after_s: float
     _last_s: float = math.nan
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated on the first tick after a gap of more than `after_s`."""
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
+        """Return the violation on the first tick after a gap of more than `after_s`."""
         passed, self._last_s = tick.now_s - self._last_s, tick.now_s
         if not passed > self.after_s:
             return None
@@ -108,14 +111,14 @@ class Paused:
 
 @dataclass(slots=True)
 class RateOfRise:
-    """A reading that rises too fast, over a window of good values."""
+    """Reading that rises too fast, over a window of good values."""
 
     spec: RateOfRiseSpec
     unit: str
     _past: deque[tuple[float, float]] = field(default_factory=deque)
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated above `high`; silent until half a window is known."""
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
+        """Return the violation above `high`; None until half a window is known."""
         value, spec = tick.good(self.spec.point), self.spec
         if math.isnan(value):
             return None
@@ -134,14 +137,14 @@ class RateOfRise:
 
 @dataclass(frozen=True, slots=True)
 class NoFlow:
-    """Heat without flow. Engaged, it waits for the flow: a heater that was switched off is no proof of it."""
+    """Heat without flow. Engaged, it clears with the flow alone: a heater at zero does not prove a flow."""
 
     spec: NoFlowSpec
     commanded: str | None
-    """The set-point behind the heater's reading: what is asked for counts before it is measured."""
+    """Set-point behind the heater's reading: a command counts before it is measured."""
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated while there is heat, measured or asked for, and not flow enough."""
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
+        """Return the violation while there is heat, measured or commanded, and too little flow."""
         spec, flow = self.spec, tick.good(self.spec.flow)
         if math.isnan(flow) and not engaged:
             return None
@@ -150,52 +153,52 @@ class NoFlow:
         heat = asked if math.isnan(measured) else max(asked, measured)
         if flow >= spec.low + (spec.deadband if engaged else 0.0) or not (engaged or heat > spec.above):
             return None
-        told = "not known" if math.isnan(flow) else f"{flow:.2f}, at least {spec.low:g} is needed"
-        return f"heat without flow: {spec.heater} is {heat:.0f} W, {spec.flow} is {told}"
+        state = "not known" if math.isnan(flow) else f"{flow:.2f}, at least {spec.low:g} is needed"
+        return f"heat without flow: {spec.heater} is {heat:.0f} W, {spec.flow} is {state}"
 
 
 @dataclass(frozen=True, slots=True)
-class Disagreement:
-    """An actuator that does not do what it is asked."""
+class ActuatorDisagreement:
+    """Actuator whose reading disagrees with its command."""
 
     setpoint: Point
     measured: str
     tolerance: float
     deadband: float
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated while command and reading are further apart than the tolerance."""
-        asked, measured = tick.commanded.get(self.setpoint.name, math.nan), tick.good(self.measured)
-        if not abs(asked - measured) > self.tolerance - (self.deadband if engaged else 0.0):
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
+        """Return the violation while command and reading differ by more than the tolerance."""
+        commanded, measured = tick.commanded.get(self.setpoint.name, math.nan), tick.good(self.measured)
+        if not abs(commanded - measured) > self.tolerance - (self.deadband if engaged else 0.0):
             return None
         unit = self.setpoint.unit
-        return f"{self.setpoint.name} asks for {asked:.0f} {unit}, {self.measured} is {measured:.0f} {unit}"
+        return f"{self.setpoint.name} asks for {commanded:.0f} {unit}, {self.measured} is {measured:.0f} {unit}"
 
 
 @dataclass(frozen=True, slots=True)
-class Residual:
-    """A twin that is off."""
+class TwinResidual:
+    """Residual between a reading and its prediction by a twin."""
 
     spec: ResidualSpec
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated beyond `high`; silent while the twin has said nothing."""
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
+        """Return the violation beyond `high`, K; None while there is no prediction."""
         spec = self.spec
-        off = tick.residuals.get((spec.twin, spec.sensor), math.nan)
-        if not abs(off) > spec.high - (spec.deadband if engaged else 0.0):
+        residual_K = tick.residuals.get((spec.twin, spec.sensor), math.nan)
+        if not abs(residual_K) > spec.high - (spec.deadband if engaged else 0.0):
             return None
-        return f"{spec.sensor} is {off:+.2f} K off the twin {spec.twin}, at most {spec.high:g} K is expected"
+        return f"{spec.sensor} is {residual_K:+.2f} K off the twin {spec.twin}, at most {spec.high:g} K is expected"
 
 
 @dataclass(frozen=True, slots=True)
 class RigTrip:
-    """What the rig says of its own watchdog and thermostat."""
+    """Trip of the rig's own watchdog or thermostat, from its status bits."""
 
     status: str
     mask: int
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated while one of the rig's trip bits is set."""
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
+        """Return the violation while one of the rig's trip bits is set."""
         value = tick.good(self.status)
         bits = 0 if math.isnan(value) else int(value) & self.mask
         if not bits:
@@ -206,16 +209,16 @@ class RigTrip:
 
 
 @dataclass(slots=True)
-class Frozen:
-    """A rig whose counter stands still: it answers, but its program does not run."""
+class FrozenCounter:
+    """Counter of the rig that does not advance: the rig answers, but its program does not run."""
 
     counter: str
     timeout_s: float
     _value: float = math.nan
     _since: float = -math.inf
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated when the counter has not advanced for longer than the time-out."""
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
+        """Return the violation when the counter has not advanced for longer than the time-out."""
         value = tick.good(self.counter)
         if math.isnan(value):
             return None
@@ -227,18 +230,19 @@ class Frozen:
 
 
 @dataclass(slots=True)
-class Restarted:
-    """A rig whose clock or counter has gone back: its program began anew, and knows nothing of what it was told.
+class RigRestart:
+    """Restart of the rig: its clock or counter went back, and its program has lost all commands.
 
-    One that passes the end of its range begins at 0 too: it comes from the last hundredth and arrives in the first.
+    A counter that passes the end of its range begins at 0, too. It is recognised by a step from the last hundredth of
+    the range into the first.
     """
 
     point: Point
     count: int = 0
     _value: float = math.nan
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
-        """Violated on the tick on which it is seen."""
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
+        """Return the violation on the tick on which the clock or counter went back."""
         before, value = self._value, tick.good(self.point.name)
         if math.isnan(value):
             return None
@@ -252,8 +256,8 @@ class Restarted:
         return f"the rig has restarted: {self.point.name} went back from {before:g} to {value:g}"
 
 
-def of_heartbeat(rig: Rig, polled: frozenset[str]) -> list[Condition]:
-    """What the rig's half of the heartbeat says, as far as its points are read."""
+def heartbeat_conditions(rig: Rig, polled: frozenset[str]) -> list[Condition]:
+    """Return the conditions on the rig's half of the heartbeat, for those of its points that are polled."""
     found: list[Condition] = []
     heartbeat = rig.heartbeat
     if heartbeat is None:
@@ -261,9 +265,9 @@ def of_heartbeat(rig: Rig, polled: frozenset[str]) -> list[Condition]:
     if heartbeat.status in polled and heartbeat.status is not None:
         found.append(RigTrip(heartbeat.status, heartbeat.trip_mask))
     if heartbeat.counter in polled and heartbeat.counter is not None:
-        found.append(Frozen(heartbeat.counter, heartbeat.timeout_s))
+        found.append(FrozenCounter(heartbeat.counter, heartbeat.timeout_s))
     uptime = rig.bus[rig.get(heartbeat.point).bus].uptime
     clock = next((name for name in (uptime, heartbeat.counter) if name in polled), None)
     if clock is not None:
-        found.append(Restarted(rig.get(clock)))
+        found.append(RigRestart(rig.get(clock)))
     return found

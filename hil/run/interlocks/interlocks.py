@@ -1,8 +1,9 @@
-"""The interlocks of a run, at two levels, judged in the tick on this tick's values.
+"""Interlocks of a run at two levels, evaluated in the tick on its values.
 
 An alarm trips: it is latched until it is acknowledged, and cannot be acknowledged while its cause lasts. A warning is
-active from its on-delay until its cause has been gone, by its deadband, for its off-delay. Beside those that the rig
-file declares, every rig has: the `alarm` limits of its points, lost links and sensors, its own trip, its counter.
+active from its on-delay until its cause has been gone, by its deadband, for its off-delay. Besides the interlocks that
+the rig file declares, every rig has the `alarm` limits of its points, lost links and sensors, its own trip, its
+counter.
 """
 
 from __future__ import annotations
@@ -24,42 +25,42 @@ from drivers.rig_file import (
 )
 from drivers.signals import Snapshot
 from hil.run.interlocks.conditions import (
+    ActuatorDisagreement,
     Condition,
-    Disagreement,
-    Frozen,
-    Limit,
+    FrozenCounter,
+    LimitViolation,
     NoFlow,
-    Paused,
+    NoGoodValue,
     RateOfRise,
-    Residual,
     Residuals,
-    Restarted,
+    RigRestart,
     RigTrip,
-    Tick,
-    Untrusted,
-    of_heartbeat,
+    TickGap,
+    TickValues,
+    TwinResidual,
+    heartbeat_conditions,
 )
 
-_NOT_AT_START = (RigTrip, Frozen, Restarted, Disagreement, RateOfRise, Paused)
-"""The first is asked by itself, the others need a history."""
+_NOT_AT_START = (RigTrip, FrozenCounter, RigRestart, ActuatorDisagreement, RateOfRise, TickGap)
+"""Conditions that are not checked before a start: the first has a check of its own, the others need a history."""
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
-    """What stands against the run on a tick: latched trips and active warnings, a sentence each."""
+class InterlockStatus:
+    """Latched trips and active warnings of a tick, a sentence each."""
 
     trips: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
-_NOTHING = Judgement()
+_NOTHING = InterlockStatus()
 
 
 class Interlock:
-    """One condition with its delays: `active` while it counts, `present` while its cause is there.
+    """Condition with its level and delays: `active` while it counts, `present` while its cause is there.
 
-    The on-delay of a point without a good value is no timer but a balance: time without one fills it, time with one
-    drains it. A loose contact that is good for an instant now and then would reset a timer for ever.
+    The on-delay of a point without a good value is a leaky integrator: time without one fills it, time with one drains
+    it. A loose contact with a good value now and then would reset a plain timer for ever.
     """
 
     def __init__(self, level: Level, condition: Condition, on_delay_s: float, off_delay_s: float = 0.0) -> None:
@@ -69,22 +70,22 @@ class Interlock:
         self.present = False
         self.reason = ""
         self._on_delay_s, self._off_delay_s = on_delay_s, off_delay_s
-        self._since: float | None = None  # of what speaks against the present value of `active`
-        self._drains = isinstance(condition, Untrusted)
+        self._since: float | None = None  # begin of what contradicts the present value of `active`, s
+        self._drains = isinstance(condition, NoGoodValue)
         self._last_s = math.nan
         self._is_quiet = True
 
-    def update(self, tick: Tick) -> bool:
-        """Judge one tick; return True unless all is quiet: no cause, no delay under way, nothing active."""
-        said = self.condition.judge(tick, self.active)
-        if said is None and self._is_quiet:
+    def update(self, tick: TickValues) -> bool:
+        """Evaluate one tick; return False where it is quiet: no cause, no delay under way, not active."""
+        violation = self.condition.judge(tick, self.active)
+        if violation is None and self._is_quiet:
             return False
-        self._judged(said, tick.now_s)
+        self._advance(violation, tick.now_s)
         self._is_quiet = self._since is None and not self.active
         return True
 
-    def _judged(self, said: str | None, now_s: float) -> None:
-        self.present = said is not None
+    def _advance(self, violation: str | None, now_s: float) -> None:
+        self.present = violation is not None
         passed, self._last_s = now_s - self._last_s, now_s
         if self._drains and not self.present and not self.active and self._since is not None:
             drained = self._since + 2.0 * passed
@@ -95,63 +96,65 @@ class Interlock:
             return
         self._since = now_s if self._since is None else self._since
         waited = now_s - self._since
-        if said is not None and waited >= self._on_delay_s:
-            self.active, self.reason, self._since = True, said, None
-        elif said is None and self.level == "warning" and waited >= self._off_delay_s:
+        if violation is not None and waited >= self._on_delay_s:
+            self.active, self.reason, self._since = True, violation, None
+        elif violation is None and self.level == "warning" and waited >= self._off_delay_s:
             self.active, self._since = False, None
 
     def acknowledge(self) -> bool:
-        """Let go of a trip whose cause is gone; whether it is gone."""
+        """Release a trip whose cause is gone; return True if it is not active any more."""
         if self.active and not self.present:
             self.active = False
         return not self.active
 
 
 class Interlocks:
-    """State of the interlocks of one run over the rig's polled `points`."""
+    """All interlocks of one run over the rig's polled `points`."""
 
     def __init__(self, rig: Rig, points: tuple[Point, ...]) -> None:
         self._names = tuple(point.name for point in points)
         self._standing = _NOTHING
         alarmed = [point for point in points if point.alarm is not None]
-        heartbeat = of_heartbeat(rig, frozenset(self._names))
+        heartbeat = heartbeat_conditions(rig, frozenset(self._names))
         self._watchdog = 0 if rig.heartbeat is None else rig.heartbeat.watchdog_mask
-        self._restarts = [condition for condition in heartbeat if isinstance(condition, Restarted)]
+        self._restarts = [condition for condition in heartbeat if isinstance(condition, RigRestart)]
         self._rig_trips = [condition for condition in heartbeat if isinstance(condition, RigTrip)]
         all_alarms: list[tuple[Condition, float]] = [
-            *((Limit(point, *point.alarm), 0.0) for point in alarmed if point.alarm is not None),
+            *((LimitViolation(point, *point.alarm), 0.0) for point in alarmed if point.alarm is not None),
             *((condition, 0.0) for condition in heartbeat),
-            (Paused(rig.abort_after_s + rig.period_s), 0.0),
-            *((Untrusted(point, rig.abort_after_s, point.alarm is not None), rig.abort_after_s) for point in points),
+            (TickGap(rig.abort_after_s + rig.period_s), 0.0),
+            *((NoGoodValue(point, rig.abort_after_s, point.alarm is not None), rig.abort_after_s) for point in points),
         ]
         self._all = [Interlock("alarm", condition, delay) for condition, delay in all_alarms]
         for spec in rig.interlock:
-            self._all += _made(spec, rig)
-        self._sensors = [item for item in self._all if isinstance(item.condition, Untrusted)]
-        self._others = [item for item in self._all if not isinstance(item.condition, Untrusted)]
+            self._all += _declared(spec, rig)
+        self._sensors = [item for item in self._all if isinstance(item.condition, NoGoodValue)]
+        self._others = [item for item in self._all if not isinstance(item.condition, NoGoodValue)]
         self._sensors_stir = False
 
     def add_alarm(self, condition: Condition) -> None:
-        """Judge one more condition as an alarm, without delay."""
+        """Add a condition that is evaluated as an alarm without delay."""
         item = Interlock("alarm", condition, 0.0)
         self._all.append(item)
         self._others.append(item)
 
     @property
     def restarts(self) -> int:
-        """How often the rig's program was seen to begin anew."""
+        """Number of restarts of the rig's program."""
         return sum(condition.count for condition in self._restarts)
 
     def refusals(self, snapshot: Snapshot, *, rearm: bool = False) -> list[str]:
-        """Alarms that stand against a start, one sentence each; nothing is latched by asking.
+        """Return the alarms that prevent a start, one sentence each, without latching them.
 
-        A trip of the rig's own, but for its watchdog's, is one of them unless the operator says `rearm`: arming would
-        wipe it out, and nobody would have looked.
+        A trip of the rig's own prevents a start unless the operator gives `rearm`: arming would reset it without
+        anybody's notice. A trip of its watchdog alone does not.
         """
         tick = self._tick(snapshot, 0.0, {}, {})
         alarms = (item for item in self._all if item.level == "alarm")
-        said = (item.condition.judge(tick, False) for item in alarms if not isinstance(item.condition, _NOT_AT_START))
-        found = list(dict.fromkeys(sentence for sentence in said if sentence is not None))
+        violations = (
+            item.condition.judge(tick, False) for item in alarms if not isinstance(item.condition, _NOT_AT_START)
+        )
+        found = list(dict.fromkeys(sentence for sentence in violations if sentence is not None))
         for trip in () if rearm else self._rig_trips:
             alone = RigTrip(trip.status, trip.mask & ~self._watchdog)
             if alone.judge(tick, False) is not None:
@@ -167,8 +170,15 @@ class Interlocks:
         now_s: float,
         commanded: Mapping[str, float] | None = None,
         residuals: Residuals | None = None,
-    ) -> Judgement:
-        """What stands against the run now. Call once a tick, with rig time and what was commanded before it."""
+    ) -> InterlockStatus:
+        """Evaluate all interlocks and return their status. Call once a tick.
+
+        Args:
+            snapshot: readings of the polled points and their quality.
+            now_s: rig time, s.
+            commanded: commands before this tick by set-point, in their units.
+            residuals: residuals of the twins, K.
+        """
         tick = self._tick(snapshot, now_s, commanded or {}, residuals or {})
         stirred = [item.update(tick) for item in self._others]
         if self._sensors_stir or any(snapshot.quality):  # GOOD is 0: with good values a quiet one stays so
@@ -178,46 +188,48 @@ class Interlocks:
             self._standing = self._active()
         return self._standing
 
-    def standing(self) -> Judgement:
-        """Return latched trips and active warnings."""
+    def standing(self) -> InterlockStatus:
+        """Return the latched trips and active warnings of the last tick."""
         return self._standing
 
-    def _active(self) -> Judgement:
+    def _active(self) -> InterlockStatus:
         active = [item for item in self._all if item.active]
         if not active:
             return _NOTHING
-        return Judgement(
+        return InterlockStatus(
             tuple(item.reason for item in active if item.level == "alarm"),
             tuple(item.reason for item in active if item.level == "warning"),
         )
 
     def acknowledge(self) -> list[str]:
-        """Let go of the trips of which the cause is gone; return the sentences of those that stay."""
+        """Release the trips whose cause is gone; return the sentences of those that stay."""
         stay = [item.reason for item in self._all if item.level == "alarm" and not item.acknowledge()]
         self._standing = self._active()
         return stay
 
     def rig_trip(self, snapshot: Snapshot) -> str | None:
-        """What the rig says of its own watchdog and thermostat, where it has tripped."""
+        """Return the trip of the rig's own watchdog or thermostat as a sentence, or None."""
         tick = self._tick(snapshot, 0.0, {}, {})
-        return next((said for each in self._rig_trips if (said := each.judge(tick, False)) is not None), None)
+        return next((trip for each in self._rig_trips if (trip := each.judge(tick, False)) is not None), None)
 
-    def _tick(self, snapshot: Snapshot, now_s: float, commanded: Mapping[str, float], residuals: Residuals) -> Tick:
+    def _tick(
+        self, snapshot: Snapshot, now_s: float, commanded: Mapping[str, float], residuals: Residuals
+    ) -> TickValues:
         values = dict(zip(self._names, snapshot.values, strict=True))
         quality = dict(zip(self._names, snapshot.quality, strict=True))
-        return Tick(now_s, values, quality, commanded, tuple(snapshot.faults), residuals)
+        return TickValues(now_s, values, quality, commanded, tuple(snapshot.faults), residuals)
 
 
-def _made(spec: InterlockSpec, rig: Rig) -> list[Interlock]:
-    """A declared interlock, and one of the same level for each sensor that it cannot do without."""
+def _declared(spec: InterlockSpec, rig: Rig) -> list[Interlock]:
+    """Return a declared interlock, and one of the same level for each sensor that it needs."""
     condition, needs = _condition(spec, rig)
     on_delay_s = spec.on_delay_s
     if on_delay_s is None:
         on_delay_s = rig.get(spec.points["setpoint"]).readback_within_s
     sensors = (
-        Interlock(spec.level, Untrusted(rig.get(name), rig.abort_after_s, True), rig.abort_after_s, spec.off_delay_s)
+        Interlock(spec.level, NoGoodValue(rig.get(name), rig.abort_after_s, True), rig.abort_after_s, spec.off_delay_s)
         for name in needs
-        # An alarm on the same sensor speaks for it already.
+        # An alarm on the same sensor covers it already.
         if spec.level == "alarm" or rig.get(name).alarm is None
     )
     own = [] if condition is None else [Interlock(spec.level, condition, on_delay_s, spec.off_delay_s)]
@@ -225,11 +237,11 @@ def _made(spec: InterlockSpec, rig: Rig) -> list[Interlock]:
 
 
 def _condition(spec: InterlockSpec, rig: Rig) -> tuple[Condition | None, tuple[str, ...]]:
-    """The condition of `spec`, and the points that must be good for it to mean anything."""
+    """Return the condition of `spec`, and the points that it needs a good value of."""
     if isinstance(spec, LimitSpec):
         low = -math.inf if spec.low is None else spec.low
         high = math.inf if spec.high is None else spec.high
-        return Limit(rig.get(spec.point), low, high, spec.deadband, spec.level), (spec.point,)
+        return LimitViolation(rig.get(spec.point), low, high, spec.deadband, spec.level), (spec.point,)
     if isinstance(spec, RateOfRiseSpec):
         return RateOfRise(spec, rig.get(spec.point).unit), (spec.point,)
     if isinstance(spec, NoFlowSpec):
@@ -238,7 +250,7 @@ def _condition(spec: InterlockSpec, rig: Rig) -> tuple[Condition | None, tuple[s
     if isinstance(spec, HeaterPowerSpec):
         setpoint = rig.get(spec.setpoint)
         assert setpoint.readback is not None
-        return Disagreement(setpoint, setpoint.readback, spec.tolerance, spec.deadband), (setpoint.readback,)
+        return ActuatorDisagreement(setpoint, setpoint.readback, spec.tolerance, spec.deadband), (setpoint.readback,)
     if isinstance(spec, ResidualSpec):
-        return Residual(spec), ()
+        return TwinResidual(spec), ()
     return None, (spec.point,)

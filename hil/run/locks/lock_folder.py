@@ -1,9 +1,9 @@
-"""Folders that hold the lock files of one user, and the lock files themselves.
+"""Lock files of one user and the trusted folders that hold them.
 
-A folder is used only where no other user could have made it first: inside a base folder that belongs to this user and
-that no other user can write to. Bases are the home folder of the user's passwd entry, `HOME` and `XDG_RUNTIME_DIR`. A
-run takes its locks in every one of them. So a run of cron, which has no `XDG_RUNTIME_DIR`, meets one of a desktop, and
-a run with another `HOME` meets both.
+A lock folder is used only where no other user could have made it first. It lies inside a base folder that belongs to
+this user and that no other user can write to. Bases are the home folder of the user's passwd entry, `HOME` and
+`XDG_RUNTIME_DIR`. A run takes its locks in every one of them. A run of cron has no `XDG_RUNTIME_DIR` and still meets a
+run of the desktop. A run with another `HOME` meets both.
 
 A base of the environment that belongs to another user means that the run has another user's environment. A lock folder
 that belongs to another user or cannot be written to means that its locks prove nothing. Both are errors, not warnings.
@@ -28,42 +28,43 @@ UNDER_RUNTIME = Path("hil/locks")
 
 
 class RigLockError(Exception):
-    """No lock can be had that another run would respect; the message names the folder and the remedy."""
+    """Lock that other runs would not respect; the message names the folder and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
-class Base:
-    """A folder that should be this user's own. `named` is the environment variable that names it, or empty."""
+class LockBase:
+    """Folder that should be this user's own. `named` is the environment variable that names it, or empty."""
 
     path: Path
     under: Path
     named: str = ""
 
 
-def bases() -> tuple[Base, ...]:
+def bases() -> tuple[LockBase, ...]:
     """Return the folders in which runs of this user look for one another, each once."""
-    found: dict[Path, Base] = {}
+    found: dict[Path, LockBase] = {}
     with contextlib.suppress(KeyError):  # a container's user may have no passwd entry
         home = Path(pwd.getpwuid(os.getuid()).pw_dir)
-        found[home] = Base(home, UNDER_HOME)
+        found[home] = LockBase(home, UNDER_HOME)
     for name, under in (("HOME", UNDER_HOME), ("XDG_RUNTIME_DIR", UNDER_RUNTIME)):
         path = Path(os.environ.get(name, ""))
         if path.is_absolute():
-            found.setdefault(path, Base(path, under, name))
+            found.setdefault(path, LockBase(path, under, name))
     return tuple(found.values())
 
 
 class LockFolder:
-    """An open, trusted folder of lock files."""
+    """Open, trusted folder of lock files."""
 
     def __init__(self, path: Path, handle: int) -> None:
         self.path = path
         self._handle = handle
 
     def take(self, name: str) -> LockFile | None:
-        """Return the lock file `name`, locked; None where another process has it.
+        """Return the lock file `name`, locked; None where another process holds it.
 
-        Raises OSError where the file cannot be made or the file system has no locks.
+        Raises:
+            OSError: the file cannot be made, or the file system has no locks.
         """
         while True:
             handle = os.open(name, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600, dir_fd=self._handle)
@@ -79,14 +80,14 @@ class LockFolder:
                 return LockFile(self._handle, name, handle)
             os.close(handle)  # its owner removed it between our two calls
 
-    def holder(self, name: str) -> Holder | None:
-        """Return who wrote the lock file `name`, or None where that is not known."""
+    def holder(self, name: str) -> LockHolder | None:
+        """Return the holder in the lock file `name`, or None where that is not known."""
         try:
             handle = os.open(name, os.O_RDONLY | os.O_NOFOLLOW, dir_fd=self._handle)
         except OSError:
             return None
         try:
-            return Holder.read(os.pread(handle, 10_000, 0))
+            return LockHolder.read(os.pread(handle, 10_000, 0))
         except OSError:
             return None
         finally:
@@ -106,17 +107,17 @@ class LockFolder:
 
 
 class LockFile:
-    """A lock that this process holds. The kernel releases it with the process, however that ends."""
+    """Lock that this process holds. The kernel releases it at the end of the process, by any cause."""
 
     def __init__(self, folder: int, name: str, handle: int) -> None:
         self._folder, self._name, self._handle = folder, name, handle
 
     def fileno(self) -> int:
-        """Return the descriptor: whoever holds a copy holds the lock."""
+        """Return the descriptor: a process with a copy of it holds the lock, too."""
         return self._handle
 
-    def write(self, holder: Holder) -> None:
-        """Write who holds it. A full disk only takes the name away from whoever is refused."""
+    def write(self, holder: LockHolder) -> None:
+        """Write the holder. On a full disk a refused run does not learn the holder's name."""
         text = holder.as_bytes()
         with contextlib.suppress(OSError):
             os.pwrite(self._handle, text, 0)
@@ -124,14 +125,14 @@ class LockFile:
 
     def release(self) -> None:
         """Remove the file and release its lock."""
-        # In this order: whoever opened it before it was removed finds out, see `LockFolder.take`.
+        # In this order: a process that opened the file before detects the removal, see `LockFolder.take`.
         with contextlib.suppress(OSError):
             os.unlink(self._name, dir_fd=self._folder)
         os.close(self._handle)
 
 
 @dataclass(frozen=True, slots=True)
-class Holder:
+class LockHolder:
     """Process that holds a lock, and the folder of its run once there is one."""
 
     pid: int
@@ -139,12 +140,12 @@ class Holder:
     folder: str | None = None
 
     @classmethod
-    def own(cls, folder: Path | None) -> Holder:
+    def own(cls, folder: Path | None) -> LockHolder:
         """Return this process as a holder."""
         return cls(os.getpid(), socket.gethostname(), None if folder is None else str(folder.absolute()))
 
     @classmethod
-    def read(cls, text: bytes) -> Holder | None:
+    def read(cls, text: bytes) -> LockHolder | None:
         """Return the holder that `as_bytes` wrote, or None."""
         try:
             found = json.loads(text)
@@ -158,9 +159,9 @@ class Holder:
 
 
 def open_folders() -> tuple[list[LockFolder], list[RigLockError]]:
-    """Open every lock folder of this user, made where it is missing; return them with the errors of the others.
+    """Open every lock folder of this user and make the missing ones; return them with the errors of the others.
 
-    No folder at all is an error too.
+    The case without any folder is an error, too.
     """
     found: list[LockFolder] = []
     errors: list[RigLockError] = []
@@ -178,13 +179,13 @@ def open_folders() -> tuple[list[LockFolder], list[RigLockError]]:
     return found, errors
 
 
-def _open(base: Base) -> LockFolder | None:
-    """Return the lock folder in `base`; None where there is no such base. Raises RigLockError."""
+def _open(base: LockBase) -> LockFolder | None:
+    """Return the lock folder in `base`, None where there is no such base; raises RigLockError."""
     try:
         status = base.path.stat()
     except OSError:
         return None
-    problem = _mistrust(status)
+    problem = _why_untrusted(status)
     if problem is not None:
         if not base.named:
             return None  # a service's home may be `/`: every run of that user sees it so
@@ -222,7 +223,7 @@ def _opened(path: Path) -> LockFolder:
             os.close(handle)
 
 
-def _mistrust(status: os.stat_result) -> str | None:
+def _why_untrusted(status: os.stat_result) -> str | None:
     """Return why a base is not this user's own, or None."""
     if not stat.S_ISDIR(status.st_mode):
         return "is not a folder"

@@ -1,14 +1,14 @@
-"""One run drives a rig at a time: locks on every end point that its rig file writes to, released by the kernel.
+"""Locks on every end point that a rig file writes to, so that one run at a time drives a rig.
 
-Each end point has two kinds of lock, because each sees what the other misses:
+The kernel releases them. Each end point has two kinds of lock with different ranges:
 
 - A name of this machine (`machine_lock`). Every user, home, TMPDIR and mount namespace shares it. Another user who
-  takes it first can deny a run, not let a second one through. Other network namespaces and machines do not see it.
-- A lock file in each private folder of this user (`lock_folder`). It names the run that holds it. It reaches
-  containers and, where the file system passes locks on, machines that share the home folder. Other users have another.
+  takes it first can prevent a run, but admits no second one. It does not cover other network namespaces and machines.
+- A lock file in each private folder of this user (`lock_folder`). It names the run that holds it. It covers containers
+  and, where the file system passes locks on, machines that share the home folder. It does not cover other users.
 
-Two users on two machines, or in two containers, are separated by neither. The alarm on foreign set-points
-(`hil.run.outputs.readback`) is left for them.
+Neither separates two users on two machines, or in two containers. The alarm on foreign set-points
+(`hil.run.outputs.readback`) remains for them.
 
 The key of an end point is its resolved address and port, not its device id: some devices answer to any id. Devices
 behind one gateway are therefore driven by one run. All addresses of this machine are one host, and a host with several
@@ -26,25 +26,25 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from drivers.rig_file import CanBus, ModbusRtuBus, ModbusRtuTcpBus, Rig, addresses, is_own, serial_device
-from hil.run.locks.lock_folder import Holder, LockFile, LockFolder, RigLockError, open_folders, user_name
-from hil.run.locks.machine_lock import Peer, take_name
+from hil.run.locks.lock_folder import LockFile, LockFolder, LockHolder, RigLockError, open_folders, user_name
+from hil.run.locks.machine_lock import NameHolder, take_name
 
 HANDOVER_S = 10.0
-"""So long a new run waits for the guardian of one that was killed, s."""
+"""Longest wait of a new run for the guardian of a killed one, s."""
 _SO_NETNS_COOKIE = 71
 """Socket option that identifies a network namespace (Linux 5.14, <asm-generic/socket.h>); Python has no name for it."""
 
 
 class RigBusyError(Exception):
-    """Another run drives the rig; the message names it and the remedy. `pid` is its process here, if known."""
+    """Rig that another run drives; the message names that run and the remedy. `pid` is its process here, if known."""
 
-    def __init__(self, said: str, pid: int | None = None) -> None:
-        super().__init__(said)
+    def __init__(self, sentence: str, pid: int | None = None) -> None:
+        super().__init__(sentence)
         self.pid = pid
 
 
 class RigClaim:
-    """The end points that this process has locked; none for a rig that is its own."""
+    """End points that this process has locked; none for a virtual rig of its own."""
 
     def __init__(self) -> None:
         self._folders: list[LockFolder] = []
@@ -54,11 +54,11 @@ class RigClaim:
     def take(self, rig: Rig, announce: Callable[[str], None], *, no_lock: bool = False) -> None:
         """Lock every end point of `rig`, or none.
 
-        With `no_lock` nothing is refused: the locks that are free are taken, so that others are still refused, and
-        `announce` is given a warning that names what is given up.
+        With `no_lock` no error is raised. The free locks are taken, so that other runs are still refused, and
+        `announce` gets a warning with the locks that are missing.
 
         Raises:
-            RigBusyError: another run has one of them.
+            RigBusyError: another run holds one of them.
             RigLockError: a lock folder of this user is foreign, cannot be written to, or has no locks.
         """
         points = end_points(rig)
@@ -79,7 +79,7 @@ class RigClaim:
         except (RigBusyError, RigLockError):
             self.release()
             raise
-        self.tell(None)
+        self.record_holder(None)
         if no_lock:
             because = "; ".join(dict.fromkeys([*map(str, errors), *problems]))
             announce(
@@ -88,7 +88,7 @@ class RigClaim:
             )
 
     def _lock_after_guardian(self, key: str, place: str) -> None:
-        """Take the locks, once the guardian of a run that was killed has made the rig safe and let go of them."""
+        """Take the locks once the guardian of a killed run has made the rig safe and released them."""
         end = time.monotonic() + HANDOVER_S
         while True:
             try:
@@ -98,8 +98,8 @@ class RigClaim:
                     raise
                 if time.monotonic() > end:
                     raise RigBusyError(
-                        f"{place} is held by the guardian of a run that is gone (process {error.pid}): it cannot make "
-                        "the rig safe; its guardian.log in the run's folder says why. Look at the rig"
+                        f"{place} is held by the guardian of a killed run (process {error.pid}), which cannot make the "
+                        "rig safe; read its guardian.log in the run's folder, and check the rig"
                     ) from None
                 time.sleep(0.05)
 
@@ -110,10 +110,10 @@ class RigClaim:
             taken = take_name(f"hil-rig-{name}")
         except OSError as error:
             raise RigLockError(
-                f"this machine's lock of {place} cannot be had ({error.strerror or error}); allow Unix sockets to this "
-                "process, or use --no-lock, which does not keep a second run off this rig"
+                f"this machine's lock of {place} cannot be taken ({error.strerror or error}); allow Unix sockets to "
+                "this process, or use --no-lock, which does not keep a second run off this rig"
             ) from error
-        if isinstance(taken, Peer):
+        if isinstance(taken, NameHolder):
             known = [folder.holder(name) for folder in self._folders]
             holder = next((one for one in known if one and one.pid == taken.pid), None)
             raise RigBusyError(_busy(place, taken, holder), taken.pid or None)
@@ -133,18 +133,18 @@ class RigClaim:
                 raise RigBusyError(_busy(place, None, holder), holder.pid if here and holder is not None else None)
             self._files.append(file)
 
-    def tell(self, folder: Path | None) -> None:
-        """Write who has the rig, for whoever is refused: this process, and the run in `folder` once there is one."""
+    def record_holder(self, folder: Path | None) -> None:
+        """Write the holder into the lock files: this process, and the run in `folder` once there is one."""
         for file in self._files:
-            file.write(Holder.own(folder))
+            file.write(LockHolder.own(folder))
 
     @property
     def descriptors(self) -> tuple[int, ...]:
-        """Open lock files: a process that holds them, too, keeps the rig from others."""
+        """Descriptors of the locks: a process that inherits them holds the locks, too."""
         return (*(file.fileno() for file in self._files), *(name.fileno() for name in self._names))
 
     def release(self) -> None:
-        """Let another run have the rig; harmless when repeated."""
+        """Release all locks; harmless when repeated."""
         for file in self._files:
             file.release()
         for name in self._names:
@@ -156,7 +156,7 @@ class RigClaim:
 
 @contextlib.contextmanager
 def claimed(rig: Rig | None, announce: Callable[[str], None], *, no_lock: bool = False) -> Iterator[RigClaim]:
-    """Hold `rig`, or nothing, until the end of the block or `release`; raises RigBusyError and RigLockError."""
+    """Lock `rig`, if there is one, until the end of the block or `release`; raises RigBusyError and RigLockError."""
     claim = RigClaim()
     try:
         if rig is not None:
@@ -167,7 +167,7 @@ def claimed(rig: Rig | None, announce: Callable[[str], None], *, no_lock: bool =
 
 
 def _is_there(pid: int) -> bool:
-    """Return whether a process runs; one that is dead and not waited for does not."""
+    """Return True for a process that runs; a zombie does not."""
     try:
         return (
             Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0] != "Z"
@@ -177,10 +177,11 @@ def _is_there(pid: int) -> bool:
 
 
 def end_points(rig: Rig) -> dict[str, str]:
-    """Return what no two runs may share, by key, as a person reads it.
+    """Return the end points that no two runs may share: key -> name for messages.
 
-    Modbus servers that are written to, by address and port, and serial lines, which have one master even where nothing
-    is written, also behind a converter that passes RTU frames over TCP. CAN is only read, by as many as like.
+    These are Modbus servers that are written to, by address and port, and all serial lines. A serial line has one
+    master even without writes, also behind a converter that passes RTU frames over TCP. CAN is only read, by any number
+    of processes.
     """
     written = {point.bus for point in rig.point if point.access != "r"}
     found: dict[str, str] = {}
@@ -207,12 +208,12 @@ def _hosts(name: str) -> list[str]:
 
 
 def _serial(path: str) -> str:
-    """Return one text for each serial line, whatever links to it are called."""
+    """Return one text for each serial line, independent of the links to it."""
     return f"{_this_machine()} {serial_device(path)}"
 
 
 def _this_machine() -> str:
-    """Return what tells this machine from others that share the home folder."""
+    """Return an identity of this machine among those that share the home folder."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:  # not Linux
@@ -220,7 +221,7 @@ def _this_machine() -> str:
 
 
 def _this_network() -> str:
-    """Return what tells the addresses of this machine from those of other machines and of its containers."""
+    """Return an identity of this machine's network among other machines and its containers."""
     try:
         with socket.socket() as any_socket:
             cookie = any_socket.getsockopt(socket.SOL_SOCKET, _SO_NETNS_COOKIE, 8).hex()
@@ -229,9 +230,9 @@ def _this_network() -> str:
     return f"{_this_machine()} {cookie}"
 
 
-def _busy(place: str, peer: Peer | None, holder: Holder | None) -> str:
-    """Return the sentence for whoever is refused."""
-    rule = "one run at a time may drive what is at this address, whatever its device ids"
+def _busy(place: str, peer: NameHolder | None, holder: LockHolder | None) -> str:
+    """Return the sentence for a run that is refused."""
+    rule = "one run at a time may drive the devices at this address, whatever their ids"
     if holder is not None:
         here = holder.machine == socket.gethostname()
         process = f"process {holder.pid}{'' if here else f' on {holder.machine}'}"

@@ -21,7 +21,7 @@ from drivers.modbus.protocol.pdu import NO_SUCH_ADDRESS, NO_SUCH_FUNCTION
 from drivers.rig.connection import RigConnection
 from drivers.rig_file.model import Point
 from drivers.signals.points import DeviceExceptionError, DriverError, Quality, Snapshot
-from hil.run.interlocks.conditions import Tick
+from hil.run.interlocks.conditions import TickValues
 from hil.run.outputs.setpoints import count_tolerance
 
 INTERVAL_S = 1.0
@@ -94,7 +94,7 @@ class SetpointReadback:
         self._phase = (self._phase + _GOLDEN) % 1.0
         self._due_s = now_s if self._foreign_s else now_s + self._interval_s * (0.5 + self._phase)
 
-    def judge(self, tick: Tick, engaged: bool) -> str | None:
+    def judge(self, tick: TickValues, engaged: bool) -> str | None:
         """Violated from the second foreign value within `CLOSE_S` until there has been none for as long."""
         if not self._found:
             return None

@@ -1,8 +1,8 @@
-"""Controller that leads a plant with thermal memory back to given temperatures, at the load at which a run was cut.
+"""Controller that returns a plant with stored heat to given temperatures, at the load at which a run was interrupted.
 
-Feed-forward of the load plus a proportional-integral correction of the mean deviation, with conditional integration
-against wind-up (Astrom & Hagglund, Advanced PID Control, 2006, sec. 3.5), play against noise, and a gain that is halved
-on every overshoot, so that a plant faster or slower than expected is not driven to and fro.
+The output is feed-forward of the load plus a proportional-integral correction of the mean deviation. Conditional
+integration prevents wind-up (Astrom & Hagglund, Advanced PID Control, 2006, sec. 3.5), and a dead band suppresses
+noise. The gain is halved on every overshoot, so that a plant of unexpected speed does not oscillate.
 """
 
 from __future__ import annotations
@@ -12,32 +12,32 @@ import statistics
 from collections import deque
 
 SMOOTHED_S = 10.0
-"""Time constant of the filter of the mean deviation, s: the temperatures to return to are means of ten values, too."""
+"""Time constant of the filter of the mean deviation, s: the target temperatures are means of ten values, too."""
 INTEGRAL_S = 600.0
-"""Integral time, s: a deviation that stays moves the outputs by as much again as it does at once."""
-PLAY_SIGMAS = 3.0
+"""Integral time, s: a constant deviation moves the outputs over this time by as much as it does at once."""
+DEAD_BAND_SIGMAS = 3.0
 """Noise of the filtered correction, in standard deviations, that does not move the outputs."""
 OVERSHOOT = 0.1
-"""Share of the full correction from which on a deviation counts as one on the other side."""
+"""Share of the full correction from which on a deviation of the other sign counts as overshoot."""
 LEAST_GAIN = 1.0 / 32.0
-"""Share of its gain that the controller keeps at least: enough to find the load that holds the temperatures."""
+"""Least share of its gain that the controller keeps: enough to find the load that holds the temperatures."""
 APPROACH_S = 90.0
-"""Time, s, before its arrival at which a plant begins to be slowed down, by its fastest rate so far: what dead time and
-lag of heater and sensors on a small loop make together."""
+"""Time, s, before arrival at which the correction begins to fall, by the fastest rate so far. It is the sum of dead
+time and lag of heater and sensors on a small loop."""
 RATE_S = 40.0
 """Time, s, over which a rate is measured."""
 LEAST_ROWS = 8
 """Values from which on a rate is measured."""
 RECENT = 50
-"""Differences of which the median tells the noise: a jump of the temperatures is not noise."""
+"""Differences whose median estimates the noise: a jump of the temperatures is not noise."""
 MEDIAN_SIGMAS = 0.6745 * math.sqrt(2.0)
 """Median of the absolute difference of two values of normal noise, in its standard deviations."""
 
 
 class ThermalController:
-    """Correction in [-1, 1] of the load, positive where the plant is too cold.
+    """Proportional-integral controller; `correction` of the load is in [-1, 1], positive where the plant is too cold.
 
-    It is full from a deviation of `full_K` on, or of what the plant covers in `APPROACH_S` where that is more.
+    The correction is full from a deviation of `full_K` on, or from the change within `APPROACH_S` if that is larger.
     """
 
     def __init__(self, full_K: float) -> None:
@@ -56,9 +56,14 @@ class ThermalController:
     def step(
         self, deviation_K: float, passed_s: float, *, held: bool = False, low: bool = False, high: bool = False
     ) -> None:
-        """Take in the mean deviation (too hot is positive), K, that `passed_s` after the last one was measured.
+        """Update `correction` with one measurement.
 
-        `held` says that an operator keeps the outputs; `low` and `high` that no output can cool or warm any more.
+        Args:
+            deviation_K: mean deviation, K; positive where the plant is too hot.
+            passed_s: time since the last measurement, s.
+            held: an operator keeps the outputs, so that the integral stands.
+            low: no output can cool any more.
+            high: no output can warm any more.
         """
         if not math.isfinite(self._smooth):
             self._smooth = self._before = deviation_K
@@ -74,17 +79,17 @@ class ThermalController:
         self._notice_overshoot(error, noise)
         proportional = min(max(self._gain * error, -1.0), 1.0)
         if not held:
-            # Half the gain acts over twice the time, too: both together keep the damping.
+            # Half the gain acts over twice the time, too: both keep the damping.
             more = proportional * self._gain * passed_s / INTEGRAL_S
             full = abs(proportional + self._integral) >= 1.0 and more * (proportional + self._integral) > 0.0
             if not full and not (high and more > 0.0) and not (low and more < 0.0):
                 self._integral = min(max(self._integral + more, -1.0), 1.0)
         wanted = min(max(proportional + self._integral, -1.0), 1.0)
-        play = PLAY_SIGMAS * noise * self._gain
-        self.correction = min(max(self.correction, wanted - play), wanted + play)
+        dead_band = DEAD_BAND_SIGMAS * noise * self._gain
+        self.correction = min(max(self.correction, wanted - dead_band), wanted + dead_band)
 
     def _measure_rate(self, deviation_K: float, sigma_K: float, passed_s: float) -> None:
-        """Keep the fastest rate, K/s, that is beyond doubt: the median over a quarter of `RATE_S` ignores jumps."""
+        """Keep the fastest significant rate, K/s; the median over a quarter of `RATE_S` ignores jumps."""
         self._time_s += passed_s
         past = self._past
         past.append((self._time_s, deviation_K))
@@ -95,13 +100,13 @@ class ThermalController:
             return
         rates = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in zip(past, list(past)[lag:], strict=False) if b[0] > a[0]]
         if rates:
-            # The mean of n - lag differences between values that far apart, each of two values.
-            doubt = math.sqrt(2.0 / lag) * sigma_K / (0.25 * RATE_S)
-            self._fastest = max(self._fastest, abs(statistics.median(rates)) - PLAY_SIGMAS * doubt)
+            # Standard error of the mean of n - lag differences, each of two values.
+            error = math.sqrt(2.0 / lag) * sigma_K / (0.25 * RATE_S)
+            self._fastest = max(self._fastest, abs(statistics.median(rates)) - DEAD_BAND_SIGMAS * error)
 
     def _notice_overshoot(self, error: float, noise: float) -> None:
         """Halve gain and integral where the plant has come from one side to the other by more than its noise."""
-        if abs(error) <= max(OVERSHOOT, PLAY_SIGMAS * noise):
+        if abs(error) <= max(OVERSHOOT, DEAD_BAND_SIGMAS * noise):
             return
         side = 1 if error > 0.0 else -1
         if self._side == -side:

@@ -1,9 +1,9 @@
-"""Evidence of how long a run was down: the wall clock, and where the machine did not restart the time since its boot.
+"""Length of the gap of an interrupted run, by the wall clock and by the time since the machine's boot.
 
 A wall clock jumps: NTP corrects it, a dead battery resets it, an operator sets it. CLOCK_BOOTTIME (clock_gettime(2))
-counts from the boot through every suspend and is never set, so within one boot (same
-/proc/sys/kernel/random/boot_id, random(4)) it gives the gap exactly. After a restart only the wall clock is left; what
-it says is then held against the time since the boot, which the run did not see.
+counts from the boot through every suspend and is never set. Within one boot (same /proc/sys/kernel/random/boot_id,
+random(4)) it therefore gives the gap exactly. After a restart only the wall clock is left. Its gap is then checked
+against the time since the boot, which is a lower bound.
 """
 
 from __future__ import annotations
@@ -20,40 +20,40 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from drivers.signals import ConfigurationError
-from hil.run.restore.resumption import Standing
+from hil.run.restore.resumption import RunPosition
 from hil.run_folder.folder import RunFolderError
 
 KEY = "clock"
-"""Of the journal's `meta` table: `ClockReading` as plain data, of the newest segment."""
-LOOK_EVERY_S = 1.0
-"""A wall clock that jumps is noticed within this time, twice the journal's commit interval."""
+"""Key of the journal's `meta` table for the `ClockReading` of the newest segment, as plain data."""
+CHECK_EVERY_S = 1.0
+"""Interval of the checks for a jump of the wall clock, s: twice the journal's commit interval."""
 JUMP_S = 1.0
-"""A wall clock that was set by less changes a gap by no more than a tick of the usual period."""
+"""Least jump of the wall clock that counts, s: a smaller one changes a gap by no more than one usual tick."""
 LONG_GAP_S = 7 * 86400.0
-"""Longest gap that is believed unasked: a rig that stood for a week is cold, and a clock is more often wrong by years
-than a run is resumed after a week."""
+"""Longest gap that is accepted without --gap, s. A rig that stood for a week is cold, and a clock that is wrong by
+years is more frequent than a resume after a week."""
 SLACK_S = 60.0
-"""The clocks of a boot and of the wall may differ by so much without a cause: the first seconds of a boot, NTP."""
+"""Tolerated difference between boot clock and wall clock, s: the first seconds of a boot, corrections by NTP."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockReading:
-    """The wall clock, s since 1970, at the boot of this machine, with the boot's identity and the machine's name."""
+    """Wall clock, s since 1970, at the boot of this machine, with the boot's identity and the machine's name."""
 
     boot_id: str
     host: str
     wall_at_boot_s: float
 
 
-class Meta(Protocol):
-    """The part of a journal that keeps single entries."""
+class MetaTable(Protocol):
+    """Part of a journal writer that keeps single entries."""
 
     def put_meta(self, key: str, value: Any) -> None:
         """Set one entry."""
 
 
 def read_clocks() -> ClockReading | None:
-    """Return what the clocks of this machine say now; None where it has no boot clock or no boot id."""
+    """Return the clocks of this machine; None where it has no boot clock or no boot id."""
     boot_s = since_boot_s()
     try:
         boot_id = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
@@ -69,8 +69,8 @@ def since_boot_s() -> float | None:
 
 
 @contextlib.asynccontextmanager
-async def clocks_noted(journal: Meta) -> AsyncIterator[None]:
-    """Note the clocks in the journal, now and for as long as the block lasts whenever the wall clock has jumped."""
+async def clocks_recorded(journal: MetaTable) -> AsyncIterator[None]:
+    """Write the clocks to the journal now and, until the block ends, after every jump of the wall clock."""
     noted = _note(journal, None)
     watch = asyncio.create_task(_watch(journal, noted))
     try:
@@ -81,13 +81,13 @@ async def clocks_noted(journal: Meta) -> AsyncIterator[None]:
             await watch
 
 
-async def _watch(journal: Meta, noted: ClockReading | None) -> None:
+async def _watch(journal: MetaTable, noted: ClockReading | None) -> None:
     while noted is not None:
-        await asyncio.sleep(LOOK_EVERY_S)
+        await asyncio.sleep(CHECK_EVERY_S)
         noted = _note(journal, noted)
 
 
-def _note(journal: Meta, before: ClockReading | None) -> ClockReading | None:
+def _note(journal: MetaTable, before: ClockReading | None) -> ClockReading | None:
     now = read_clocks()
     if now is None or (before is not None and abs(now.wall_at_boot_s - before.wall_at_boot_s) < JUMP_S):
         return before
@@ -95,18 +95,18 @@ def _note(journal: Meta, before: ClockReading | None) -> ClockReading | None:
     return now
 
 
-def with_gap(was: Standing, noted: Any, stated_s: float | None, announce: Callable[[str], None]) -> Standing:
-    """Return `was` with the time of the cut on the boot clock, where that is known.
+def with_gap(was: RunPosition, noted: Any, stated_s: float | None, announce: Callable[[str], None]) -> RunPosition:
+    """Return `was` with the time of the interruption on the boot clock, where that is known.
 
     Args:
-        was: where the run stood.
+        was: position of the run at its last row.
         noted: entry `KEY` of its journal, None in an older one.
-        stated_s: gap in seconds that a person stated, which is believed.
-        announce: told where the wall clock is not believed.
+        stated_s: gap that a person stated, s; it is accepted as it is.
+        announce: gets a warning where the wall clock was set since.
 
     Raises:
-        RunFolderError: the gap is negative, longer than `LONG_GAP_S`, or shorter than the time since a boot that the
-            run did not see, and nobody has stated it.
+        RunFolderError: no gap is stated, and the gap by the clocks is negative, longer than `LONG_GAP_S`, or shorter
+            than the time since a later boot.
     """
     now_s, clocks = since_boot_s(), read_clocks()
     if stated_s is not None:
@@ -120,7 +120,7 @@ def with_gap(was: Standing, noted: Any, stated_s: float | None, announce: Callab
             cut_s = was.wall_s - before.wall_at_boot_s
             gap_s = now_s - cut_s
             if cut_s > 0.0:
-                _refuse_if_odd(was, gap_s)
+                _require_plausible(was, gap_s)
                 if abs(gap_s - wall_gap_s) > SLACK_S:
                     set_by = f"{_span(abs(wall_gap_s - gap_s))} {'forward' if wall_gap_s > gap_s else 'back'}"
                     announce(
@@ -129,8 +129,8 @@ def with_gap(was: Standing, noted: Any, stated_s: float | None, announce: Callab
                     )
                 return replace(was, cut_boot_s=cut_s)
         elif wall_gap_s < now_s - SLACK_S:
-            raise _questioned(was, wall_gap_s, f"but the machine has been up for {_span(now_s)}")
-    _refuse_if_odd(was, wall_gap_s)
+            raise _gap_error(was, wall_gap_s, f"but the machine has been up for {_span(now_s)}")
+    _require_plausible(was, wall_gap_s)
     return was
 
 
@@ -141,14 +141,14 @@ def _reading(noted: Any) -> ClockReading | None:
         return None
 
 
-def _refuse_if_odd(was: Standing, gap_s: float) -> None:
+def _require_plausible(was: RunPosition, gap_s: float) -> None:
     if gap_s < -JUMP_S:
-        raise _questioned(was, gap_s, "which cannot be")
+        raise _gap_error(was, gap_s, "which cannot be")
     if gap_s > LONG_GAP_S:
-        raise _questioned(was, gap_s, f"longer than {_span(LONG_GAP_S)}")
+        raise _gap_error(was, gap_s, f"longer than {_span(LONG_GAP_S)}")
 
 
-def _questioned(was: Standing, gap_s: float, why: str) -> RunFolderError:
+def _gap_error(was: RunPosition, gap_s: float, why: str) -> RunFolderError:
     cut, now = (_utc(wall_s) for wall_s in (was.wall_s, time.time()))
     sign = "-" if gap_s < 0 else ""
     return RunFolderError(
@@ -165,7 +165,7 @@ def _utc(wall_s: float) -> str:
 
 
 def _span(seconds: float) -> str:
-    """Return a duration in the unit that fits."""
+    """Return a duration as text, in the largest unit that leaves at least two."""
     for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2.0 * size:
             return f"{seconds / size:.4g} {unit}"

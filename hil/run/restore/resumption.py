@@ -1,4 +1,4 @@
-"""A run in segments: where one was cut, and how the next begins."""
+"""Position of a run at its interruption, and the data with which its next segment begins."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import math
 import time
 from dataclasses import dataclass
 
-from hil.run.restore.thermal_restore import SoakRule
+from hil.run.restore.thermal_restore import RestoreRule
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
-    """Where a run stood at its last acknowledged row.
+class RunPosition:
+    """Position of a run at its last acknowledged row.
 
-    `tick`, `time_s` and `wall_s` are of that row, `profile_s` is the profile's clock then. `aim` are the temperatures,
-    degC by signal, that a soak leads back to, those of `aim_tick`. `number` is that of the segment that would follow.
-    `cut_boot_s` is when the row was on this machine's boot clock, s, None where that is not known.
+    `tick`, `time_s` and `wall_s` are of that row, `profile_s` is the profile's clock then. `aim` holds the temperatures
+    for the thermal restore, degC by signal, those of `aim_tick`. `number` is that of the next segment. `cut_boot_s` is
+    the time of the row on this machine's boot clock, s, None where that is not known.
     """
 
     tick: int
@@ -29,7 +29,10 @@ class Standing:
     cut_boot_s: float | None = None
 
     def gap_s(self, speed: float) -> float:
-        """Return the rig time since then, s: by the boot clock, else by the wall clock; 0 where that was set back."""
+        """Return the rig time since the row, s, at `speed` times real time: by the boot clock, else by the wall clock.
+
+        The result is 0 where the wall clock was set back.
+        """
         if self.cut_boot_s is not None:
             return max(0.0, (time.clock_gettime(time.CLOCK_BOOTTIME) - self.cut_boot_s) * speed)
         return max(0.0, (time.time() - self.wall_s) * speed)
@@ -37,13 +40,16 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class Resumption:
-    """How a run goes on: from where it stood, by what rule it is led back, why it stopped; `speed` times real time."""
+    """Data of a resumed run: position, rule of the thermal restore, reason of the interruption.
 
-    standing: Standing
-    rule: SoakRule
+    The rig's clock runs at `speed` times real time.
+    """
+
+    position: RunPosition
+    rule: RestoreRule
     reason: str
     speed: float = 1.0
 
     def first_tick(self, period_s: float) -> int:
-        """Tick that would begin now: the gap is as long in the journal as it was on the clock."""
-        return self.standing.tick + max(1, math.ceil(self.standing.gap_s(self.speed) / period_s))
+        """Return the tick that would begin now: the gap is as long in the journal as it was on the clock."""
+        return self.position.tick + max(1, math.ceil(self.position.gap_s(self.speed) / period_s))

@@ -1,7 +1,7 @@
-"""Files that are made from the journal when a run has ended: record, adopted revision, review and report.
+"""Files derived from the journal after a run: record, adopted revision, review and report.
 
-Each is made by itself, so that a failure or a signal in one leaves the others. `run.json` names those that are missing
-and why, and `hil report RUN` makes them later. The journal is read and never written here.
+Each is made independently, so that a failure or a signal in one leaves the others. `run.json` names the missing ones
+with the reason, and `hil report RUN` makes them later. The journal is read and never written here.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 @dataclass(slots=True)
-class Derived:
-    """Files made from a run: `folder` is where they lie, `missing` says of each that could not be made why.
+class DerivedFiles:
+    """Files derived from a run: `folder` holds them, `missing` maps each file that was not made to the reason.
 
-    `stopped_by` is the signal that ended the making, `adopted` the revision of the twin.
+    `stopped_by` is the signal that ended the work, `adopted` the revision of the twin.
     """
 
     folder: RunFolder
@@ -48,7 +48,7 @@ class Derived:
 
     @property
     def gates(self) -> str | None:
-        """Which proposals the network's gates held, as a sentence; None where it proposed nothing."""
+        """Sentence about the proposals that the network's gates held; None where it proposed nothing."""
         try:
             proposals = _proposals(self.folder)
         except JournalError:
@@ -56,19 +56,22 @@ class Derived:
         return adoption.closed_gates(proposals) if proposals else None
 
     def exit_code(self, in_order: bool) -> int:
-        """Return the exit code of a command that ran `in_order`: 128 and the signal's number where one ended the
-        making of files, 1 where a file is missing or the run was not in order, else 0."""
+        """Return the exit code of the command of a run that was `in_order` or not.
+
+        The code is 128 plus the signal's number where a signal left files missing, 1 where a file is missing or the
+        run was not in order, else 0.
+        """
         if self.stopped_by is not None and self.missing:
             return 128 + self.stopped_by
         return 0 if in_order and not self.missing else 1
 
 
 class _StoppedError(BaseException):
-    """A signal asks the making of files to end; no handler of `Exception` may hold it back."""
+    """Request of a signal to end the work; no handler of `Exception` may catch it."""
 
 
-class _Stop:
-    """The deliberate signal that asks for the end of the making, which interrupts whatever runs `armed`."""
+class _StopRequest:
+    """Deliberate signal that ends the work: it interrupts a block that runs `armed`."""
 
     def __init__(self) -> None:
         self.received: signal.Signals | None = None
@@ -76,7 +79,7 @@ class _Stop:
 
     @contextlib.contextmanager
     def armed(self) -> Iterator[None]:
-        """Raise _StoppedError in the block when a signal comes; afterwards it is only remembered."""
+        """Raise _StoppedError in the block when a signal comes; outside of it the signal is only stored."""
         self._armed = True
         try:
             if self.received is not None:
@@ -87,7 +90,7 @@ class _Stop:
 
     def __call__(self, number: signal.Signals, is_deliberate: bool) -> None:
         if not is_deliberate or number not in _ENDING or self.received is not None:
-            return  # an echo: what has begun to end, ends undisturbed
+            return  # an echo: an end that has begun is not disturbed
         self.received = number
         if self._armed:
             raise _StoppedError
@@ -100,18 +103,18 @@ def derive_files(
     *,
     there: Collection[str] = (),
     signals: RunSignals | None = None,
-) -> Derived:
-    """Write `manifest` as `run.json`, then every file that is made from the journal of the run in `folder`.
+) -> DerivedFiles:
+    """Write `manifest` as `run.json`, then every file that is derived from the journal of the run in `folder`.
 
     Args:
-        folder: of an ended run; the files go to where it lies now if it was moved while this process held it.
+        folder: folder of an ended run. The files follow it if it was moved while this process held it.
         manifest: content of `run.json`; its `missing` and `adoption` are set.
-        announce: told what is being made and what could not be made.
+        announce: gets a line for each file, and for those that could not be made.
         there: names of files that are not made again.
-        signals: those of the run before; a deliberate one ends the making of files, and nothing else.
+        signals: signals of the run; a deliberate one ends the making of files, and nothing else.
 
     Raises:
-        FolderLostError: the folder was deleted, or `run.json` cannot be written; the message says where a copy is.
+        FolderLostError: the folder was deleted, or `run.json` cannot be written; the message names a copy of it.
     """
     try:
         place = folder.located()
@@ -119,14 +122,14 @@ def derive_files(
         raise _lost(folder, manifest, str(error), "its samples are lost") from None
     if place.path != folder.path:
         announce(f"the run's folder was moved: its files go to {place.path}")
-    derived = Derived(place)
+    derived = DerivedFiles(place)
     steps = {name: step for name, step in _steps(manifest, derived).items() if name not in there}
     derived.missing = dict.fromkeys(steps, _NOT_YET)
     with contextlib.ExitStack() as stack:
-        stop = _Stop()
-        # Those of the run are held longer than for this block: until its last words are said.
+        stop = _StopRequest()
+        # The signals of the run are held beyond this block, until its last message is written.
         stack.enter_context((signals or stack.enter_context(RunSignals())).phase(stop))
-        # A kill from here on finds in run.json which files are not there.
+        # From here on run.json names the missing files, also after a kill.
         with contextlib.suppress(OSError):
             place.write_manifest(manifest | {"missing": derived.missing})
         foreign = _foreign(place, manifest)
@@ -151,8 +154,8 @@ def derive_files(
     return derived
 
 
-def missing_sentence(derived: Derived) -> str:
-    """Return which files are missing, why, and the command that makes them."""
+def missing_sentence(derived: DerivedFiles) -> str:
+    """Return a sentence about the missing files, the reasons, and the command that makes them."""
     what = "; ".join(f"{name} ({why})" for name, why in derived.missing.items())
     return f"not made: {what}; `{_command(derived.folder)}` makes them from the journal"
 
@@ -163,8 +166,8 @@ def _command(folder: RunFolder) -> str:
     return f"{invocation()} report {shlex.quote(str(folder.path))}"
 
 
-def _steps(manifest: dict[str, Any], derived: Derived) -> dict[str, Callable[[], None]]:
-    """Return what is made, in this order: later files show what the earlier ones found."""
+def _steps(manifest: dict[str, Any], derived: DerivedFiles) -> dict[str, Callable[[], None]]:
+    """Return the steps by file, in order: later files show results of earlier ones."""
     folder = derived.folder
 
     def record() -> None:
@@ -201,7 +204,7 @@ def _proposals(folder: RunFolder) -> list[Proposed]:
 
 
 def _foreign(folder: RunFolder, manifest: dict[str, Any]) -> str | None:
-    """Return why nothing is made from the journal in `folder`: it is that of another run. None where it is not."""
+    """Return why the journal in `folder` cannot be used (it belongs to another run), or None."""
     try:
         reader = JournalReader(folder.journal)
         try:
@@ -209,14 +212,14 @@ def _foreign(folder: RunFolder, manifest: dict[str, Any]) -> str | None:
         finally:
             reader.close()
     except (JournalError, OSError):
-        return None  # each file says what it needs of the journal
+        return None  # each step reports its own error
     if uid is None or uid == manifest.get("uid"):
         return None
     return f"{folder.journal} is the journal of another run: put the one of this run in its place"
 
 
-def _made(step: Callable[[], None], stop: _Stop) -> str | None:
-    """Run one step; return why its file could not be made, None where it is there."""
+def _made(step: Callable[[], None], stop: _StopRequest) -> str | None:
+    """Run one step; return why its file could not be made, or None."""
     try:
         with stop.armed():
             step()
@@ -232,7 +235,7 @@ def _made(step: Callable[[], None], stop: _Stop) -> str | None:
 
 
 def _lost(folder: RunFolder, manifest: dict[str, Any], what: str, then: str) -> FolderLostError:
-    """Return the error that says how the run ended, what became of its folder, and where the manifest was saved."""
+    """Return the error about a lost folder, with the end of the run and the place of the saved manifest."""
     safe = manifest.get("safe") and not manifest.get("away")
     rig = "the rig was left safe" if safe else "the rig was NOT confirmed safe: look at it now"
     reason = f" ({manifest['reason']})" if manifest.get("reason") else ""
@@ -242,7 +245,7 @@ def _lost(folder: RunFolder, manifest: dict[str, Any], what: str, then: str) -> 
 
 
 def _last_copy(folder: RunFolder, manifest: dict[str, Any]) -> Path | None:
-    """Write `run.json` beside the folder, or where that cannot be to a new folder for temporary files."""
+    """Write `run.json` beside the folder, else into a new temporary folder; return its path, or None."""
     beside = folder.path.absolute().parent
     for parent in (lambda: beside, lambda: Path(tempfile.mkdtemp(prefix="hil-run-"))):
         with contextlib.suppress(OSError):

@@ -1,7 +1,7 @@
-"""Event loop of a command that runs a session: its result survives a loop that cannot be closed in order.
+"""Event loop of a command that runs a session: the result survives a loop that cannot be closed.
 
-A machine without memory, threads or descriptors lets the end of a loop fail: it starts a thread to end other threads.
-By then the rig is safe and the run recorded, so that nothing but the last words could be lost.
+The end of a loop starts a thread to join other threads. That fails on a machine without memory, threads or descriptors.
+At that point the rig is safe and the run is recorded, so that only the last messages could be lost.
 """
 
 from __future__ import annotations
@@ -17,11 +17,10 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 
-def finished(session: Coroutine[Any, Any, T], *, until_exit: bool = False) -> T:
-    """Return the result of `session`; raises what it raises, and nothing else.
+def session_result(session: Coroutine[Any, Any, T], *, until_exit: bool = False) -> T:
+    """Return the result of `session`; raise its errors, and no others.
 
-    With `until_exit` this process ends with the command: what destructors and threads complain of from then on helps
-    nobody, and is not printed.
+    With `until_exit` this process ends with the command: later errors of destructors and threads are not printed.
     """
     runner = asyncio.Runner()
     try:

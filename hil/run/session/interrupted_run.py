@@ -1,4 +1,4 @@
-"""What a run that was cut left behind, and whether it may go on: where it stood, and the files that it depends on."""
+"""Check of an interrupted run before it is resumed: its position, its settings, and the files that it depends on."""
 
 from __future__ import annotations
 
@@ -20,30 +20,37 @@ from hil.journal.rows import SegmentRow, StateRow
 from hil.journal.states import State
 from hil.journal.writer import JournalReader
 from hil.run.restore.gap_evidence import KEY, with_gap
-from hil.run.restore.resumption import Standing
-from hil.run.restore.thermal_restore import has_memory
+from hil.run.restore.resumption import RunPosition
+from hil.run.restore.thermal_restore import stores_heat
 from hil.run.session.regenerate import has_ended
 from hil.run.session.request import RunRequest
 from hil.run_folder.folder import RunFolder, RunFolderError
 from hil.run_folder.manifest_check import require_settings
 
 AIM_TICKS = 10
-"""The temperatures of a cut are means over so many of the last good values."""
+"""Last good values whose mean is the temperature at the interruption."""
 AIM_WITHIN_S = 60.0
-"""No older than this: what ended the run may have taken a sensor's last values along."""
+"""Greatest age of these values, s: the cause of the interruption may have lost a sensor's last values."""
 FILES = {
     "rig": "--rig", "profile": "--profile", "twin": "--twin", "effects": "--with", "healthy": "--healthy",
     "network": "--network",
 }  # fmt: skip
-"""Files that a run depends on, by their name in `run.json`, and the option that says where one has been moved to."""
+"""Files that a run depends on: name in `run.json` -> option that gives the new place of a moved file."""
 
 
-def questioned(folder: RunFolder, gap_s: float | None, announce: Callable[[str], None]) -> Standing:
-    """Return where the run in `folder` stood, its gap held against every clock that knows of it (`with_gap`).
+def confirmed_position(folder: RunFolder, gap_s: float | None, announce: Callable[[str], None]) -> RunPosition:
+    """Return the position of the run in `folder`, its gap checked against all clocks (`with_gap`).
 
-    Raises what `standing` raises, and RunFolderError where the gap is not plausible and `gap_s` does not state it.
+    Args:
+        folder: folder of an interrupted run.
+        gap_s: gap that a person states, s; None to take it from the clocks.
+        announce: gets a warning where the wall clock was set since.
+
+    Raises:
+        JournalError: the journal cannot be read.
+        RunFolderError: the run has no sample, or its gap is not plausible and `gap_s` is None.
     """
-    was = standing(folder)
+    was = position_of(folder)
     reader = _reader(folder)
     try:
         noted = reader.meta(KEY)
@@ -52,8 +59,8 @@ def questioned(folder: RunFolder, gap_s: float | None, announce: Callable[[str],
     return with_gap(was, noted, gap_s, announce)
 
 
-def standing(folder: RunFolder) -> Standing:
-    """Where the run in `folder` stood; raises JournalError, or RunFolderError where it never had a sample."""
+def position_of(folder: RunFolder) -> RunPosition:
+    """Return the position of the run in `folder`; raises JournalError, or RunFolderError for a run without samples."""
     reader = _reader(folder)
     try:
         states, segments = reader.states(), reader.segments()
@@ -64,7 +71,7 @@ def standing(folder: RunFolder) -> Standing:
         profile_s = float(profile_times(states, np.array([tick]), header.period_s)[0])
         aim_tick = _aim_tick(states, segments, tick)
         if segments and aim_tick < segments[-1].tick:
-            # Cut while it was being led back: it still has to get to where it was before.
+            # Interrupted during a thermal restore: the former target temperatures still hold.
             aim_tick, profile_s = segments[-1].aim_tick, segments[-1].profile_s
         back = math.ceil(AIM_WITHIN_S / header.period_s)
         samples = reader.samples(aim_tick - back, back)
@@ -74,10 +81,10 @@ def standing(folder: RunFolder) -> Standing:
     aim = {}
     for index, signal in enumerate(header.signals):
         column = samples.values[good[:, index], index][-AIM_TICKS:]
-        if has_memory(signal) and len(column):
+        if stores_heat(signal) and len(column):
             aim[signal.name] = float(column.mean())
     number = (segments[-1].number if segments else 1) + 1
-    return Standing(tick, tick * header.period_s, wall_s, profile_s, states[-1].target, number, aim_tick, aim)
+    return RunPosition(tick, tick * header.period_s, wall_s, profile_s, states[-1].target, number, aim_tick, aim)
 
 
 def _reader(folder: RunFolder) -> JournalReader:
@@ -91,15 +98,15 @@ def _never_began(folder: RunFolder) -> RunFolderError:
 
 
 def _aim_tick(states: Sequence[StateRow], segments: Sequence[SegmentRow], tick: int) -> int:
-    """Last tick on which the run had the profile's load, running or held; -1 where its last segment had none.
+    """Return the last tick with the profile's load, running or held; -1 where the last segment had none.
 
-    What came after, paused, suspended or waiting for somebody to acknowledge a trip, has only cooled the rig.
+    Later ticks, paused, suspended or with a trip to acknowledge, have only cooled the rig.
     """
     found = -1
     for row, following in zip(states, [*states[1:], None], strict=True):
         loaded = row.target == State.RUNNING or (row.target == State.HELD and row.source == State.RUNNING)
         if loaded and (not segments or row.tick >= segments[-1].tick):
-            # On the tick of a transition the rig still is as it was.
+            # On the tick of a transition the rig is still in its former state.
             found = tick if following is None else min(following.tick, tick)
     return found
 
@@ -115,10 +122,16 @@ def request_of(
     viewer: bool | None = None,
     guardian: bool = True,
 ) -> RunRequest:
-    """What the run in `folder` was asked to be. `moved` says where files lie now; the other options are today's.
+    """Return the request of the run in `folder`, from its manifest.
+
+    Args:
+        folder: folder of an interrupted run.
+        manifest: content of its `run.json`.
+        moved: name of a file -> its new place, None where it was not moved.
+        control, rearm, no_lock, viewer, guardian: options of this call, see `RunRequest`.
 
     Raises:
-        RunFolderError: the run is over, or one of its files is not what it was.
+        RunFolderError: the run has ended, or one of its files has changed.
     """
     if has_ended(folder):
         rest = "start it again with `hil run`"
@@ -160,19 +173,19 @@ def request_of(
 
 
 def _checked_files(folder: RunFolder, manifest: Mapping[str, Any], moved: Mapping[str, Path | None]) -> dict[str, Path]:
-    """Where each file of the run is, its content unchanged; raises RunFolderError naming those that are not."""
+    """Return the path of each file of the run; raises RunFolderError that names missing and changed ones."""
     found, problems = {}, []
     inside = folder.path.resolve()
     for name, item in manifest["files"].items():
         path = moved.get(name) or Path(item["path"])
         found[name] = path
-        if not moved.get(name) and (why := _not_named_by_a_run(path, inside)):
+        if not moved.get(name) and (why := _why_untrusted(path, inside)):
             option = f"; where it is meant, name it with {FILES[name]}" if name in FILES else ""
             problems.append(f"{folder.manifest} names {path} as the run's {name}, which {why}{option}")
             continue
         copy = f" ({folder.twin} is the run's own copy)" if name == "twin" and folder.twin.is_file() else ""
         if not path.is_file():
-            where = f"say where it is with {FILES[name]}" if name in FILES else "put it back"
+            where = f"give its place with {FILES[name]}" if name in FILES else "put it back"
             problems.append(f"{path}, the run's {name}, is not there; {where}{copy}")
         elif file_sha256(path) != item["sha256"]:
             problems.append(
@@ -183,22 +196,22 @@ def _checked_files(folder: RunFolder, manifest: Mapping[str, Any], moved: Mappin
     return found
 
 
-def _not_named_by_a_run(path: Path, folder: Path) -> str:
+def _why_untrusted(path: Path, folder: Path) -> str:
     """Return why no run writes this path of one of its files into its manifest, or "".
 
-    A run names its files by their absolute paths, and they lie outside its folder. One that lies inside came with the
-    folder: whoever made the folder chose the rig and what it is told.
+    A run names its files by absolute paths outside its folder. A file inside came with the folder, so that the author
+    of the folder would choose the rig and its set-points.
     """
     if not path.is_absolute() or "\0" in str(path):
         return "is no absolute path"
     try:
         return "came with the run's own folder" if path.resolve().is_relative_to(folder) else ""
     except (OSError, RuntimeError):
-        return "leads round in a circle"
+        return "is a loop of links"
 
 
-def named(request: RunRequest) -> list[str]:
-    """Return what a resumed run will drive and with what, a sentence each, for the operator to see before it moves."""
+def resume_notices(request: RunRequest) -> list[str]:
+    """Return sentences about the rig and the profile of a resumed run, for the operator before anything moves."""
     rig = load_rig(request.rig)
     buses = ", ".join(f"{name} at {bus.place}" for name, bus in rig.bus.items())
     if request.virtual:

@@ -1,4 +1,4 @@
-"""What `run.json` says of a run: the files and settings that it depends on, how it ended, its segments."""
+"""Entries of `run.json` about a run: the files and settings that it depends on, its end, its segments."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from drivers.rig_file import CanBus
 from hil.diagnosis.live import END_ONLY
 from hil.journal.writer import JournalError, JournalReader
 from hil.run.engine.status import Outcome
-from hil.run.restore.resumption import Resumption, Standing
-from hil.run.session.request import Prepared, RunRequest
+from hil.run.restore.resumption import Resumption, RunPosition
+from hil.run.session.request import RunInputs, RunRequest
 from hil.run_folder.folder import FolderLostError, RunFolder
 from hil.tracking.process import Tracking
 
 
-def files_of(request: RunRequest, ready: Prepared) -> dict[str, Path | None]:
-    """Everything on disk that the run depends on."""
+def files_of(request: RunRequest, ready: RunInputs) -> dict[str, Path | None]:
+    """Return every file that the run depends on, by its name in `run.json`."""
     dbc = {f"dbc of {name}": bus.dbc for name, bus in ready.rig.bus.items() if isinstance(bus, CanBus)}
     return {
         "rig": request.rig,
@@ -32,7 +32,7 @@ def files_of(request: RunRequest, ready: Prepared) -> dict[str, Path | None]:
 
 
 def settings_of(request: RunRequest, tracking: Tracking | None) -> dict[str, Any]:
-    """What the run was asked to be, beside its files."""
+    """Return the settings of the run for `run.json`."""
     return {
         "mode": request.mode,
         "speed": request.speed,
@@ -48,17 +48,17 @@ def settings_of(request: RunRequest, tracking: Tracking | None) -> dict[str, Any
     }
 
 
-def how_it_stopped(manifest: dict[str, Any], was: Standing) -> str:
-    """A sentence's beginning: how the segment before ended."""
+def interruption_reason(manifest: dict[str, Any], was: RunPosition) -> str:
+    """Return the beginning of a sentence about the end of the segment before."""
     if manifest["exit_status"] == "running":
         return f"the run was cut while {was.state}"
     return f"the run {manifest['exit_status']} ({manifest['reason']})"
 
 
-def ended(
+def end_entries(
     folder: RunFolder, manifest: dict[str, Any], outcome: Outcome, resumption: Resumption | None, wall_s: float
 ) -> dict[str, Any]:
-    """What is new in the manifest when a segment is over, after `wall_s` of wall time."""
+    """Return the new entries of the manifest at the end of a segment, after `wall_s` seconds of wall time."""
     return {
         "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "exit_status": outcome.verdict,
@@ -80,7 +80,7 @@ def ended(
 def _segments(
     folder: RunFolder, manifest: dict[str, Any], outcome: Outcome, resumption: Resumption | None
 ) -> list[dict[str, Any]]:
-    """Every resumption so far as plain data, with what became of this one."""
+    """Return every resumption so far as plain data, with the result of this one."""
     if resumption is None:
         return []
     try:
@@ -92,9 +92,9 @@ def _segments(
     finally:
         reader.close()
     known = {item["number"]: item for item in manifest.get("segments", [])}
-    mine = {"soaked_s": outcome.soaked_s, "exit_status": outcome.status, "reason": outcome.reason}
+    mine = {"soaked_s": outcome.restore_s, "exit_status": outcome.status, "reason": outcome.reason}
     return [
         {"number": row.number, "from_s": row.time_s, "gap_s": row.gap_s, "profile_s": row.profile_s, "why": row.reason}
-        | (mine if row.number == resumption.standing.number else known.get(row.number, {"exit_status": "cut"}))
+        | (mine if row.number == resumption.position.number else known.get(row.number, {"exit_status": "cut"}))
         for row in rows
     ]

@@ -1,7 +1,7 @@
-"""Output queue: what a person is to see, written by a thread that may block, fail or fall behind.
+"""Output queue: messages for a person, written by a thread that may block, fail or fall behind.
 
-A terminal can be stopped (Ctrl-S), a pipe can lose its reader, a viewer can hang. None of that may delay a tick or come
-before making the rig safe, so nobody on the event loop writes to any of them: they put a call into this queue.
+A terminal can be stopped (Ctrl-S), a pipe can lose its reader, a viewer can hang. None of these may delay a tick or the
+safing of the rig. The event loop therefore writes to none of them, but puts a call into this queue.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 LONGEST = 1000
-"""Calls that wait at most. What comes beyond is dropped: an operator who sees nothing misses nothing more."""
-LAST_WORDS_S = 2.0
+"""Most calls that wait. Further ones are dropped: the operator of a stopped output does not see them anyway."""
+FLUSH_WITHIN_S = 2.0
+"""Longest wait for the output at the end, s."""
 
 
 class OutputQueue:
-    """Bounded queue of calls and the thread that makes them, in their order. Putting never blocks and never raises."""
+    """Bounded queue of calls and the thread that makes them in order. `put` never blocks and never raises."""
 
     def __init__(self, name: str = "output") -> None:
         self.dropped = 0
@@ -31,14 +32,14 @@ class OutputQueue:
         self._thread.start()
 
     def put(self, call: Callable[..., Any], *arguments: Any) -> None:
-        """Have `call(*arguments)` made by the thread; dropped where the queue is full or the output is gone."""
+        """Queue `call(*arguments)` for the thread; drop it where the queue is full."""
         try:
             self._queue.put_nowait((call, arguments))
         except queue.Full:
             self.dropped += 1
 
     def wrapped(self, call: Callable[..., Any]) -> Callable[..., None]:
-        """Return a function that puts `call` with its arguments."""
+        """Return a function that queues `call` with its arguments."""
 
         def put(*arguments: Any) -> None:
             self.put(call, *arguments)
@@ -46,7 +47,7 @@ class OutputQueue:
         return put
 
     def close(self, within_s: float) -> bool:
-        """Wait until everything is written, `within_s` at most; returns whether the thread has ended."""
+        """Wait until everything is written, `within_s` seconds at most; return True if the thread has ended."""
         end = time.monotonic() + within_s
         while self._thread.is_alive():
             try:
@@ -74,7 +75,7 @@ class OutputQueue:
 
 
 class QueuedLog(logging.Handler):
-    """Log handler that writes through an output queue: logging, too, ends at a terminal that may be stopped."""
+    """Log handler that writes through an output queue: the terminal of a log may be stopped, too."""
 
     def __init__(self, output: OutputQueue, write: Callable[[str], None]) -> None:
         super().__init__(logging.ERROR)
@@ -82,34 +83,36 @@ class QueuedLog(logging.Handler):
         self._write = write
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Queue a record as a line: its first, and the error that it is about."""
+        """Queue the first line of a record with its error."""
         error = record.exc_info[1] if record.exc_info else None
-        said = next(iter(record.getMessage().splitlines()), "") + (f": {error}" if error is not None else "")
-        self._output.put(self._write, said)
+        line = next(iter(record.getMessage().splitlines()), "") + (f": {error}" if error is not None else "")
+        self._output.put(self._write, line)
 
 
 @contextlib.contextmanager
 def queued_output(
     observer: Callable[..., None] | None, announce: Callable[[str], None]
 ) -> Iterator[tuple[Callable[..., None] | None, Callable[[str], None]]]:
-    """Yield both calls through one queue, which also takes what is logged meanwhile and what the event loop complains
-    of. At the end what is queued is written, for `LAST_WORDS_S` at most."""
+    """Yield both calls through one queue, which also takes log records and errors of the event loop.
+
+    At the end the queue is written, within `FLUSH_WITHIN_S`.
+    """
     output = OutputQueue()
-    say = output.wrapped(announce)
+    queued = output.wrapped(announce)
     handler = QueuedLog(output, announce)
     root = logging.getLogger()
     root.addHandler(handler)
     hooks = threading.excepthook, sys.unraisablehook
-    # Errors of other threads and of destructors are printed on the terminal as well, by whoever meets them.
-    threading.excepthook = lambda error: say(
+    # Python prints errors of other threads and of destructors on the terminal, too.
+    threading.excepthook = lambda error: queued(
         f"{_name(error.thread)} ended: {error.exc_type.__name__}: {error.exc_value}"
     )
-    sys.unraisablehook = lambda error: say(f"{error.err_msg or 'ignored'}: {error.exc_value}")
+    sys.unraisablehook = lambda error: queued(f"{error.err_msg or 'ignored'}: {error.exc_value}")
     try:
-        yield None if observer is None else output.wrapped(observer), say
+        yield None if observer is None else output.wrapped(observer), queued
     finally:
         threading.excepthook, sys.unraisablehook = hooks
-        output.close(LAST_WORDS_S)
+        output.close(FLUSH_WITHIN_S)
         root.removeHandler(handler)
 
 

@@ -1,4 +1,4 @@
-"""Remaking of a run's files from its journal, after the run: what `hil report` does."""
+"""Regeneration of a run's files from its journal after the run, for `hil report`."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from typing import Any
 
 from hil.journal.states import ENDED
 from hil.journal.writer import JournalReader
-from hil.run.session.derived_files import RECORD, REVIEW, REVISION, Derived, derive_files
+from hil.run.session.derived_files import RECORD, REVIEW, REVISION, DerivedFiles, derive_files
 from hil.run_folder.folder import RunFolder, RunFolderError
 
 
-def remake(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) -> Derived:
-    """Make the files of the run in `folder` that are missing, and its report in any case.
+def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) -> DerivedFiles:
+    """Make the missing files of the run in `folder`, and its report in any case.
 
     Args:
-        folder: of a run that is not live.
+        folder: folder of a run that is not live.
         rebuild: make record and review anew, too.
-        announce: told what is being made.
+        announce: gets a line for each file.
 
     Raises:
         RunFolderError: this is no run folder, its run still goes on, or its `run.json` cannot be written.
         JournalError: the journal is missing or damaged.
     """
-    folder.read_manifest()  # a folder that is no run's is refused before it is locked
+    folder.read_manifest()  # refuse a folder of something else before it is locked
     with folder.owned():
-        manifest = as_it_ended(folder, folder.read_manifest())
+        manifest = completed_manifest(folder, folder.read_manifest())
         wanted = manifest.get("missing", {})
         there = [] if REVISION in wanted else [REVISION]
         if not rebuild:
@@ -35,10 +35,10 @@ def remake(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) ->
         return derive_files(folder, manifest, announce, there=there)
 
 
-def as_it_ended(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
-    """Return `manifest` with how the run ended, where its process was killed before it could write that.
+def completed_manifest(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
+    """Return `manifest` with the end of the run, where its process was killed before it could write that.
 
-    A run that was cut has not ended: its manifest is returned as it is. Raises JournalError.
+    The manifest of an interrupted run, which has not ended, is returned unchanged. Raises JournalError.
     """
     if manifest.get("exit_status") != "running":
         return manifest
@@ -56,8 +56,8 @@ def as_it_ended(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
 
 
 def has_ended(folder: RunFolder) -> bool:
-    """Return whether the run in `folder` went to its end, by `run.json` or its journal; False where neither says so."""
+    """Return True where `run.json` or the journal states that the run in `folder` went to its end."""
     try:
-        return as_it_ended(folder, folder.read_manifest()).get("exit_status", "").startswith("done")
+        return completed_manifest(folder, folder.read_manifest()).get("exit_status", "").startswith("done")
     except (RunFolderError, KeyError):
         return False

@@ -1,4 +1,4 @@
-"""What a run is asked to be, and everything about it that can be checked before anything moves."""
+"""Request of a run, and the checks that are possible before anything moves."""
 
 from __future__ import annotations
 
@@ -19,21 +19,36 @@ if TYPE_CHECKING:
 
 Mode = Literal["real", "scaled", "lockstep"]
 MOST_SPEED = 100.0
-"""Faster than this the rig's watchdog of seconds is shorter than a scheduler's hiccup; lockstep has no such limit."""
+"""Greatest factor to real time: beyond it a watchdog of seconds is shorter than a delay of the scheduler. Lockstep has
+no such limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What to run. `virtual` starts the virtual rig in place of the one at the rig file's addresses.
+    """Files and options of a run.
 
-    `twin` None takes the twin that the rig file names, if any; `use_twin` False runs without one. `calibrators` None
-    takes the usual ones, without those that there are not for this twin. `card`: of the trained ensemble that the
-    network calibrators ask, None for the shipped one. `network_mode`: see `tracking.adoption`. `control` is the control
-    port of a virtual rig in lockstep that runs already, at the rig file's addresses. `rearm`: whether a trip that the
-    rig brings along is acknowledged. `diagnose_s`: seconds of profile time between diagnoses of the record so far
-    (infinity: of the whole run alone), against the record `healthy`; `adopt` saves them. `guardian` False goes
-    without the process that makes the rig safe when this one is killed or hangs. `no_lock`: run although a second run
-    is not kept off the rig.
+    Attributes:
+        profile: load profile.
+        rig: rig file.
+        twin: twin file; None takes the twin that the rig file names, if any.
+        runs: folder for the new run folder.
+        virtual: start the virtual rig in place of the one at the rig file's addresses.
+        mode: clock of the run: real time, scaled time, or lockstep.
+        speed: factor to real time in mode "scaled".
+        seed: seed of the virtual rig and the calibrators.
+        effects: effects of the virtual rig that no twin contains.
+        calibrators: names; None takes the usual ones, without those that this twin does not admit.
+        card: model card of the trained ensemble for the network calibrators, None for the shipped one.
+        network_mode: see `hil.tracking.adoption`.
+        viewer: open Rerun; None opens it where there is a display.
+        use_twin: False runs without a twin.
+        control: host and port of a virtual rig in lockstep that runs already, at the rig file's addresses.
+        rearm: acknowledge a trip that the rig has at the start.
+        diagnose_s: profile time between diagnoses of the record so far, s; infinity diagnoses the whole run only.
+        healthy: healthy record for the diagnosis.
+        adopt: save the revision of the twin that a diagnosis makes.
+        guardian: False runs without the process that makes the rig safe when this one is killed or hangs.
+        no_lock: run although the locks of the rig cannot be taken.
     """
 
     profile: Path
@@ -60,8 +75,8 @@ class RunRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared:
-    """Everything that could be checked before anything moves."""
+class RunInputs:
+    """Checked files of a run, with notes for the operator."""
 
     rig: Rig
     profile: Profile
@@ -70,8 +85,8 @@ class Prepared:
     notes: tuple[str, ...]
 
 
-def prepare(request: RunRequest) -> Prepared:
-    """Read and validate all files of a run; raises the error of the file, or ConfigurationError."""
+def prepare(request: RunRequest) -> RunInputs:
+    """Return all files of a run, read and validated; raises the error of a file, or ConfigurationError."""
     rig = load_rig(request.rig)
     profile = read_profile(request.profile)
     twin = (request.twin or rig.twin) if request.use_twin else None
@@ -85,9 +100,11 @@ def prepare(request: RunRequest) -> Prepared:
         network = load(twin)
         notes = [*notes, *_check_twin_columns(twin, network, rig)]
         check_calibrators(request.calibrators)
-        chosen(request.calibrators, request.card)
+        chosen_calibrators(request.calibrators, request.card)
     elif request.card is not None:
-        raise ConfigurationError("--network is of a calibrator, and this run has no twin; name one, or take it out")
+        raise ConfigurationError(
+            "--network belongs to a calibrator, and this run has no twin; name one, or take --network out"
+        )
     _check_residuals(request, rig, network)
     if request.mode == "scaled" and not 0 < request.speed <= MOST_SPEED:
         raise ConfigurationError(
@@ -115,11 +132,11 @@ def prepare(request: RunRequest) -> Prepared:
         notes = [*notes, *_check_effects(request.effects, profile)]
     if request.diagnose_s is not None:
         notes = [*notes, *_check_diagnosis(request, twin, network)]
-    return Prepared(rig, profile, twin, network, tuple(notes))
+    return RunInputs(rig, profile, twin, network, tuple(notes))
 
 
 def _check_effects(file: Path, profile: Profile) -> list[str]:
-    """Remarks on the effects of the virtual rig; raises EffectFileError."""
+    """Return notes on the effects of the virtual rig; raises EffectFileError."""
     from drivers.virtual.plant import load_effects
 
     return [
@@ -158,27 +175,29 @@ def check_calibrators(names: tuple[str, ...] | None) -> None:
         raise ConfigurationError(f"--calibrator {twice[0]} is given twice; give each once")
 
 
-def chosen(calibrators: tuple[str, ...] | None, card: Path | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Calibrators that run, the usual ones for None, and those among them that may be left out.
+def chosen_calibrators(
+    calibrators: tuple[str, ...] | None, card: Path | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the calibrators that run, the usual ones for None, and those among them that may be left out.
 
     Raises:
-        ConfigurationError: a card is given, and none of them asks a network.
+        ConfigurationError: a card is given, and no calibrator uses a network.
     """
     from twin.calibrators import CALIBRATOR_NAMES, UNTRAINED_CALIBRATORS
 
     names = DEFAULT if calibrators is None else calibrators
     if card is not None and set(names) <= set(UNTRAINED_CALIBRATORS):
         asking = " or ".join(name for name in CALIBRATOR_NAMES if name not in UNTRAINED_CALIBRATORS)
-        raise ConfigurationError(f"--network is given, and no calibrator asks it; add --calibrator {asking}")
+        raise ConfigurationError(f"--network is given, and no calibrator uses it; add --calibrator {asking}")
     if calibrators is not None:
         return names, ()
     return names, tuple(name for name in DEFAULT[1:] if card is None or name in UNTRAINED_CALIBRATORS)
 
 
 def _check_diagnosis(request: RunRequest, twin: Path | None, network: Network | None) -> list[str]:
-    """Remarks on a diagnosis that is asked for; raises ConfigurationError or RecordError."""
+    """Return notes on the diagnosis of the request; raises ConfigurationError or RecordError."""
     if network is None or twin is None:
-        raise ConfigurationError("--diagnose asks why a twin is wrong, and this run has none; take --no-twin out")
+        raise ConfigurationError("--diagnose needs a twin, and this run has none; take --no-twin out")
     from hil.diagnosis.columns import read_columns
     from hil.diagnosis.healthy_record import commissioned_on
 
@@ -193,7 +212,7 @@ def _check_diagnosis(request: RunRequest, twin: Path | None, network: Network | 
 
 
 def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:
-    """What profiles may ask of the rig, by profile column."""
+    """Return the limits of set-points by profile column, in the units of their points."""
     limits = {}
     for column, point in setpoint_columns(rig).items():
         assert point.limits is not None
@@ -203,7 +222,7 @@ def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:
 
 
 def _check_twin_columns(path: Path, network: Network, rig: Rig) -> list[str]:
-    """Notes on inputs of the twin that the rig does not measure and a set-point stands for.
+    """Return notes on inputs of the twin that are not measured, so that a set-point replaces them.
 
     Raises:
         ConfigurationError: an input is neither measured nor a set-point, or a sensor is not measured.
@@ -227,9 +246,9 @@ def _check_twin_columns(path: Path, network: Network, rig: Rig) -> list[str]:
     ]
 
 
-def tracking_config(request: RunRequest, ready: Prepared, columns: tuple[str, ...]) -> TrackingConfig | None:
-    """Which twins run beside the rig, or None for none."""
+def tracking_config(request: RunRequest, ready: RunInputs, columns: tuple[str, ...]) -> TrackingConfig | None:
+    """Return the configuration of the twins of the run, None without a twin; `columns` are those of the journal."""
     if ready.twin is None or request.calibrators == ():
         return None
-    names, optional = chosen(request.calibrators, request.card)
+    names, optional = chosen_calibrators(request.calibrators, request.card)
     return TrackingConfig(ready.twin, columns, names, request.seed, optional, card=request.card)

@@ -1,4 +1,4 @@
-"""The rig that a run is for and whose time it goes by: the one at the rig file's addresses, or a virtual one."""
+"""Rig and clock of a run: the rig at the rig file's addresses, or a virtual one."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ from drivers.rig_file import Rig
 from hil.run.engine.clock import LOCKSTEP_DEADLINE_S, Clock, LockstepClock, MonotonicClock
 from hil.run.session.request import RunRequest
 
-HICCUP_S = 0.25
-"""Wall time that a busy machine may lose now and then: in scaled time it must not look like a lost sensor."""
+SCHEDULING_DELAY_S = 0.25
+"""Delay of a busy machine, s of wall time, that must not count as a lost sensor in scaled time."""
 
 
 @contextlib.asynccontextmanager
 async def rig_and_clock(
     request: RunRequest, rig: Rig, starts_s: float, announce: Callable[[str], None]
 ) -> AsyncIterator[tuple[Rig, Clock]]:
-    """The rig of `request` with its addresses, and its clock; a virtual one is started at `starts_s` of its time, and
-    ended with the block. Raises LinkError or VirtualRigError."""
+    """Yield the rig of `request` with its addresses, and its clock.
+
+    A virtual rig starts at `starts_s` seconds of its time, and ends with the block.
+
+    Raises:
+        LinkError: the rig in lockstep cannot be reached. VirtualRigError: the virtual rig cannot be started.
+    """
     if request.control is not None:
         lockstep = LockstepClock(*request.control)
         await lockstep.connect()
@@ -56,15 +61,17 @@ async def rig_and_clock(
 
 
 def speed_of(request: RunRequest, rig: Rig) -> float:
-    """Return how many times real time the rig's clock runs: a virtual rig's as asked, a real one's as its file says."""
+    """Return the factor of the rig's clock to real time: from the request for a virtual rig, else from the rig file."""
     if request.mode == "scaled":
         return request.speed
     return 1.0 if request.virtual or request.control is not None else rig.time_scale
 
 
 def _waiting(rig: Rig) -> Rig:
-    """Return `rig` with buses that wait as long for a reply as for a step: the rig's time stands still meanwhile, and a
-    reply that a busy machine delays would be a lost sensor in one run of a seed and none in the next."""
+    """Return `rig` with time-outs of its buses as long as that of a step.
+
+    The rig's time stands meanwhile. A reply that a busy machine delays would otherwise make runs of one seed differ.
+    """
     buses = {
         name: bus.model_copy(update={"timeout_s": max(bus.timeout_s, LOCKSTEP_DEADLINE_S)})
         for name, bus in rig.bus.items()
@@ -73,11 +80,11 @@ def _waiting(rig: Rig) -> Rig:
 
 
 def _patient(rig: Rig, speed: float) -> Rig:
-    """`rig` with the limits of staleness and of its watchdog, in rig time, widened by a hiccup of the machine."""
-    hiccup_s = HICCUP_S * speed
-    points = tuple(p.model_copy(update={"stale_after_s": p.stale_after_s + hiccup_s}) for p in rig.point)
-    changed: dict[str, object] = {"point": points, "abort_after_s": rig.abort_after_s + hiccup_s}
+    """Return `rig` with limits of staleness and watchdog, in rig time, longer by a delay of the machine."""
+    delay_s = SCHEDULING_DELAY_S * speed
+    points = tuple(p.model_copy(update={"stale_after_s": p.stale_after_s + delay_s}) for p in rig.point)
+    changed: dict[str, object] = {"point": points, "abort_after_s": rig.abort_after_s + delay_s}
     if rig.heartbeat is not None and rig.heartbeat.watchdog_s is not None:
-        longer = {"watchdog_s": rig.heartbeat.watchdog_s + hiccup_s}
+        longer = {"watchdog_s": rig.heartbeat.watchdog_s + delay_s}
         changed["heartbeat"] = rig.heartbeat.model_copy(update=longer)
     return rig.model_copy(update=changed)

@@ -1,4 +1,4 @@
-"""One run in its folder: journal, rig, engine, and the files that are derived at its end."""
+"""Run in its folder: journal, rig, engine, and the files that are derived at its end."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from hil.run.engine.engine import Engine
 from hil.run.engine.signals import RunSignals, interrupted, stopping
 from hil.run.engine.status import Outcome, Status
 from hil.run.locks.rig_lock import RigClaim
-from hil.run.restore.calibrators import restore
-from hil.run.restore.gap_evidence import clocks_noted
+from hil.run.restore.calibrators import restore_calibrators
+from hil.run.restore.gap_evidence import clocks_recorded
 from hil.run.restore.resumption import Resumption
-from hil.run.session.derived_files import REVIEW, RUN_UID, Derived, derive_files
-from hil.run.session.manifest import ended
-from hil.run.session.request import Prepared, RunRequest
+from hil.run.session.derived_files import REVIEW, RUN_UID, DerivedFiles, derive_files
+from hil.run.session.manifest import end_entries
+from hil.run.session.request import RunInputs, RunRequest
 from hil.run.session.rig_time import rig_and_clock
 from hil.run.session.services import Publishers, guard_of, live_review, signals_of, start_diagnosis, start_tracking
 from hil.run_folder.folder import RunFolder
@@ -34,8 +34,20 @@ from hil.tracking.twins import STATIC, Comparison
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """A finished run: its folder, how it ended, the twins side by side, how fast it went, what the diagnosis said, what
-    became of parameters that the network's gates let through, and what these gates held, as a sentence."""
+    """Result of a finished run.
+
+    Attributes:
+        folder: folder with all its files.
+        outcome: end of the engine.
+        comparison: errors of the twins, None without a twin.
+        duration_s: rig time, s.
+        wall_s: wall time, s.
+        viewed: True where a viewer followed the run.
+        diagnosis: diagnosis of the whole run, None without one.
+        adoption: revision of the twin from the network's proposals, None without one.
+        gates: sentence about the proposals that the network's gates held.
+        derived: files of the run.
+    """
 
     folder: RunFolder
     outcome: Outcome
@@ -46,23 +58,23 @@ class RunResult:
     diagnosis: Reply | None = None
     adoption: Adoption | None = None
     gates: str | None = None
-    derived: Derived | None = None
+    derived: DerivedFiles | None = None
 
     @property
     def exit_code(self) -> int:
-        """Exit code of the command: 0 where the run was in order and every file of it is there (see `Derived`)."""
+        """Exit code of the command: 0 where the run was in order and has all its files (see `DerivedFiles`)."""
         in_order = self.outcome.in_order
         return int(not in_order) if self.derived is None else self.derived.exit_code(in_order)
 
 
 @dataclass(frozen=True, slots=True)
 class PreparedRun:
-    """Run that is ready to begin or, with `resumption`, to go on."""
+    """Run that is ready to begin or, with `resumption`, to continue."""
 
     folder: RunFolder
     manifest: dict[str, Any]
     request: RunRequest
-    ready: Prepared
+    ready: RunInputs
     claim: RigClaim
     tracking: Tracking | None
     observer: Callable[[Status], None] | None
@@ -72,12 +84,12 @@ class PreparedRun:
 
 
 async def carry_out(run: PreparedRun) -> RunResult:
-    """Carry out the run; where it cannot even end in order, its manifest says so."""
+    """Return the result of the run; an error that ends it is written to its manifest and raised again."""
     try:
         return await _run_in(run)
     except BaseException as error:
         failed = {"exit_status": "faulted", "reason": f"{type(error).__name__}: {error}"}
-        # A disk that is full must not hide why the run ended.
+        # A full disk must not hide the cause.
         with contextlib.suppress(OSError):
             run.folder.write_manifest(run.manifest | failed)
         raise
@@ -93,9 +105,9 @@ async def _run_in(run: PreparedRun) -> RunResult:
         journal = JournalWriter(folder.journal, header, again=resumption is not None)
         stack.callback(_closed, journal)
         journal.put_meta(RUN_UID, manifest["uid"])
-        await stack.enter_async_context(clocks_noted(journal))
-        if resumption is not None and State(resumption.standing.state) not in ENDED:
-            was = resumption.standing
+        await stack.enter_async_context(clocks_recorded(journal))
+        if resumption is not None and State(resumption.position.state) not in ENDED:
+            was = resumption.position
             journal.state(was.tick, was.time_s, was.profile_s, was.state, "cut", State.IDLE.value, resumption.reason)
         if tracking is not None and resumption is not None:
             tracking = await _restored(stack, run, tracking, journal)
@@ -138,35 +150,43 @@ async def _run_in(run: PreparedRun) -> RunResult:
         comparison = None if tracking is None else await _unless_interrupted(tracking.finish(), run)
         outcome.problems.extend(tracking.failures if tracking is not None else ())
         wall_s = loop.time() - began
-        told = None
+        reply = None
         if live is not None:
             announce("diagnosing the whole run (Ctrl-C skips it)")
             with interrupted(live.give_up, run.signals):
-                told = await live.finish(folder.diagnosis)
-        manifest |= ended(folder, manifest, outcome, resumption, wall_s) | {
+                reply = await live.finish(folder.diagnosis)
+        manifest |= end_entries(folder, manifest, outcome, resumption, wall_s) | {
             "errors_K": None if comparison is None else asdict(comparison.errors),
             "bands": None if comparison is None else comparison.bands,
             "parameters": None if comparison is None else comparison.parameters,
-            "diagnosis": None if told is None or told.found is None else told.found.verdict,
+            "diagnosis": None if reply is None or reply.found is None else reply.found.verdict,
         }
         journal.put_meta("exit_status", outcome.status)
         journal.put_meta("errors", manifest["errors_K"])
         try:
             journal.commit()
-        except JournalError as error:  # a journal that is lost must not keep the rest from being made
+        except JournalError as error:  # a lost journal must not prevent the other files
             manifest["problems"] = [*manifest["problems"], str(error)]
-    manifest.pop("adoption", None)  # of a segment before this one
+    manifest.pop("adoption", None)  # from an earlier segment
     there = (REVIEW,) if follower and folder.review.is_file() else ()
     derived = derive_files(folder, manifest, announce, there=there, signals=run.signals)
     duration_s = outcome.ticks * clock.period_s
     return RunResult(
-        derived.folder, outcome, comparison, duration_s, wall_s, follower, told, derived.adopted, derived.gates, derived
+        derived.folder,
+        outcome,
+        comparison,
+        duration_s,
+        wall_s,
+        follower,
+        reply,
+        derived.adopted,
+        derived.gates,
+        derived,
     )
 
 
 async def _unless_interrupted(work: Coroutine[Any, Any, Comparison | None], run: PreparedRun) -> Comparison | None:
-    """Return what the calibrators have left to say; None where an impatient operator asks for the end, which must not
-    cost the record."""
+    """Return the last results of the calibrators; None where an operator asks for the end, which keeps the record."""
     asked = asyncio.Event()
     with interrupted(asked.set, run.signals):
         last, stop = asyncio.ensure_future(work), asyncio.ensure_future(asked.wait())
@@ -181,7 +201,7 @@ async def _unless_interrupted(work: Coroutine[Any, Any, Comparison | None], run:
 
 
 def _closed(journal: JournalWriter) -> None:
-    """Close the journal; what keeps it from being written has been reported by then."""
+    """Close the journal; errors of writing have been reported by then."""
     with contextlib.suppress(JournalError):
         journal.close()
 
@@ -189,23 +209,23 @@ def _closed(journal: JournalWriter) -> None:
 async def _restored(
     stack: contextlib.AsyncExitStack, run: PreparedRun, tracking: Tracking, journal: JournalWriter
 ) -> Tracking:
-    """Return the calibrators with all that they knew; where that fails they start anew, and that is reported."""
+    """Return the calibrators with their former state; where that fails they start anew, which is reported."""
     assert run.resumption is not None
-    was = run.resumption.standing
+    was = run.resumption.position
     run.announce("restoring the calibrators from the journal")
-    await restore(tracking, journal, run.folder.journal, run.announce)
+    await restore_calibrators(tracking, journal, run.folder.journal, run.announce)
     if not tracking.failures:
         return tracking
-    said = f"the calibrators could not be restored and start anew: {'; '.join(tracking.failures)}"
-    run.announce(said)
-    journal.event(was.tick, was.time_s, "WARN", said)
+    warning = f"the calibrators could not be restored and start anew: {'; '.join(tracking.failures)}"
+    run.announce(warning)
+    journal.event(was.tick, was.time_s, "WARN", warning)
     anew = await start_tracking(run.request, run.ready)
     assert anew is not None
     stack.push_async_callback(anew.close)
     return anew
 
 
-def _header(ready: Prepared, calibrators: tuple[str, ...]) -> Header:
+def _header(ready: RunInputs, calibrators: tuple[str, ...]) -> Header:
     network = ready.network
     return Header(
         signals=signals_of(ready.rig),

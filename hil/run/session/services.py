@@ -12,18 +12,18 @@ from drivers.rig_file import Rig
 from drivers.signals import Signal
 from hil.diagnosis.healthy_record import commissioned_on
 from hil.diagnosis.live import LiveConfig, LiveDiagnosis
-from hil.guardian.client import Guard, Guardian, NoGuard
+from hil.guardian.client import Guard, GuardianClient, NoGuard
 from hil.journal.writer import JournalWriter
 from hil.run.engine.recording import Publisher
 from hil.run.locks.rig_lock import RigClaim
-from hil.run.session.request import Prepared, RunRequest, tracking_config
+from hil.run.session.request import RunInputs, RunRequest, tracking_config
 from hil.run_folder.folder import RunFolder
 from hil.tracking import adoption
 from hil.tracking.process import Tracking
 
 
-async def start_tracking(request: RunRequest, ready: Prepared) -> Tracking | None:
-    """Start the calibrators of a run in processes of their own; None without a twin."""
+async def start_tracking(request: RunRequest, ready: RunInputs) -> Tracking | None:
+    """Start the calibrators of a run in processes of their own; return None without a twin."""
     config = tracking_config(request, ready, tuple(signal.column for signal in signals_of(ready.rig)))
     if config is None or ready.network is None:
         return None
@@ -41,7 +41,7 @@ def signals_of(rig: Rig) -> tuple[Signal, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Publishers:
-    """Publishers that each get every block."""
+    """Several publishers as one: each gets every block of ticks."""
 
     each: tuple[Publisher, ...]
 
@@ -53,7 +53,7 @@ class Publishers:
 def start_diagnosis(
     request: RunRequest, folder: RunFolder, journal: JournalWriter, announce: Callable[[str], None]
 ) -> LiveDiagnosis | None:
-    """Start the diagnosis of the record so far, if the request asks for one."""
+    """Start the diagnosis of the record so far if the request asks for one; return it, or None."""
     if request.diagnose_s is None:
         return None
     healthy = request.healthy or commissioned_on(folder.twin).path
@@ -65,7 +65,8 @@ def start_diagnosis(
 
 @contextlib.asynccontextmanager
 async def live_review(request: RunRequest, folder: RunFolder, announce: Callable[[str], None]) -> AsyncIterator[bool]:
-    """Open a viewer that follows the journal, if there is a display or one was asked for; yield whether it runs."""
+    """Open a viewer that follows the journal, if there is a display or the request asks for it; yield True if it
+    runs."""
     from hil.review import has_display
 
     wanted = has_display() if request.viewer is None else request.viewer
@@ -83,7 +84,7 @@ async def live_review(request: RunRequest, folder: RunFolder, announce: Callable
 
 
 def guard_of(request: RunRequest, folder: RunFolder, claim: RigClaim, rig: Rig) -> Guard:
-    """Return the guardian of a rig that goes on without this process; a virtual one of the run's own ends with it."""
+    """Return the guardian of a rig that outlives this process; a virtual rig of the run itself needs none."""
     if request.virtual or request.control is not None or not request.guardian:
         return NoGuard()
-    return Guardian(rig, folder.path / "guardian.log", claim.descriptors)
+    return GuardianClient(rig, folder.path / "guardian.log", claim.descriptors)

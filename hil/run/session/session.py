@@ -1,4 +1,4 @@
-"""Sessions: a run from its files to its folder, new or resumed."""
+"""Sessions: new and resumed runs, from their files to their folder."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from hil.run.engine.status import Status
 from hil.run.locks.rig_lock import claimed
 from hil.run.outputs.setpoints import bind
 from hil.run.restore.resumption import Resumption
-from hil.run.restore.thermal_restore import SoakRule, unled
-from hil.run.session.interrupted_run import questioned
-from hil.run.session.manifest import files_of, how_it_stopped, settings_of
+from hil.run.restore.thermal_restore import RestoreRule, restore_obstacle
+from hil.run.session.interrupted_run import confirmed_position
+from hil.run.session.manifest import files_of, interruption_reason, settings_of
 from hil.run.session.output_queue import queued_output
-from hil.run.session.request import Prepared, RunRequest, prepare, tracking_config
+from hil.run.session.request import RunInputs, RunRequest, prepare, tracking_config
 from hil.run.session.rig_time import speed_of
 from hil.run.session.run import PreparedRun, RunResult, carry_out
 from hil.run.session.services import start_tracking
@@ -34,12 +34,18 @@ async def run_session(
     announce: Callable[[str], None] = lambda text: None,
     signals: RunSignals | None = None,
 ) -> RunResult:
-    """Run `request` to its end and derive everything in its folder.
+    """Run `request` to its end and derive all files in its folder.
 
-    `signals` takes the process's signals over when the run begins; who gives it says for how long.
+    Args:
+        request: files and options of the run.
+        observer: gets the status a few times a second.
+        announce: gets messages for the operator, a line each.
+        signals: signals of the process; the caller determines how long they are held. None holds them for this call.
 
-    Raises what `prepare` and `Twins` raise, RigBusyError where another run drives the rig, and RigLockError where that
-    cannot be known.
+    Raises:
+        ConfigurationError: the request is inconsistent. Errors of its files are raised as their readers raise them.
+        RigBusyError: another run drives the rig.
+        RigLockError: the locks of the rig cannot be taken.
     """
     ready = prepare(request)
     async with contextlib.AsyncExitStack() as stack:
@@ -47,7 +53,7 @@ async def run_session(
         observer, announce = stack.enter_context(queued_output(observer, announce))
         for note in ready.notes:
             announce(note)
-        # Before anything is made or moved: a rig or a calibrator that cannot be had is refused here.
+        # Before anything is made or moved: a locked rig or a calibrator that cannot start is refused here.
         claim = stack.enter_context(claimed(_shared_rig(request, ready), announce, no_lock=request.no_lock))
         tracking = await start_tracking(request, ready)
         if tracking is not None:
@@ -56,11 +62,11 @@ async def run_session(
                 announce(f"{name} is left out: {why}")
         folder = create_run_folder(request.runs, request.profile.stem, _ticks(ready))
         stack.enter_context(folder.owned())
-        claim.tell(folder.path)
+        claim.record_holder(folder.path)
         manifest = new_manifest(files_of(request, ready), **settings_of(request, tracking))
         folder.write_manifest(manifest)
         if ready.twin is not None:
-            folder.keep_twin([entry.path for entry in chain(ready.twin)])
+            folder.copy_twin([entry.path for entry in chain(ready.twin)])
             copy_record(ready.twin, folder.path)
         return await carry_out(
             PreparedRun(folder, manifest, request, ready, claim, tracking, observer, announce, signals)
@@ -70,19 +76,25 @@ async def run_session(
 async def resume_session(
     folder: RunFolder,
     request_of: Callable[[dict[str, Any]], RunRequest],
-    rule: SoakRule,
+    rule: RestoreRule,
     observer: Callable[[Status], None] | None = None,
     announce: Callable[[str], None] = lambda text: None,
     gap_s: float | None = None,
     before_moving: Callable[[RunRequest], None] = lambda request: None,
     signals: RunSignals | None = None,
 ) -> RunResult:
-    """Go on with the run in `folder` that was cut, as `request_of` its manifest, and derive everything anew.
+    """Resume the interrupted run in `folder` and derive all its files anew.
 
-    `gap_s` states how long the run has been down where clocks do not agree on it, s. `before_moving` is told what will
-    be driven, once nothing refuses to go on.
+    Args:
+        folder: folder of the run.
+        request_of: returns the request for the run's manifest.
+        rule: rule of the thermal restore.
+        observer, announce, signals: as in `run_session`.
+        gap_s: length of the gap where the clocks do not agree on it, s.
+        before_moving: gets the request after all checks, before anything moves.
 
-    Raises what `run_session` raises, and RunFolderError where the run still goes on or cannot go on.
+    Raises:
+        RunFolderError: the run is live, has ended, or cannot be resumed. Further errors are those of `run_session`.
     """
     async with contextlib.AsyncExitStack() as stack:
         signals = signals or stack.enter_context(RunSignals())
@@ -92,17 +104,17 @@ async def resume_session(
         request = request_of(manifest)
         ready = prepare(request)
         claim = stack.enter_context(claimed(_shared_rig(request, ready), announce, no_lock=request.no_lock))
-        claim.tell(folder.path)
-        was = questioned(folder, gap_s, announce)
+        claim.record_holder(folder.path)
+        was = confirmed_position(folder, gap_s, announce)
         require_room(folder, _ticks(ready))
         before_moving(request)
         folder.control.unlink(missing_ok=True)
         tracking = await start_tracking(request, ready)
         if tracking is not None:
             stack.push_async_callback(tracking.close)
-        reason = how_it_stopped(manifest, was)
+        reason = interruption_reason(manifest, was)
         announce(f"{reason} at {hours(was.profile_s)} of {hours(ready.profile.duration_s)} of the profile")
-        if was.aim and (why := unled(ready.rig, bind(ready.rig, ready.profile.columns))) is not None:
+        if was.aim and (why := restore_obstacle(ready.rig, bind(ready.rig, ready.profile.columns))) is not None:
             announce(why)
         resumption = Resumption(was, rule, reason, speed_of(request, ready.rig))
         manifest |= {"exit_status": "running", "reason": "", "ended": None}
@@ -112,17 +124,20 @@ async def resume_session(
         )
 
 
-def _shared_rig(request: RunRequest, ready: Prepared) -> Rig | None:
-    """Return the rig that others could drive, too; None for one that the run starts itself."""
+def _shared_rig(request: RunRequest, ready: RunInputs) -> Rig | None:
+    """Return the rig that other runs could drive, too; None for one that the run starts itself."""
     return None if request.virtual else ready.rig
 
 
-def _ticks(ready: Prepared) -> int:
+def _ticks(ready: RunInputs) -> int:
     return int(ready.profile.duration_s / ready.rig.period_s) + 1
 
 
-def check_session(request: RunRequest) -> Prepared:
-    """Check all that `run_session` checks, without moving anything; raise the same. Notes name what is left out."""
+def check_session(request: RunRequest) -> RunInputs:
+    """Return the files of a run after all checks of `run_session`, without moving anything; raises the same errors.
+
+    The notes name calibrators that are left out.
+    """
     ready = prepare(request)
     config = tracking_config(request, ready, ())
     if config is None:

@@ -1,4 +1,4 @@
-"""What a person sees in the terminal: progress with ETA and temperatures, tables of errors."""
+"""Output in the terminal: progress with ETA and temperatures, tables of errors, advice after a run."""
 
 from __future__ import annotations
 
@@ -25,20 +25,22 @@ if TYPE_CHECKING:
     from hil.tracking.twins import Comparison, ErrorTable
 
 LINE_EVERY_S = 5.0
+"""Interval of progress lines where the output is no terminal, s."""
 PLAIN_WIDTH = 140
+"""Characters of a line where the output is no terminal: the widest table of errors has some 130."""
 
-_TOLD = ("T_heater", "T_pm1", "T_radiator", "T_tank", "T_ambient")
-"""Temperatures of the loop that are told while it runs; of a rig without any of them as many of its first ones."""
+_SHOWN = ("T_heater", "T_pm1", "T_radiator", "T_tank", "T_ambient")
+"""Temperatures in the live line; for a rig without any of them, as many of its first ones."""
 
 
 def console(*, stderr: bool = False, quiet: bool = False) -> Console:
-    """A console; where the output is no terminal, lines are long enough for every table."""
+    """Return a console; where the output is no terminal, its lines have `PLAIN_WIDTH` characters."""
     plain = Console(stderr=stderr, quiet=quiet, highlight=False)
     return plain if plain.is_terminal else Console(stderr=stderr, quiet=quiet, highlight=False, width=PLAIN_WIDTH)
 
 
 def invocation() -> str:
-    """How to call `hil` again from this shell: its name where that is on the path, else its place."""
+    """Return the command that calls `hil` from this shell: its name where that is on the path, else its file."""
     if shutil.which("hil") is not None:
         return "hil"
     place = Path(sys.argv[0])
@@ -46,7 +48,7 @@ def invocation() -> str:
 
 
 def hours(seconds: float) -> str:
-    """`37 h 05 min` for a time in seconds, `95 s` for a short one."""
+    """Return a time in seconds as text: `37 h 05 min`, or `95 s` for a short one."""
     if seconds < 600:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
@@ -54,7 +56,7 @@ def hours(seconds: float) -> str:
 
 
 def error_table(errors: ErrorTable, title: str) -> Table:
-    """RMSE per sensor in K, one column a twin, the sensor's noise beside it."""
+    """Return the RMSE per sensor in K, one column a twin, with the sensor's noise."""
     table = Table(title=title, title_justify="left", caption_justify="left")
     table.add_column("sensor", no_wrap=True)
     for column in errors.columns:
@@ -72,7 +74,7 @@ def error_table(errors: ErrorTable, title: str) -> Table:
 
 
 def band_table(comparison: Comparison) -> Table:
-    """Half width of the twins' 90 % bands in K, and how much of the readings they held."""
+    """Return the half width of the twins' 90 % bands in K, and the share of readings within them."""
     table = Table(title="90 % bands: ± K (share held)", title_justify="left", caption_justify="left")
     table.add_column("sensor", no_wrap=True)
     for twin in comparison.bands:
@@ -80,12 +82,12 @@ def band_table(comparison: Comparison) -> Table:
     for sensor in comparison.errors.rows:
         cells = (comparison.bands[twin][sensor] for twin in comparison.bands)
         table.add_row(sensor, *(f"{half:.3f} ({inside:.0%})" for half, inside in cells))
-    table.caption = "foretold for ten minutes from the twin's own misses in the two hours before."
+    table.caption = "predicted for ten minutes from the twin's own errors in the two hours before."
     return table
 
 
 def parameter_table(comparison: Comparison) -> Table:
-    """Parameters as each calibrator has them at the end, with 90 % intervals."""
+    """Return the parameters of each calibrator at the end, with 90 % intervals, in their units."""
     table = Table(title="Parameters at the end, ± 90 %", title_justify="left", caption_justify="left")
     table.add_column("parameter", no_wrap=True)
     for name in comparison.parameters:
@@ -96,12 +98,12 @@ def parameter_table(comparison: Comparison) -> Table:
     for name in names:
         cells = (comparison.parameters[calibrator].get(name) for calibrator in comparison.parameters)
         table.add_row(name, *(parameter_cell(cell) for cell in cells))
-    table.caption = "held: the record does not tell it, or a gate is closed."
+    table.caption = "held: not identifiable from the record, or a gate is closed."
     return table
 
 
 def show_comparison(to: Console, comparison: Comparison, title: str) -> None:
-    """The twins side by side: errors, bands, parameters, and which are no better than the static one."""
+    """Print errors, bands and parameters of the twins, and name those that are no better than the static twin."""
     to.print(error_table(comparison.errors, title))
     if comparison.bands:
         to.print(band_table(comparison))
@@ -111,10 +113,10 @@ def show_comparison(to: Console, comparison: Comparison, title: str) -> None:
         to.print(sentence, markup=False, soft_wrap=True)
 
 
-class Steps:
-    """A progress bar over `total` of something, with ETA; plain lines where the output is no terminal.
+class ProgressBar:
+    """Progress bar from `begun` to `total` with ETA; plain lines where the output is no terminal.
 
-    `begun` of it were done before. What ends early sets `cut`, so that the bar stays where it is.
+    `what` names the work. Work that ends early sets `cut`, so that the bar is not completed.
     """
 
     def __init__(self, what: str, total: float, *, quiet: bool = False, begun: float = 0.0) -> None:
@@ -150,10 +152,10 @@ class Steps:
         self._progress.stop()
 
     def update(self, done: float, note: str = "") -> None:
-        """`done` of the total are behind; `note` is shown beside the bar."""
+        """Show that `done` of the total are done, with `note` beside the bar."""
         self._progress.update(self._task, completed=done, note=note)
         now = time.monotonic()
-        if done > self._done:  # a run that soaks or waits says nothing of how long the rest takes
+        if done > self._done:  # a thermal restore or a wait has no share in the ETA
             self._spent += now - self._seen
         self._done, self._seen = done, now
         if not self._lines or now - self._last_line < LINE_EVERY_S or (done <= self._begun and not note):
@@ -164,17 +166,17 @@ class Steps:
             eta = f", ETA {self._spent * (self._total - done) / (done - self._begun):.0f} s"
         self._console.print(f"{self._what}: {100 * done / self._total:3.0f} %{eta}  {note}", markup=False)
 
-    def say(self, text: str) -> None:
-        """A line above the bar."""
-        self._console.print(text, markup=False, soft_wrap=True)  # a path that is broken cannot be pasted
+    def print_line(self, text: str) -> None:
+        """Print a line above the bar."""
+        self._console.print(text, markup=False, soft_wrap=True)  # a path on two lines cannot be pasted
 
 
-class LiveRun:
+class RunProgress:
     """Progress of a run: profile time, ETA, a live line of temperatures."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._quiet = quiet
-        self._steps: Steps | None = None
+        self._steps: ProgressBar | None = None
         self._console = console(stderr=True, quiet=quiet)
 
     def __enter__(self) -> Self:
@@ -185,19 +187,19 @@ class LiveRun:
             self._steps.__exit__(kind, error, tb)
 
     def announce(self, text: str) -> None:
-        """One line about what is being done."""
+        """Print one line about the work in progress."""
         if self._steps is not None:
-            self._steps.say(text)
+            self._steps.print_line(text)
         else:
             self._console.print(text, markup=False, soft_wrap=True)
 
     def update(self, status: Status) -> None:
-        """Called by the engine a few times a second."""
+        """Show the status of the engine; it calls this a few times a second."""
         if self._steps is None:
-            self._steps = Steps("replaying", status.duration_s, quiet=self._quiet, begun=status.profile_s)
+            self._steps = ProgressBar("replaying", status.duration_s, quiet=self._quiet, begun=status.profile_s)
             self._steps.__enter__()
         every = [name for name in status.values if name.startswith("T_")]
-        shown = [name for name in every if name in _TOLD] or every[: len(_TOLD)]
+        shown = [name for name in every if name in _SHOWN] or every[: len(_SHOWN)]
         temperatures = "  ".join(f"{name.removeprefix('T_')} {status.values[name]:.1f}" for name in shown)
         temperatures += " °C" if shown else ""
         power = status.values.get("heater_power")
@@ -209,13 +211,13 @@ class LiveRun:
         self._steps.update(status.profile_s, f"{state}{hours(status.profile_s)}  {heater}{temperatures}")
 
     def show_result(self, result: RunResult) -> None:
-        """Table of errors, how it ended, where it is."""
+        """Print the tables of errors, the end of the run, and its folder."""
         out = console()
         outcome = result.outcome
         out.print()
         if result.comparison is not None:
             show_comparison(out, result.comparison, f"RMSE in K over {hours(result.duration_s)}")
-        gaps = cut_time(result.folder.read_manifest())
+        gaps = interruption_summary(result.folder.read_manifest())
         out.print(
             f"{outcome.verdict}: {hours(result.duration_s)} of rig time in {result.wall_s:.1f} s{gaps}"
             + (f", {outcome.overruns} late ticks" if outcome.overruns else "")
@@ -239,16 +241,19 @@ class LiveRun:
             )
         if result.diagnosis is not None:
             show_diagnosis(out, result.diagnosis, result.folder.review)
-        for line in last_words(outcome, path):
+        for line in closing_advice(outcome, path):
             out.print(line, style="bold red" if line.startswith(NOT_SAFE) else "", soft_wrap=True, markup=False)
 
 
 NOT_SAFE = "The rig was NOT confirmed safe"
+"""Beginning of the advice after a run whose outputs are not confirmed to be safe."""
 
 
-def last_words(outcome: Outcome, path: Path) -> list[str]:
-    """Return what to do after a run that did not go to its end, a line each; where the rig may still heat, that comes
-    last and `hil resume` only after it."""
+def closing_advice(outcome: Outcome, path: Path) -> list[str]:
+    """Return advice after a run that did not go to its end, a line each.
+
+    Where the rig may still heat, the last line says so, and `hil resume` is advised for afterwards only.
+    """
     is_unsafe = bool(outcome.ticks) and (bool(outcome.away) or not outcome.safe)
     lines = []
     if outcome.status != "done" and outcome.ticks:
@@ -260,32 +265,33 @@ def last_words(outcome: Outcome, path: Path) -> list[str]:
     return lines
 
 
-def show_diagnosis(out: Console, told: Reply, review: Path) -> None:
-    """Print the verdict of the diagnosis of a run, its errors where no fit saw the run, and its page and `review`."""
+def show_diagnosis(out: Console, reply: Reply, review: Path) -> None:
+    """Print the verdict of the diagnosis of a run, its errors on held-out segments, and the paths of page and
+    review."""
     from hil.diagnosis.table import errors_of, held_out
 
     out.print()
-    if told.found is None:
-        out.print(f"no diagnosis: {told.problem}", soft_wrap=True, markup=False)
+    if reply.found is None:
+        out.print(f"no diagnosis: {reply.problem}", soft_wrap=True, markup=False)
     else:
-        sentence = told.found.sentence.rstrip(".")
-        out.print(f"[bold]{told.found.verdict}[/bold]: {escape(sentence)}.", soft_wrap=True)
-    if told.document is not None:
-        out.print(held_out(told.document), style="italic", soft_wrap=True, markup=False)
-        out.print(errors_of(told.document))
-    if told.revision is not None:
-        out.print(f"revision of the twin: {shlex.quote(str(told.revision))}", soft_wrap=True, markup=False)
-    if told.page is not None:
-        out.print(f"diagnosis with pictures: {shlex.quote(str(told.page))}", soft_wrap=True, markup=False)
+        sentence = reply.found.sentence.rstrip(".")
+        out.print(f"[bold]{reply.found.verdict}[/bold]: {escape(sentence)}.", soft_wrap=True)
+    if reply.document is not None:
+        out.print(held_out(reply.document), style="italic", soft_wrap=True, markup=False)
+        out.print(errors_of(reply.document))
+    if reply.revision is not None:
+        out.print(f"revision of the twin: {shlex.quote(str(reply.revision))}", soft_wrap=True, markup=False)
+    if reply.page is not None:
+        out.print(f"diagnosis with pictures: {shlex.quote(str(reply.page))}", soft_wrap=True, markup=False)
     if review.is_file():
         out.print(f"run in Rerun: {shlex.quote(str(review))}", soft_wrap=True, markup=False)
 
 
-def cut_time(manifest: dict[str, Any]) -> str:
-    """What gaps and soaks had of a run's time, in brackets; nothing of a run that was never cut."""
+def interruption_summary(manifest: dict[str, Any]) -> str:
+    """Return the share of gaps and thermal restores in a run's time, in brackets; "" for an uninterrupted run."""
     segments = manifest.get("segments", [])
     if not segments:
         return ""
     times = "once" if len(segments) == 1 else f"{len(segments)} times"
-    gap_s, soaked_s = (sum(segment.get(key, 0.0) for segment in segments) for key in ("gap_s", "soaked_s"))
-    return f" (cut {times}: {hours(gap_s)} without a row, {hours(soaked_s)} of leading the rig back)"
+    gap_s, restore_s = (sum(segment.get(key, 0.0) for segment in segments) for key in ("gap_s", "soaked_s"))
+    return f" (cut {times}: {hours(gap_s)} without a row, {hours(restore_s)} of thermal restore)"

@@ -1,4 +1,4 @@
-"""A run that goes on after a cut, on the real engine with a simulated rig: it heats only to lead the rig back."""
+"""A run that goes on after a cut, on the real engine with a simulated rig: it heats only for the thermal restore."""
 
 from __future__ import annotations
 
@@ -101,9 +101,9 @@ def test_a_rig_that_does_not_get_there_in_time_is_left_safe():
         bench.ticks(2)
         assert (bench.state, bench.outcome.safe, bench.rig.heater_W) == ("faulted", True, 0.0)
         assert bench.outcome.reason.startswith(
-            "not resumed: after 100 s of soaking T_heater is 30.0 degC, 10.0 K below"
+            "not resumed: after 100 s of thermal restore T_heater is 30.0 degC, 10.0 K below"
         )
-        assert bench.outcome.soaked_s > 100.0
+        assert bench.outcome.restore_s > 100.0
 
 
 def test_a_sensor_that_is_lost_is_not_taken_for_one_that_is_back():
@@ -111,11 +111,11 @@ def test_a_sensor_that_is_lost_is_not_taken_for_one_that_is_back():
         there(bench)
         bench.rig.quality["T_tank"] = Quality.STALE
         bench.ticks(4)
-        assert "T_tank is not known" in bench.engine.status().reason
+        assert "T_tank has no good value" in bench.engine.status().reason
 
 
 @pytest.mark.parametrize("wait_s", [0.0, 500.0])
-def test_a_trip_ends_the_soak_and_nobody_is_waited_for(wait_s):
+def test_a_trip_ends_the_restore_and_nobody_is_waited_for(wait_s):
     with EngineBench(rig_with(wait_s), resumption=cut_at(120.0, AIM)) as bench:
         bench.ticks(20)
         bench.rig.readings["flow"] = 0.0
@@ -124,7 +124,7 @@ def test_a_trip_ends_the_soak_and_nobody_is_waited_for(wait_s):
         assert "heat without flow" in bench.outcome.reason
 
 
-def test_a_warning_suspends_the_soak_which_goes_on_and_not_the_profile():
+def test_a_warning_suspends_the_restore_which_goes_on_and_not_the_profile():
     with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
         bench.ticks(20)
         bench.residuals = {("static", "T_tank"): 5.0}
@@ -151,7 +151,7 @@ def test_a_rig_that_still_heats_is_safe_before_anything_else_even_where_the_run_
             assert bench.outcome.reason.startswith("not started: T_pm4")
 
 
-def test_a_pause_makes_a_soak_safe_and_stops_its_clock_and_resume_goes_on_soaking():
+def test_a_pause_makes_a_restore_safe_and_stops_its_clock_and_resume_goes_on_restoring():
     with EngineBench(rig_with(), resumption=cut_at(120.0, AIM, timeout_s=100.0)) as bench:
         bench.ticks(50)
         assert bench.ask(Verb.RESUME) == "soaking at 120 s of the profile"  # it does already
@@ -169,14 +169,14 @@ def test_a_pause_makes_a_soak_safe_and_stops_its_clock_and_resume_goes_on_soakin
         bench.ticks(35)
         assert bench.state == "soaking"  # of its 100 s the pause took none
         bench.ticks(15)
-        assert bench.outcome.reason.startswith("not resumed: after 100 s of soaking")
+        assert bench.outcome.reason.startswith("not resumed: after 100 s of thermal restore")
         assert not bench.violations
         steps = [(row[3], row[4], row[5], row[6]) for row in bench.journal.states]
         assert ("soaking", "pause", "paused", "by the test") in steps
         assert ("paused", "soak", "soaking", "by the test") in steps
 
 
-def test_hold_keeps_the_outputs_that_lead_and_stops_the_clock_of_the_soak():
+def test_hold_keeps_the_outputs_that_lead_and_stops_the_clock_of_the_restore():
     with EngineBench(rig_with(), resumption=cut_at(120.0, AIM, timeout_s=100.0)) as bench:
         there(bench, 1.0)
         bench.ticks(20)
@@ -191,7 +191,7 @@ def test_hold_keeps_the_outputs_that_lead_and_stops_the_clock_of_the_soak():
 
 
 @pytest.mark.parametrize("verb", [Verb.HOLD, Verb.PAUSE])
-def test_a_rig_that_gets_there_while_its_soak_is_stopped_does_not_start_by_itself(verb):
+def test_a_rig_that_gets_there_while_its_restore_is_stopped_does_not_start_by_itself(verb):
     with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
         there(bench)
         bench.ticks(int(SETTLE_S) - 5)
@@ -205,7 +205,7 @@ def test_a_rig_that_gets_there_while_its_soak_is_stopped_does_not_start_by_itsel
         assert (bench.state, bench.engine.status().profile_s) == ("running", 120.0)
 
 
-def test_a_warning_pauses_a_soak_that_is_held_and_one_that_is_active_suspends_its_resume():
+def test_a_warning_pauses_a_restore_that_is_held_and_one_that_is_active_suspends_its_resume():
     with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
         bench.ticks(20)
         bench.ask(Verb.HOLD)
@@ -223,7 +223,7 @@ def test_a_warning_pauses_a_soak_that_is_held_and_one_that_is_active_suspends_it
 
 
 @pytest.mark.parametrize("first", [None, Verb.HOLD, Verb.PAUSE])
-def test_a_soak_is_aborted_whatever_it_is_at(first):
+def test_a_restore_is_aborted_whatever_it_is_at(first):
     with EngineBench(rig_with(500.0), resumption=cut_at(120.0, AIM)) as bench:
         bench.ticks(20)
         if first is not None:
@@ -240,7 +240,7 @@ async def test_what_is_asked_while_a_run_is_armed_is_obeyed_before_anything_move
     supervisor = Supervisor(rig, points, log=lambda step: None, note=lambda level, text: None)
     with pytest.raises(RefusedError, match="a run that is idle can only be aborted"):
         await supervisor.ask(Verb.PAUSE, "too early")
-    for event in (Event.VALIDATE, Event.CONNECT, Event.SOAK):
+    for event in (Event.VALIDATE, Event.CONNECT, Event.RESTORE):
         supervisor.machine.take(event, "")
     asked = asyncio.create_task(supervisor.ask(Verb.PAUSE, "the tank is open"))
     await asyncio.sleep(0)
