@@ -1,4 +1,4 @@
-"""`hil profile`: build load profiles from scenarios of ship systems."""
+"""Command `hil profile`: build load profiles from scenarios of ship systems."""
 
 from __future__ import annotations
 

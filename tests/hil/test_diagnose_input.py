@@ -47,7 +47,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),
         (["{}/hot.parquet", "--healthy", "{}/short.csv"], ["short.csv", "two windows"]),
         (["{}/hot.parquet", "--healthy", "{}/good.parquet", "--with", "{}/short.csv"], ["short.csv", "two windows"]),
-        (["{}/hot.parquet", "--healthy", "{}/good.parquet", "--at-rest"], ["--at-rest goes without --healthy"]),
+        (["{}/hot.parquet", "--healthy", "{}/good.parquet", "--at-rest"], ["--at-rest excludes --healthy"]),
         (["{}/hot.parquet", "--clock", "25:00"], ["25:00", "08:00"]),
     ],
 )

@@ -155,7 +155,7 @@ def test_a_plan_is_forecast_before_it_is_run(place: Mapping[str, Path], tmp_path
 def test_a_catalogue_is_checked(place: Mapping[str, Path]) -> None:
     done = typed("check", place["twin"], "--catalogue")
     assert done.returncode == 0, done.stderr
-    groups = [line for line in done.stdout.splitlines() if line.startswith("no input separates: ")]
+    groups = [line for line in done.stdout.splitlines() if line.startswith("no input distinguishes: ")]
     assert any("actuator at pump_speed (constant)" in x and "flow at loop (constant)" in x for x in groups)
     refused = typed("check", RIG, "--catalogue")
     assert refused.returncode == 2 and "--catalogue" in refused.stderr

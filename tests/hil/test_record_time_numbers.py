@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hil.cli.group import group
+from hil.cli.verbs import group
 
 from hil.record.reader import Record, RecordError, read_record
 

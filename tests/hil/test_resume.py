@@ -332,8 +332,8 @@ def test_a_run_that_was_cut_is_told_from_one_that_goes_on(story):
         assert not cut.was_cut
     refused = typed("diagnose", cut.path, "--dry")
     assert refused.returncode == 2
-    assert f"was cut and has no record yet; `hil resume {cut.path}` goes on with it" in refused.stderr
-    assert f"the run was cut: what there is of it; `hil resume {cut.path}`" in typed("review", cut.path).stderr
+    assert f"was interrupted and has no record yet; `hil resume {cut.path}` goes on with it" in refused.stderr
+    assert f"the run was interrupted: shown as far as it came; `hil resume {cut.path}`" in typed("review", cut.path).stderr
 
 
 def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_cost(story):
