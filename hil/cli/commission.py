@@ -64,7 +64,7 @@ def command(
       hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
     from hil.cli.options.subject import record_of
-    from hil.diagnosis.healthy_record import beside, save_with_record
+    from hil.diagnosis.healthy_record import healthy_path, save_with_record
     from hil.files.names import printable
     from hil.record.reader import read_record
     from hil.record.values.units import beyond_declared
@@ -77,7 +77,7 @@ def command(
 
     if twin is None and datasheet is None:
         raise click.UsageError("give --twin, --datasheet or both; the fit starts from them")
-    for path in (out, beside(out)):
+    for path in (out, healthy_path(out)):
         if path.exists():
             raise click.UsageError(f"{path} exists already; a twin is never overwritten, give --out another name")
     network = from_datasheet(datasheet, twin) if datasheet is not None else load(twin or "")
@@ -102,17 +102,17 @@ def command(
         raise TwinFileError(f"{record}: no twin is written: {why}")
     if said := clock_warning(result):
         result = dataclasses.replace(result, notes=(*result.notes, said))
-    kept = save_with_record(result.network, data, out)
+    healthy = save_with_record(result.network, data, out)
     if as_json:
-        click.echo(json.dumps(_document(result, out, kept), indent=1))
+        click.echo(json.dumps(_document(result, out, healthy), indent=1))
         return
-    _show(result, messages, out, kept)
+    _show(result, messages, out, healthy)
 
 
-def _document(result: CommissionResult, out: Path, kept: Path) -> dict[str, object]:
+def _document(result: CommissionResult, out: Path, healthy: Path) -> dict[str, object]:
     return {
         "twin": str(out),
-        "healthy": str(kept),
+        "healthy": str(healthy),
         "values": dict(result.values),
         "interval90": {name: list(interval) for name, interval in result.interval90.items()},
         "cannot_tell": list(result.unidentifiable),
@@ -128,7 +128,7 @@ def _known(error: float) -> float | None:
     return error if isfinite(error) else None
 
 
-def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, kept: Path) -> None:
+def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, healthy: Path) -> None:
     from rich.table import Table
 
     from hil.record.times.time_axis import span
@@ -164,4 +164,4 @@ def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, kept: 
         to.print(f"no reading there, so not in the table: {', '.join(unread)}", soft_wrap=True)
     for note in result.notes:
         to.print(note, markup=False, soft_wrap=True)
-    to.print(f"written: {out}, and its healthy record: {kept.name}", soft_wrap=True)
+    to.print(f"written: {out}, and its healthy record: {healthy.name}", soft_wrap=True)

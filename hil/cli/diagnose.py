@@ -193,8 +193,10 @@ def _report(to: Console, ready: Prepared, found: Diagnosis, written: Written | N
         to.print(f"offered, {'and adopted' if revision else 'not adopted'}: {found.empirical.says}", soft_wrap=True)
         if written and written.proposal and not revision:
             to.print(f"see {written.proposal}; the same command with --empirical adopts it", soft_wrap=True)
-    if ready.kept.path is not None:
-        to.print(f"healthy reference: the record that the twin was commissioned on, {ready.kept.path}", soft_wrap=True)
+    if ready.stored.path is not None:
+        to.print(
+            f"healthy reference: the record that the twin was commissioned on, {ready.stored.path}", soft_wrap=True
+        )
     if revision:
         to.print(f"revision of the twin: {shlex.quote(str(revision))}", soft_wrap=True, markup=False)
     if written:

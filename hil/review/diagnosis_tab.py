@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.diagnosis.store import Findings, Unknown, has_diagnosis, read_findings
-from hil.diagnosis.wording import after_label, beside_answer, plain, reasons, short
+from hil.diagnosis.wording import after_label, ambiguity_group, plain, reasons, short
 from hil.journal.rows import Header
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.styles import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, Plan, Stack, path
@@ -61,7 +61,7 @@ def notes(findings: Findings) -> dict[str, str]:
     parts = [f"### {str(d['verdict']).capitalize()}", str(d["summary"])]
     parts += [f"*{text}*" for text in (*d["warnings"], *d["notes"])]
     parts += reasons(d)
-    if others := beside_answer(d):
+    if others := ambiguity_group(d):
         parts.append("This record cannot tell it from: " + ", ".join(plain(a) for a in others) + ".")
     parts.append(
         f"orange: as it was · blue: {after_label(d)} · thin lines: zero and ±2σ of a healthy residual · below, blue: "

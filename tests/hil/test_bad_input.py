@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from hil.cli.verbs import group
 
+from hil.cli.verbs import group
 from hil.record.reader import Record, read_record, write_record
 from hil.rig.element_kinds import parameters_of
 from tests.hil.command_line import typed

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hil.cli.verbs import group
 
+from hil.cli.verbs import group
 from hil.record.reader import Record, RecordError, read_record
 
 

@@ -27,7 +27,6 @@ EXCEPTIONS: tuple[str, ...] = (
     "drivers/signals",
     "drivers/virtual",
     "hil/bench",
-    "hil/diagnosis",
     "hil/files",
     "hil/guardian",
     "hil/journal",
