@@ -120,7 +120,7 @@ def test_nothing_is_written_over_unasked(tmp_path):
     out.write_text("mine", encoding="utf-8")
     refused = made("--heater", "holding:0", "--out", out)
     assert (refused.exit_code, out.read_text(encoding="utf-8")) == (2, "mine")
-    assert "is there already" in refused.output
+    assert "exists already" in refused.output
     assert made("--heater", "holding:0", "--out", out, "--force").exit_code == 0
     assert len(accepted(out).point) == 1
 

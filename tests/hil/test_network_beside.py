@@ -76,7 +76,7 @@ def test_shadow_writes_nothing_and_controlled_writes_one_revision(record: Path, 
     assert done.exit_code == 0 and "are saved as" in done.output
     (revision,) = (path for path in tmp_path.iterdir() if path != twin)
     log = hil("twin", "log", revision).output
-    assert "hil track record.parquet" in log and "its gates let through" in log
+    assert "hil track record.parquet" in log and "its gates accepted" in log
     assert "fins.UA_100" in hil("twin", "diff", revision).output
     assert hil("twin", "revert", revision).exit_code == 0
 
