@@ -30,7 +30,6 @@ EXCEPTIONS: tuple[str, ...] = (
     "hil/files",
     "hil/guardian",
     "hil/journal",
-    "hil/record",
     "hil/rig",
     "hil/run",
     "hil/run_folder",
