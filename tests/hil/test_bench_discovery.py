@@ -106,7 +106,7 @@ def test_outside_the_catalogue_only_abstention_is_right() -> None:
     assert unknown.right and unknown.place
     named = judged(answer("effect found", effect()), hidden)
     assert not named.right
-    assert failure(named) == "named what it cannot know"
+    assert failure(named) == "named a cause outside the catalogue"
 
 
 def test_what_came_and_went_may_be_told_by_two_steps() -> None:

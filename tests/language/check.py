@@ -26,7 +26,6 @@ EXCEPTIONS: tuple[str, ...] = (
     "drivers/rig_file",
     "drivers/signals",
     "drivers/virtual",
-    "hil/bench",
     "hil/files",
     "hil/guardian",
     "hil/journal",

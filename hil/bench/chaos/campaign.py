@@ -1,4 +1,5 @@
-"""`hil bench faults --chaos`: attacks at random instants, alone and in pairs, half of them without the rig's watchdog.
+"""Campaign of `hil bench faults --chaos`: attacks at random instants, alone and in pairs, half of them without the
+rig's watchdog.
 
 Each case is `hil run` in a process of its own on a virtual rig of its own, in real time at ten hertz. The rig's own log
 says when the heater was off (`drivers.virtual.devices.truth`). Finished cases are kept and not run again.
@@ -24,7 +25,7 @@ from hil.bench.measure.report import Cell, Table
 from hil.files.atomic import replacing
 
 RESUME_EVERY = 5
-"""One case of so many is resumed: a resume takes as long as the case itself."""
+"""Cases for each resumed case: a resume takes as long as the case itself."""
 _BY_WATCHDOG = ("unguarded", "lies")
 
 
@@ -37,7 +38,7 @@ async def campaign(
     resume: bool = True,
     done: Callable[[ChaosResult], None] = lambda result: None,
 ) -> list[ChaosResult]:
-    """Run `cases`, `jobs` at a time; with `keep`, those whose result lies in that folder are not run again."""
+    """Run `cases`, `jobs` at a time; with `keep`, cases with a result in that folder are not run again."""
     room = asyncio.Semaphore(jobs)
 
     async def one(case: ChaosCase) -> ChaosResult:
@@ -65,7 +66,7 @@ def measure(
     kinds: Sequence[str] = (),
     jobs: int = 2,
 ) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
-    """Return the campaign's tables, a line for all that was left out, and whether every must was kept."""
+    """Return the campaign's tables, a line for everything left out, and True if no requirement was broken."""
     keep = work / f"chaos_{fingerprint()}_{seed}"
     keep.mkdir(parents=True, exist_ok=True)
     names, skipped = list(kinds) or list(CHAOS_KINDS), []
@@ -88,7 +89,7 @@ def measure(
 
 
 def chaos_tables(results: Sequence[ChaosResult]) -> tuple[Table, ...]:
-    """Return the musts, the outcomes by kind, the kinds themselves, and every case that broke a must."""
+    """Return the requirements, the outcomes by kind, the kinds themselves, and every case that broke a requirement."""
     tried = [result for result in results if not result.left_out]
     names = [name for name in CHAOS_KINDS if any(name in result.names for result in tried)]
     rows = [_row(name, [result for result in tried if name in result.names]) for name in names]
@@ -108,7 +109,7 @@ def chaos_tables(results: Sequence[ChaosResult]) -> tuple[Table, ...]:
             "that an attack itself deleted do not count.",
             "Wrong: values recorded as good that were not true within the staleness limit, and rows with values of "
             "another time than theirs.",
-            f"Resumed: `hil resume` leads the rig back, or refuses in a sentence; one case of {RESUME_EVERY}.",
+            f"Resumed: `hil resume` restores the thermal state, or refuses in a sentence; one case of {RESUME_EVERY}.",
         ),
     )
     about = Table(
@@ -145,7 +146,7 @@ def _row(name: str, results: Sequence[ChaosResult]) -> tuple[Cell, ...]:
 
 
 def _musts(results: Sequence[ChaosResult]) -> Table:
-    """Return each must with the count of the cases that kept it."""
+    """Return each requirement with the count of the cases that met it."""
     heated = [r for r in results if r.heated and r.ending not in _BY_WATCHDOG]
     rows: list[tuple[Cell, ...]] = []
     for on in (False, True):

@@ -1,4 +1,4 @@
-"""Public records of other people's rigs, from twins that lack most of what matters: what the diagnosis adds, in order.
+"""Public records of other rigs, with incomplete twins: the effects that the diagnosis adds, in order.
 
 Each twin begins with less than textbook physics and grows on one record; every rung is then simulated on records that
 no fit and no choice saw. No healthy record exists for any of them.
@@ -27,17 +27,17 @@ Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 LADDER = ("rung", "driver", "size", "90 %", "gain", "elsewhere", "hidden")
-"""Columns that every ladder begins with."""
+"""Columns at the beginning of every ladder."""
 GAIN = (
     "gain: fall of -2 log likelihood when the effect joins its rung; elsewhere: how much worse the last twin would "
-    "foretell the further records without it; hidden: of four parts of the record, each hidden from the fit in turn, "
-    "how many the last twin foretells no worse with it"
+    "predict the further records without it; hidden: of four parts of the record, each hidden from the fit in turn, "
+    "how many the last twin predicts no worse with it"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A record on which every rung is simulated, and the published figure for it."""
+    """Record with a simulation of every rung, and its published figure."""
 
     column: str
     error: Callable[[Network], float]
@@ -45,7 +45,7 @@ class Judged:
 
 
 def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """A ladder for each record, what was not added, and a line where there is nothing to run. Nothing here is random.
+    """Return a ladder for each record, the effects not added, and a line if there is no record.
 
     Raises:
         PublicRecordError: a record is absent or not what it should be.
@@ -74,9 +74,12 @@ def _tclab(real: Path, say: Say) -> tuple[Growth, Table]:
     train, validation = (tclab(real, f"mimo_{part}") for part in ("train", "validation"))
     single = tclab(real, "siso_train")
     growth = grow(
-        network, train.time_s, *network.select(train.columns),
-        more=((single.time_s, *network.select(single.columns)),), say=say,
-    )  # fmt: skip
+        network,
+        train.time_s,
+        *network.select(train.columns),
+        more=((single.time_s, *network.select(single.columns)),),
+        say=say,
+    )
 
     def summed(record: Columns) -> Callable[[Network], float]:
         return lambda net: float(np.nansum(np.abs(_free_run(net, record))))
@@ -86,8 +89,8 @@ def _tclab(real: Path, say: Say) -> tuple[Growth, Table]:
         "train, validation: sum over all samples and both sensors of |simulated - measured|, K, free run from the "
         "first reading, of mimo_train and mimo_validation; published: the balance with radiation, exchange and lag of "
         "Park et al. 2020, fitted by them to mimo_train",
-        "fitted on mimo_train alone; siso_train, without another fit, chooses between sets that mimo_train cannot tell "
-        "apart, and what both together ask for is added",
+        "fitted on mimo_train alone; siso_train, without another fit, chooses between sets that mimo_train does not "
+        "distinguish, and effects that both together need are added",
     )
     return growth, ladder("tclab", "Temperature Control Lab, from a balance of two heaters", growth, judged, notes)
 
@@ -106,7 +109,7 @@ def _heated_pipe(real: Path, say: Say) -> tuple[Growth, Table]:
     notes = (
         "columns by test: RMSE of the outlet's water, K, free run from the first reading, flow and inlet as measured",
         f"fitted on {FITTED_TEST} alone; the others, at other flows, only choose between sets of effects that it "
-        "cannot tell apart, without another fit",
+        "does not distinguish, without another fit",
     )
     return growth, ladder("heated_pipe", "Heated pipe, from one mixed volume", growth, judged, notes)
 
@@ -137,14 +140,14 @@ def _wet_tower(real: Path, say: Say) -> tuple[Growth, Table]:
 
 
 def ladder(key: str, title: str, growth: Growth, judged: tuple[Judged, ...], notes: tuple[str, ...]) -> Table:
-    """One row a rung: what was added, why, and the error of the twin so far on each record."""
+    """Return one row for each rung: the effect, its evidence, and the error of the twin so far on each record."""
     rows = []
     for rung in growth.rungs:
         rows.append((*_added(rung.added), *(one.error(rung.network) for one in judged)))
     if any(one.published is not None for one in judged):
         rows.append(("published", *[""] * (len(LADDER) - 1), *(one.published for one in judged)))
     same = tuple(
-        f"{_name(a)} cannot be told from {', '.join(' '.join(o).replace('_', ' ') for o in a.others)}"
+        f"{_name(a)} is not distinguishable from {', '.join(' '.join(o).replace('_', ' ') for o in a.others)}"
         for rung in growth.rungs
         if (a := rung.added) is not None and a.others
     )
@@ -155,7 +158,7 @@ def ladder(key: str, title: str, growth: Growth, judged: tuple[Judged, ...], not
 
 def _added(added: Added | None) -> tuple[Cell, ...]:
     if added is None:
-        return ("as it is, fitted", *[""] * (len(LADDER) - 1))
+        return ("baseline, fitted", *[""] * (len(LADDER) - 1))
     low, high = (number(v) for v in added.interval90)
     size = f"{number(added.value)} {added.unit}"
     return (
@@ -174,7 +177,7 @@ def _name(added: Added) -> str:
 
 
 def _free_run(network: Network, record: Columns) -> Array:
-    """Simulated less measured (n, m), K."""
+    """Return simulated less measured (n, m), K."""
     inputs, measured = network.select(record.columns)
     difference: Array = simulate(network, record.time_s, inputs, network.initial_state(measured[:1])) - measured
     return difference

@@ -1,4 +1,4 @@
-"""What a twin is worth that has taken up an effect: later records of the same rig, with nothing new and with more.
+"""Value of a revised twin: later records of the same rig, without and with a further effect.
 
 The first record has one lasting effect that the twin does not know of. Where the diagnosis finds it, the revision that
 it saves is asked with two further records, in which the effect is there from the beginning: one without anything else,
@@ -29,7 +29,7 @@ TWIN = "loop"
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The records of one rig in their order; None for those that there was nothing to ask with."""
+    """Records of one rig in order; None for those without a twin to diagnose them."""
 
     first: Outcome
     same: Outcome | None = None
@@ -37,7 +37,7 @@ class Chain:
 
 
 def measure(count: int, hours: float, seed: int, work: Path, progress: Callable[[float, str], None]) -> list[Chain]:
-    """So many rigs. `progress` is told the share done and what came out last."""
+    """Measure this number of rigs. `progress` is called with the share done and the last result."""
     done = []
     for number in range(count):
         kept = work / f"again-{hours:g}h-seed{seed}" / f"{number}.json"
@@ -65,7 +65,7 @@ def _chain(number: int, hours: float, seed: int, work: Path) -> Chain:
     if revision is None:
         return Chain(found)
     stays = tuple({**table, "onset_s": 0.0} for table in first.effects)
-    nothing = Truth("none", f"what was there: {first.what}", stays, ())
+    nothing = Truth("none", f"true effect:  {first.what}", stays, ())
     both = Truth("one", f"{second.what}, beside {first.what}", (*second.effects, *stays), second.labels)
     same, _ = _asked(after, nothing, nothing, revision, good)
     more, _ = _asked(after, both, second, revision, good)
@@ -73,7 +73,7 @@ def _chain(number: int, hours: float, seed: int, work: Path) -> Chain:
 
 
 def _asked(case: Setting, there: Truth, new: Truth, twin: Path, good: Path) -> tuple[Outcome, Path | None]:
-    """What a twin file says of a record with what is `there`, of which some is `new`; and its next revision."""
+    """Diagnose a record with the effects `there`, of which `new` are new; return also the twin's next revision."""
     from drivers.rig_file.reader import load_rig
     from drivers.virtual.plant.effects import load_effects
     from hil.diagnosis.columns import columns_of, read_healthy, with_clock
@@ -98,7 +98,7 @@ def _outcomes(chains: Sequence[Chain]) -> list[Outcome]:
 
 
 def tables(chains: Sequence[Chain], hours: float) -> tuple[Table, ...]:
-    """Counts with 90 % Wilson intervals, and every failure by name."""
+    """Return counts with 90 % Wilson intervals, and every failure by name."""
     same = [c.same for c in chains if c.same is not None]
     more = [c.more for c in chains if c.more is not None]
     told = [o for o in more if o.alarmed]
@@ -112,16 +112,19 @@ def tables(chains: Sequence[Chain], hours: float) -> tuple[Table, ...]:
         row("first record: a revision saved", len(same), len(chains)),
         row("later record, nothing new: adequate", sum(o.verdict == "adequate" for o in same), len(same)),
         row("later record, a second effect: something found", len(told), len(more)),
-        row("later record, a second effect: right but for equivalents, of found", sum(bool(o.class1) for o in told),
-            len(told)),
-    )  # fmt: skip
+        row(
+            "later record, a second effect: right but for equivalents, of found",
+            sum(bool(o.class1) for o in told),
+            len(told),
+        ),
+    )
     seconds = median([o.seconds for o in _outcomes(chains)])
     note = (
         f"records of {hours:g} h from the virtual rig's parts, twin {TWIN}.toml; effects of all sizes, so some of the "
         f"second ones are too faint to be seen; {seconds:.0f} s a record (median)"
     )
     columns = ("what", "cases", "of", "%", "90 % from", "to")
-    scores = Table("again", "A twin that took up an effect, asked again", columns, rows, (note,))
+    scores = Table("again", "A revised twin on later records", columns, rows, (note,))
     wrong = [(o.case, what, o.what, o.verdict, o.said, o.z) for o in _outcomes(chains) if (what := failure(o))]
     told_of = ("case", "failure", "truth", "verdict", "answer", "z")
     return scores, Table("failures", "Failures", told_of, tuple(wrong))

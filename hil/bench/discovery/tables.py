@@ -1,4 +1,4 @@
-"""The tables of `hil bench discovery`: counts with 90 % Wilson intervals, and every failure by name."""
+"""Tables of `hil bench discovery`: counts with 90 % Wilson intervals, and every failure by name."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from hil.bench.measure.report import Cell, Table, number
 
 Z_EDGES = (0.0, 3.0, 6.0, 10.0, 20.0, 50.0, math.inf)
 SEEN = 5.0
-"""Score of the truth from which it is asked to be named."""
+"""Score of the truth above which it should be named."""
 CLEAR = 20.0
-"""Score from which chance has little to say in an effect's size."""
+"""Score above which chance has little influence on an effect's size."""
 COVERAGES = (0.25, 0.5, 0.75, 0.9, 1.0)
 GROUP_NAMES = {
     "none": "nothing", "one": "one effect of the catalogue", "two": "two of them", "outside": "not in the catalogue",
@@ -23,7 +23,7 @@ GROUP_NAMES = {
 
 
 def tables(done: Sequence[Finished], size: Size) -> tuple[Table, ...]:
-    """Everything that is reported."""
+    """Return all tables of the report."""
     outcomes = [f.outcome for f in done]
     how = _how(size)
     return tuple(
@@ -42,7 +42,7 @@ def _how(size: Size) -> str:
         if size.direct
         else "replayed by the loop of `hil run` over Modbus and CAN"
     )
-    kept = "" if size.known_healthy else ", which the diagnosis is not given"
+    kept = "" if size.known_healthy else ", which the diagnosis does not get"
     return f"records of {size.hours:g} h, {wires}; twin {size.twin}.toml, commissioned on ten healthy hours{kept}"
 
 
@@ -84,7 +84,7 @@ def _scores(outcomes: Sequence[Outcome], how: str) -> Table:
         _count("catalogue, something found: left unexplained", seen, lambda o: o.verdict == "unexplained"),
         _count("not in the catalogue: left unexplained (recall)", outside, lambda o: o.verdict == "unexplained"),
         _count("left unexplained: rightly (precision)", abstained, lambda o: o.group == "outside"),
-        _count("not in the catalogue: told by effects of the right kind and place", outside, lambda o: o.in_words),
+        _count("not in the catalogue: described by effects of the right kind and place", outside, lambda o: o.in_words),
         _count("not in the catalogue: a wrong cause named", outside, lambda o: o.named and not o.in_words),
         _count("not in the catalogue, left unexplained: place right",
                [o for o in outside if o.verdict == "unexplained"], lambda o: o.place),
@@ -97,7 +97,7 @@ def _scores(outcomes: Sequence[Outcome], how: str) -> Table:
 
 
 def _visible(one: Sequence[Outcome]) -> tuple[tuple[Cell, ...], ...]:
-    """What is asked of single effects that the record can show."""
+    """Return the counts of single effects that the record can show."""
     name = f"one effect with a score of {SEEN:g} or more"
     return (
         _count(f"{name}: right but for equivalents", one, lambda o: bool(o.class1)),
@@ -158,7 +158,7 @@ def _by_z(outcomes: Sequence[Outcome]) -> Table:
             ))  # fmt: skip
     note = "score that the true effect would get at its true size, tunables projected out"
     columns = ("z of the truth", "cases", "found", "right", "but for equivalents", "in the set", "unexplained")
-    return Table("z", "One effect, by how visible it is", columns, tuple(rows), (note,))
+    return Table("z", "One effect, by its visibility", columns, tuple(rows), (note,))
 
 
 def _risk(outcomes: Sequence[Outcome]) -> Table:
@@ -184,9 +184,9 @@ def _ablations(done: Sequence[Finished]) -> Table:
     none = [f for f in tried if f.outcome.group == "none"]
     outside = [f for f in tried if f.outcome.group == "outside"]
     if not tried:
-        return Table("ablations", "Parts left out", (), ())
+        return Table("ablations", "Ablations", (), ())
     rows: list[tuple[Cell, ...]] = [(
-        "as it is", len(one), sum(bool(f.outcome.top1) for f in one), sum(bool(f.outcome.class1) for f in one),
+        "complete", len(one), sum(bool(f.outcome.top1) for f in one), sum(bool(f.outcome.class1) for f in one),
         len(none), sum(f.outcome.alarmed for f in none), len(outside),
         sum(f.outcome.named and not f.outcome.in_words for f in outside),
     )]  # fmt: skip
@@ -201,7 +201,7 @@ def _ablations(done: Sequence[Finished]) -> Table:
     columns = (
         "method", "one effect", "right", "but for equivalents", "healthy", "alarms", "not in the catalogue", "named",
     )  # fmt: skip
-    return Table("ablations", "Parts of the method left out, on the same records", columns, tuple(rows))
+    return Table("ablations", "Ablations of the method, on the same records", columns, tuple(rows))
 
 
 def _seen(finished: Finished, key: str) -> bool:
@@ -239,7 +239,7 @@ def _by_load(outcomes: Sequence[Outcome]) -> Table:
 
 
 def failure(o: Outcome) -> str | None:
-    """What went wrong, None where nothing did; an effect too faint to be seen is no failure."""
+    """Return the error of an answer, None if there is none; an undetectable effect is no failure."""
     if o.verdict == "crashed":
         return "no answer"
     if o.group == "none":
@@ -248,7 +248,7 @@ def failure(o: Outcome) -> str | None:
         return "missed" if (o.z_truth or 0.0) >= Z_EDGES[2] or o.group == "outside" else None
     if o.group == "outside":
         if o.named:
-            return None if o.in_words else "named what it cannot know"
+            return None if o.in_words else "named a cause outside the catalogue"
         return "wrong place" if o.place is False else None
     if o.verdict == "unexplained":
         return "left unexplained"

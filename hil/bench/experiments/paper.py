@@ -1,4 +1,4 @@
-"""`hil bench paper`: the experiments of Energies 2026, 19, 2452, sections 3.1 and 3.2, beside its figures."""
+"""Benchmark `hil bench paper`: the experiments of Energies 2026, 19, 2452, sections 3.1 and 3.2, with its figures."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from twin.network import Network
 
 CALIBRATORS = tuple(name for name in ("pso_paper", "pso", "least_squares", "kalman") if name in UNTRAINED_CALIBRATORS)
 CALM_S = 3600.0
-"""An hour after the change every excursion counts as a later one."""
+"""Time in s after the change from which every excursion counts as a later one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Which experiments on which rigs, hours of the synthesised record, randomised starts, hours that they get."""
+    """Size of the benchmark: experiments and rigs, hours of the synthetic record, random starts and their hours."""
 
     experiments: tuple[str, ...] = EXPERIMENTS
     rigs: tuple[str, ...] = RIGS
@@ -50,7 +50,7 @@ QUICK = Size(rigs=("inverse",), hours=6.0, draws=2, recovery_h=2.0)
 
 
 def measure(size: Size, seed: int, cache: Path, data: Path) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """The tables of all experiments asked for, and a line for every rig that is not here."""
+    """Return the tables of all requested experiments, and a line for every missing rig."""
     absent: dict[str, None] = {}
     records: dict[tuple[str, str], Campaign] = {}
     changes = [c for c in campaigns.CHANGES if c in size.experiments or (c == "healthy" and _needs_healthy(size))]
@@ -101,7 +101,7 @@ def _tracking_job(campaign: Campaign, size: Size, seed: int, first: bool) -> Cal
 
 
 def tracking(campaign: Campaign, size: Size, seed: int, first: bool = True) -> Table:
-    """Static against tracked at four points: Tables 3 and 4."""
+    """Compare static and tracked twin at four points: Tables 3 and 4."""
     noise = campaign.commissioned.sigma
     pooled_noise = float(np.sqrt(np.mean(noise**2)))
     rows: list[tuple[Cell, ...]] = [
@@ -128,7 +128,7 @@ def tracking(campaign: Campaign, size: Size, seed: int, first: bool = True) -> T
         tuple(rows),
         (
             *((TABLE_4_NOTE,) if first else ()),
-            "ahead: predicted with what earlier windows told. fitted: the same window after its calibration. "
+            "ahead: predicted with the parameters of earlier windows. fitted: the same window after its calibration. "
             "< 0.1 K: share of windows calibrated. by hand: the twin before it was commissioned.",
         ),
     )
@@ -140,7 +140,7 @@ def _better(now: tuple[float, ...], before: tuple[float, ...]) -> str:
 
 
 def randomised(here: list[Campaign], size: Size, seed: int) -> Table:
-    """A twin whose tunables are drawn at random at 3.5 h: windows until it is back."""
+    """Measure the windows until a twin with random tunables at 3.5 h is back."""
     rows: list[tuple[Cell, ...]] = [("paper", "pso_paper", None, RANDOMISED_WINDOWS, *(None,) * 6)]
     for campaign in here:
         part = campaign.part(campaign.onset_s, campaign.onset_s + 3600.0 * size.recovery_h)
@@ -176,7 +176,7 @@ def randomised(here: list[Campaign], size: Size, seed: int) -> Table:
 
 
 def _drawn(network: Network, calibrator: str, seed: int) -> Network:
-    """The network with a calibrator's tunables uniform in the set's initial ranges."""
+    """Return the network with a calibrator's tunables uniform in the set's initial ranges."""
     from twin.calibrators import make_calibrator
 
     ids = make_calibrator(calibrator, network).ids
@@ -196,7 +196,7 @@ def _middle_and_worst(windows: list[int | None]) -> tuple[Cell, Cell]:
 
 
 def changed(experiment: str, here: list[Campaign], size: Size, seed: int) -> Table:
-    """The rig changes at 3.5 h: how fast each calibrator follows, where the error shows, what happens later."""
+    """Measure the response of each calibrator to a change at 3.5 h: delay, place of the error, later errors."""
     rows: list[tuple[Cell, ...]] = []
     paper = ("a few", None, "heater" if experiment == "tank_insulation" else None)
     rows.append(("paper", "pso_paper", *paper, None, None, None, None, 4.5 if experiment == "modules_heat" else None))
@@ -248,7 +248,7 @@ def _static_after(result: Tracked, campaign: Campaign) -> float:
 
 
 def goals(tables: list[Table], calibrators: tuple[str, ...]) -> Table:
-    """The worst over all rigs of what the tables say, beside the goals of this project."""
+    """Compare the worst figures over all rigs with the goals of this project."""
     by_key = {table.key: table for table in tables}
     rows: list[tuple[Cell, ...]] = []
 
@@ -296,7 +296,7 @@ def _worst(cells: list[Cell]) -> Cell:
 
 
 def placed(experiment: str, here: list[Campaign]) -> Table:
-    """Heat balance of the first window after the change: which volume it names."""
+    """Return the volume that the heat balance of the first window after the change names."""
     truth = {"modules_heat": "modules", "tank_insulation": "tank"}[experiment]
     rows: list[tuple[Cell, ...]] = []
     for campaign in here:

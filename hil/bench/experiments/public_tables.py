@@ -1,4 +1,4 @@
-"""`hil bench records`: the tables of `hil.bench.experiments.public_records`, whatever dataclasses it returns."""
+"""Tables of `hil bench records`, from the dataclasses of `hil.bench.experiments.public_records`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.run.session.terminal import Steps
 
 
 def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """Tables of the public records under `data`, and a line where there is nothing to run."""
+    """Return tables of the public records under `data`, and a line if there are none."""
     if not (data / "real").is_dir():
         return (), (f"records: no {data / 'real'}; set HIL_DATA to the folder that holds 'real'",)
     from hil.bench.experiments.public_records import PARTS, run
@@ -27,7 +27,7 @@ def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
 
 
 def tables_of(key: str, title: str, found: Any) -> Iterable[Table]:
-    """A table of every list of alike dataclasses that is found, and one of what stands alone."""
+    """Return a table for every list of equal dataclasses, and one of all single values."""
     if isinstance(found, Table):
         yield found
         return
@@ -59,7 +59,7 @@ def _fields(item: Any) -> dict[str, Any]:
 
 
 def _nested(item: Any) -> dict[str, list[Any]]:
-    """Fields that hold lists of dataclasses."""
+    """Return the fields that hold lists of dataclasses."""
     found = {}
     for name, value in _fields(item).items():
         if isinstance(value, list | tuple) and value and all(dataclasses.is_dataclass(v) for v in value):

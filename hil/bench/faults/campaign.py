@@ -1,8 +1,8 @@
-"""`hil bench faults`: seeded faults of every kind on the virtual rig, and what became of heater, samples and values.
+"""Campaign of `hil bench faults`: seeded faults of every kind on the virtual rig, and their consequences.
 
-With `--pairs` two of them at a time, the second while the first lasts. The musts are the same.
-Each case is `hil run` in a process of its own against a virtual rig of its own, in real time at ten hertz. What was
-true is told by the rig (`devices.truth`), never by the harness. Finished cases are kept and not run again.
+With `--pairs` two of them at a time, the second while the first lasts. The requirements are the same.
+Each case is `hil run` in a process of its own against a virtual rig of its own, in real time at ten hertz. The
+truth comes from the rig (`devices.truth`), never from the harness. Finished cases are kept and not run again.
 """
 
 from __future__ import annotations
@@ -26,9 +26,13 @@ from hil.files.atomic import replacing
 
 ROOT = Path(__file__).resolve().parents[3]
 _SOURCES = (
-    "hil/*.py", "hil/bench/faults*.py", "hil/bench/chaos*.py", "drivers/*.py",
-    "drivers/virtual/*.py", "profiles/rigs/*",
-)  # fmt: skip
+    "hil/*.py",
+    "hil/bench/faults*.py",
+    "hil/bench/chaos*.py",
+    "drivers/*.py",
+    "drivers/virtual/*.py",
+    "profiles/rigs/*",
+)
 
 
 async def campaign(
@@ -40,7 +44,7 @@ async def campaign(
     resume: bool = True,
     done: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
-    """Run `cases`, `jobs` at a time; with `keep`, those whose result lies in that folder are not run again.
+    """Run `cases`, `jobs` at a time; with `keep`, cases with a result in that folder are not run again.
 
     With `resume` the first of each kind, and each that a signal struck, goes on once its fault is over, which takes it
     a minute.
@@ -52,7 +56,7 @@ async def campaign(
         async with room:
             result = None if path is None else _kept(path)
             if result is None:
-                # The first of each kind is followed to its record and report, the others are spared that.
+                # The first of each kind is followed to its record and report, the others are not.
                 thorough = number == 0 and AND not in kind
                 result = await run_case(kind, number, seed, thorough=thorough, resume=resume)
                 if path is not None:
@@ -74,7 +78,8 @@ def measure(
     jobs: int = 2,
     two: bool = False,
 ) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
-    """The campaign's tables, what was left out, and whether every must was kept. `progress`: share done, last case.
+    """Return the campaign's tables, everything left out, and True if no requirement was broken. `progress`: share done,
+    last case. `two`: `runs` pairs of faults.
 
     `two`: `runs` pairs of faults.
     """
@@ -103,7 +108,7 @@ def measure(
 
 
 def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
-    """What happened by kind, the musts, what the kinds are, and every case that broke a must."""
+    """Return the outcomes by kind, the requirements, the kinds themselves, and every case that broke a requirement."""
     names = [name for name in KINDS if any(result.kind == name for result in results)]
     rows = [_row(name, [result for result in results if result.kind == name]) for name in names]
     rows.append(_row("all", results))
@@ -111,25 +116,36 @@ def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
         "kinds",
         f"{len(results)} faults on the virtual rig",
         (
-            "kind", "runs", "seen", "rode through", "ended", "safe after detection s", "worst",
-            "safe after fault s", "worst", "samples", "lost", "wrong", "resumed",
+            "kind",
+            "runs",
+            "seen",
+            "rode through",
+            "ended",
+            "safe after detection s",
+            "worst",
+            "safe after fault s",
+            "worst",
+            "samples",
+            "lost",
+            "wrong",
+            "resumed",
         ),
         tuple(rows),
         (
-            "Safe: nothing reaches the heater any more, told by the rig's own log. Medians and worst.",
+            "Safe: nothing reaches the heater any more, by the rig's own log. Medians and worst.",
             "Detected: the harness left its running state, its guardian acted or the rig's watchdog cut; the earliest.",
             "Seen: a value was recorded as not good, or a warning told, or it was detected.",
             "Samples: acknowledged, that is read by another process from the live journal; lost: not in it afterwards.",
             "Resumed: the first of each kind, and each that came at any instant, by `hil resume` with the fault over: "
             "wire, disk, sensor, pump or fan in order again, the rig back from its reboot, what hung killed. The "
-            "rig is led back, the profile goes on, and nothing is lost.",
+            "thermal state is restored, the profile goes on, and nothing is lost.",
             "Wrong: recorded as good and not true, by the rig's log, at any time within the staleness limit.",
             f"{cpu_s:.1f} CPU seconds a run, those kept from before not counted.",
         ),
-    )  # fmt: skip
+    )
     about = Table(
         "about",
-        "What the kinds are",
+        "Kinds of fault",
         ("kind", "what happens"),
         tuple((name, KINDS[name].about) for name in names),
         ("Two of them at a time: `hil bench faults --pairs 80`, `faults_pairs.md`.",),
@@ -138,24 +154,39 @@ def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
 
 
 def pair_tables(results: list[Result], seed: int) -> tuple[Table, ...]:
-    """What happened by pair, the musts, and every pair that broke one."""
+    """Return the outcomes by pair, the requirements, and every pair that broke one."""
     rows: list[tuple[Cell, ...]] = []
     for r in results:
         ended = r.heated and r.safe is not None and r.detected is not None and r.ended != "rode through"
         resumed = None if r.resumed is None else "yes" if r.resumed else "no"
         rows.append(
             (
-                r.kind, case_of(r.kind, r.number, seed).apart_s, r.ended, r.by or None,
-                max((r.safe or 0.0) - (r.detected or 0.0), 0.0) if ended else None, r.safe if ended else None,
-                r.acknowledged, r.lost, len(r.wrong), resumed,
+                r.kind,
+                case_of(r.kind, r.number, seed).apart_s,
+                r.ended,
+                r.by or None,
+                max((r.safe or 0.0) - (r.detected or 0.0), 0.0) if ended else None,
+                r.safe if ended else None,
+                r.acknowledged,
+                r.lost,
+                len(r.wrong),
+                resumed,
             )
-        )  # fmt: skip
+        )
     happened = Table(
         "pairs",
         f"{len(results)} pairs of faults on the virtual rig",
         (
-            "first + second", "apart s", "ended", "by", "safe after detection s", "safe after fault s", "samples",
-            "lost", "wrong", "resumed",
+            "first + second",
+            "apart s",
+            "ended",
+            "by",
+            "safe after detection s",
+            "safe after fault s",
+            "samples",
+            "lost",
+            "wrong",
+            "resumed",
         ),
         tuple(rows),
         (
@@ -165,7 +196,7 @@ def pair_tables(results: list[Result], seed: int) -> tuple[Table, ...]:
             "By: who detected, the harness, its guardian or the rig's watchdog.",
             "With the wire to the heater down only the rig can act, whoever detects: see decision 0013.",
         ),
-    )  # fmt: skip
+    )
     return (happened, _musts(results), *_broken(results))
 
 
@@ -197,9 +228,9 @@ def _row(name: str, results: list[Result]) -> tuple[Cell, ...]:
 
 
 def _musts(results: list[Result]) -> Table:
-    """Each must with what was found."""
+    """Return each requirement with its result."""
     heated = [r for r in results if r.heated and r.ended != "rode through"]
-    # Nobody was left to detect what a rig that began anew cut by itself.
+    # No agent was left to detect the watchdog's cut on a rig that restarted.
     told = [r for r in heated if r.ended != "killed" or r.detected is not None]
     deaf = [r for r in told if r.wire_down]
     reacted = [r for r in told if r.safe is not None and r.detected is not None]
@@ -255,7 +286,7 @@ def _kept(path: Path) -> Result | None:
 
 
 def fingerprint() -> str:
-    """Return a digest of all that a case's outcome depends on: a change of it makes kept cases void."""
+    """Return a digest of everything that a case's outcome depends on: its change invalidates finished cases."""
     digest = hashlib.sha256()
     for pattern in _SOURCES:
         for path in sorted(ROOT.glob(pattern)):

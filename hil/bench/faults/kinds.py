@@ -1,4 +1,4 @@
-"""The kinds of fault of the campaign: what is done to rig, wires or harness, and what has to come of it."""
+"""Kinds of fault of the campaign: the act on rig, wires or harness, and the required outcome."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from drivers.virtual.faults import faulty_replies as replies
 from drivers.virtual.faults.faulty_link import FaultyLink
 
 Ending = Literal["stops", "rides", "either", "killed"]
-"""The run ends by itself; goes on; one of the two, by how long the fault lasts; the harness is gone."""
+"""Endings: the run ends by itself; goes on; one of the two, depending on the length of the fault; the harness is gone.
+"""
 
 
 class Stage(Protocol):
-    """What a fault may lay hands on."""
+    """Targets of a fault."""
 
     generator: random.Random
     plc: FaultyLink
@@ -37,7 +38,7 @@ class Stage(Protocol):
 Act = Callable[[Stage], Awaitable[None]]
 
 MENDED_AFTER_S = 15.0
-"""A sensor, pump or fan is mended so long after it failed, s: many times as long as it may take the run to end."""
+"""Time after which a failed sensor, pump or fan is repaired, s: many times as long as the run may take to end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ class Kind:
 
 
 def _lasting(change: Callable[[random.Random], replies.Change], wire: str = "plc") -> Act:
-    """Every frame is changed from now on."""
+    """Change every frame from now on."""
 
     async def act(stage: Stage) -> None:
         link = stage.plc if wire == "plc" else stage.can
@@ -69,7 +70,7 @@ def _lasting(change: Callable[[random.Random], replies.Change], wire: str = "plc
 
 
 def _brief(change: Callable[[random.Random], replies.Change], wire: str = "plc") -> Act:
-    """Frames are changed for 0.1 to 0.5 s."""
+    """Change frames for 0.1 to 0.5 s."""
 
     async def act(stage: Stage) -> None:
         link = stage.plc if wire == "plc" else stage.can
@@ -95,7 +96,7 @@ async def _half_open(stage: Stage) -> None:
 
 
 async def _server_restart(stage: Stage) -> None:
-    """The Modbus server of the gateway goes and comes again; the PLC behind it goes on."""
+    """Restart the Modbus server of the gateway; the PLC behind it goes on."""
     stage.plc.drop()
     await asyncio.sleep(stage.generator.uniform(0.3, 4.0))
     await stage.plc.restore()
@@ -119,7 +120,7 @@ async def _bus_off(stage: Stage) -> None:
 
 
 async def _error_frames(stage: Stage) -> None:
-    """Error frames among good ones: a disturbed bus that copes."""
+    """Insert error frames among good ones: a disturbed bus that still works."""
     for _ in range(stage.generator.randint(3, 12)):
         stage.can.say(f"< error 200000{stage.generator.choice(('04', '08', '80'))} 1.000000 >".encode())
         await asyncio.sleep(stage.generator.uniform(0.0, 0.1))
@@ -220,7 +221,7 @@ KINDS: dict[str, Kind] = {
 
 
 def effect_text(kind: Kind, generator: random.Random, channels: tuple[str, ...], onset_s: float) -> str:
-    """The effects file of a fault that the rig itself has, from `onset_s` of rig time on, for `MENDED_AFTER_S`."""
+    """Return the effects file of a fault of the rig itself, from `onset_s` of rig time on, for `MENDED_AFTER_S`."""
     values = {
         "channel": generator.choice(channels),
         "jump": f"{generator.choice((-1, 1)) * generator.uniform(8.0, 30.0):.2f}",

@@ -1,4 +1,4 @@
-"""`hil bench files`: mutated files of every kind against their readers, as tables."""
+"""Tables of `hil bench files`: mutated files of every kind against their readers."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from hil.bench.measure.report import Table
 
 QUICK, FULL = 300, 20_000
 RECORDS = "hil.bench.fuzz.records"
-"""Records and load profiles have mutations of their own: columns, stamps and separators, and Parquet's types."""
+"""Records and load profiles have their own mutations: columns, stamps and separators, and Parquet's types."""
 _COLUMNS = (READ, REFUSED, UNCLEAR, TRACEBACK, HANG)
 
 
 def measure(
     count: int, seed: int, progress: Callable[[float], None]
 ) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
-    """Return tables of `count` mutations of each kind of file, what was left out, and whether nothing failed."""
+    """Return tables of `count` mutations of each kind of file, everything left out, and True if nothing failed."""
     found = fuzz_files(count, seed, progress=lambda share: progress(0.8 * share))
     skipped = [] if "Home Assistant" in found else ["Home Assistant: PyYAML is not installed"]
     rows = _rows(found)
@@ -25,7 +25,7 @@ def measure(
     if importlib.util.find_spec(RECORDS) is not None:
         records = importlib.import_module(RECORDS).fuzz_records(count, seed)
         rows += _rows({f"record: {kind}": one for kind, one in records.items()})
-        failures += sum(one.failures for one in records.values())  # records that are read wrongly among them
+        failures += sum(one.failures for one in records.values())  # With records that are read wrongly.
     progress(1.0)
     table = Table(
         "files",

@@ -1,4 +1,4 @@
-"""Records that `hil bench hiera` scores: rigs never trained on, with a change at a known moment or none.
+"""Records of `hil bench hiera`: rigs never trained on, with a change at a known moment or none.
 
 simulated   networks with more in them than the twin, from seeds of the benchmark's own
 virtual     the virtual rig's plant, built and other specimens, with the shipped effects
@@ -33,22 +33,22 @@ from twin.network import Array
 
 RIGS = ("simulated", "virtual", "stranger")
 FIRST = 13
-"""Target from which a case is scored: two hours and ten minutes into the record."""
+"""First target of the score: two hours and ten minutes into the record."""
 BEFORE, AFTER = 3, 8
-"""Targets before the change and after it, which lies somewhere in the target between."""
+"""Targets before and after the change, which lies within the target between."""
 STEPS = TARGET * (FIRST + BEFORE + 1 + AFTER)
 LEAST = 0.1
-"""Smallest deviation of a tracked parameter that is worth following."""
+"""Least deviation of a tracked parameter in these cases."""
 EFFECTS = ("modules_heat", "tank_insulation", "radiator_fouling", "pump_heat", "tank_sensor_lag")
 STRANGERS = ("d0", "d1", "d2", "d3", "d4", "d5", "d6", "d7")
 STRANGER_TARGETS = 36
 BENCH = 7_000_000
-"""Added to seeds, so that no campaign is one of training's."""
+"""Offset of seeds, so that no campaign is one of training's."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One record.
+    """Record of the benchmark.
 
     Attributes:
         rig: one of RIGS. kind: healthy, tracked (a parameter that the twin has moved) or other. seed: what made it.
@@ -66,18 +66,18 @@ class Case:
 
     @property
     def first_after(self) -> int:
-        """Number of the first target that lies after the change altogether."""
+        """Return the number of the first target after the change."""
         return -(-self.onset // TARGET)
 
     def truth(self) -> Array:
-        """(n, 120, Y) degC, what the targets are scored against: measured where nothing better is known."""
+        """Return (n, 120, Y) degC, the truth of the targets' score: measurements if nothing better is known."""
         c = self.campaign
         source = np.where(np.isfinite(c.truth), c.truth, c.series.measured)
         return np.stack([source[TARGET * k : TARGET * (k + 1)] for k in self.targets])
 
 
 def _window_of_change(rng: np.random.Generator) -> int:
-    """Step of a change somewhere inside target FIRST + BEFORE."""
+    """Draw the step of a change within target FIRST + BEFORE."""
     return TARGET * (FIRST + BEFORE) + int(rng.integers(1, TARGET))
 
 
@@ -86,7 +86,7 @@ def _targets() -> tuple[int, ...]:
 
 
 def simulated(family: Family, seed: int, count: int) -> Iterator[Case]:
-    """Cases of simulated rigs: healthy, tracked and other in turn."""
+    """Return cases of simulated rigs: healthy, tracked and other in turn."""
     for number in range(count):
         rng = np.random.default_rng([seed + BENCH, number, 23])
         rig = rig_of(family, seed + BENCH, number)
@@ -110,7 +110,7 @@ def simulated(family: Family, seed: int, count: int) -> Iterator[Case]:
 def _other(
     family: Family, plant: Array, rng: np.random.Generator, inputs: Array, hour: float
 ) -> tuple[tuple[changes.Change, ...], int]:
-    """Something that the twin lacks, coming in at once inside the right window."""
+    """Draw an effect that the twin lacks, with its onset within the right window."""
     low, high = TARGET * (FIRST + BEFORE) + 1, TARGET * (FIRST + BEFORE + 1)
     while True:
         drawn = changes.untracked(family, plant, rng, inputs, hour)
@@ -120,7 +120,7 @@ def _other(
 
 
 def virtual(features: Features, seed: int, count: int) -> Iterator[Case]:
-    """Cases of the virtual rig's plant: every other one healthy, the rest with a shipped effect at its moment."""
+    """Return cases of the virtual rig's plant: every other one healthy, the rest with a shipped effect at its onset."""
     for number in range(count):
         rng = np.random.default_rng([seed + BENCH, number, 29])
         specimen = specimen_of(features, seed + BENCH, number)
@@ -139,7 +139,7 @@ def virtual(features: Features, seed: int, count: int) -> Iterator[Case]:
 
 
 def strangers(features: Features, data: Path, names: tuple[str, ...] = STRANGERS) -> Iterator[Case]:
-    """Rigs that this project did not write, each commissioned on its own healthy record.
+    """Return rigs of another maker, each commissioned on its own healthy record.
 
     Raises:
         Absent: their records are not here.
@@ -160,15 +160,20 @@ def strangers(features: Features, data: Path, names: tuple[str, ...] = STRANGERS
         start = max(FIRST, 0 if quiet else onset // TARGET - BEFORE)
         unknown = np.full((len(made), len(features.deviations)), np.nan)
         campaign = Campaign(
-            made, np.full(made.measured.shape, np.nan), unknown, np.arange(len(made)) >= onset, twin.values.copy(),
-            "stranger", () if quiet else (answer,),
-        )  # fmt: skip
+            made,
+            np.full(made.measured.shape, np.nan),
+            unknown,
+            np.arange(len(made)) >= onset,
+            twin.values.copy(),
+            "stranger",
+            () if quiet else (answer,),
+        )
         targets = tuple(range(start, min(start + STRANGER_TARGETS, len(made) // TARGET)))
         yield Case(name, "stranger", "healthy" if quiet else "other", 0, campaign, targets, onset)
 
 
 def hidden(case: Case, share: float, seed: int) -> Case:
-    """The same case with a share of its channels lost, half an hour into the record."""
+    """Return the same case with a share of its channels lost, half an hour into the record."""
     s = case.campaign.series
     rng = np.random.default_rng([seed, 31])
     inputs, measured = s.inputs.copy(), s.measured.copy()

@@ -1,4 +1,4 @@
-"""The tables of `hil bench hiera`."""
+"""Tables of `hil bench hiera`."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 BETWEEN = "Middle 90 % when cases are drawn again (bootstrap over cases)."
 AHEAD = (
-    "Each ten minutes are predicted from what was known before they began; hiera unet and hiera ls also take on what "
-    "they find at their middle, for the second half."
+    "Each ten minutes are predicted from earlier data; hiera unet and hiera ls also use their "
+    "estimates at the middle, for the second half."
 )
 
 
 def tables(found: Everything, rigs: tuple[str, ...]) -> tuple[Table, ...]:
-    """All tables, in reading order."""
+    """Return all tables, in reading order."""
     return (
         errors(found.whole, rigs),
         recovery(found.whole, rigs),
@@ -46,7 +46,7 @@ def _range(low: float, high: float, form: str = "{:.3f}") -> Cell:
 
 
 def errors(results: Results, rigs: tuple[str, ...]) -> Table:
-    """Errors of blind predictions, healthy and changed."""
+    """Return errors of blind predictions, healthy and changed."""
     rows: list[tuple[Cell, ...]] = []
     for rig in rigs:
         for name, scores in _of(results, rig).items():
@@ -54,10 +54,18 @@ def errors(results: Results, rigs: tuple[str, ...]) -> Table:
                 continue
             healthy = judge.interval(scores, lambda x: judge.pooled(x, lambda s: s.before))
             changed = judge.interval(scores, lambda x: judge.pooled(x, lambda s: s.after))
-            rows.append((
-                rig, name, healthy[0], _range(*healthy[1:]), judge.typical(scores, lambda s: s.before), changed[0],
-                _range(*changed[1:]), judge.typical(scores, lambda s: s.after),
-            ))  # fmt: skip
+            rows.append(
+                (
+                    rig,
+                    name,
+                    healthy[0],
+                    _range(*healthy[1:]),
+                    judge.typical(scores, lambda s: s.before),
+                    changed[0],
+                    _range(*changed[1:]),
+                    judge.typical(scores, lambda s: s.after),
+                )
+            )
     return Table(
         "errors",
         "RMSE of predictions ten minutes ahead, K",
@@ -72,7 +80,7 @@ def errors(results: Results, rigs: tuple[str, ...]) -> Table:
 
 
 def recovery(results: Results, rigs: tuple[str, ...]) -> Table:
-    """How soon predictions are right again after a change."""
+    """Return the delay until predictions are right again after a change."""
     rows: list[tuple[Cell, ...]] = []
     for rig in rigs:
         for name, scores in _of(results, rig).items():
@@ -82,11 +90,20 @@ def recovery(results: Results, rigs: tuple[str, ...]) -> Table:
             one = judge.interval(scores, lambda x: judge.share_recovered(x, 2.0))
             tracked = [s for s in scores if s.kind == "tracked"]
             count = sum(not np.isnan(s.recovered) for s in tracked)
-            rows.append((
-                rig, name, len(needed), _count(float(np.median(needed))), judge.share_recovered(scores, 1.0), one[0],
-                _range(*one[1:], "{:.2f}"), float(np.mean(np.isinf(needed))), count,
-                judge.share_recovered(tracked, 2.0) if count else None,
-            ))  # fmt: skip
+            rows.append(
+                (
+                    rig,
+                    name,
+                    len(needed),
+                    _count(float(np.median(needed))),
+                    judge.share_recovered(scores, 1.0),
+                    one[0],
+                    _range(*one[1:], "{:.2f}"),
+                    float(np.mean(np.isinf(needed))),
+                    count,
+                    judge.share_recovered(tracked, 2.0) if count else None,
+                )
+            )
     return Table(
         "recovery",
         "Targets until predictions are below 0.1 K again, the first whole one after the change being 1",
@@ -96,7 +113,7 @@ def recovery(results: Results, rigs: tuple[str, ...]) -> Table:
             "By 2: after one whole window of the changed rig. Only changes that put the commissioned twin above 0.1 K "
             "count.",
             "Tracked: changes of a parameter that the twin tracks. The others are heat or physics that it lacks, and "
-            "thermometers that err, of which the true reading is asked.",
+            "biased sensors, whose true reading is the target.",
             BETWEEN,
         ),
     )
@@ -107,12 +124,12 @@ def _count(value: float) -> Cell:
 
 
 def _sound(scores: list[Score]) -> list[Score]:
-    """Cases of rigs without physics that the twin lacks: elsewhere no value of its parameters is right."""
+    """Return cases of rigs without physics that the twin lacks: elsewhere no value of its parameters is right."""
     return [s for s in scores if s.kind in ("healthy", "tracked")]
 
 
 def parameters(results: Results) -> Table:
-    """Errors of deviations over their Cramer-Rao bounds."""
+    """Return errors of deviations over their Cramer-Rao bounds."""
     rows: list[tuple[Cell, ...]] = []
     for rig in ("simulated", "virtual"):
         for name, scores in _of(results, rig).items():
@@ -145,7 +162,7 @@ def parameters(results: Results) -> Table:
 
 
 def parameter_intervals(results: Results) -> Table:
-    """How often parameters lie inside the intervals that calibrators give with them."""
+    """Return the coverage of parameters by the intervals of their calibrators."""
     rows: list[tuple[Cell, ...]] = []
     for rig in ("simulated", "virtual"):
         for name, scores in _of(results, rig).items():
@@ -154,10 +171,17 @@ def parameter_intervals(results: Results) -> Table:
                 continue
             healthy = judge.interval(told, lambda x: judge.sure(x, lambda one: one.before))
             changed = judge.interval(told, lambda x: judge.sure(x, lambda one: one.after))
-            rows.append((
-                rig, name, int(sum(np.isfinite(s.sure[s.before | s.after]).sum() for s in told)), healthy[0],
-                _range(*healthy[1:], "{:.2f}"), changed[0], _range(*changed[1:], "{:.2f}"),
-            ))  # fmt: skip
+            rows.append(
+                (
+                    rig,
+                    name,
+                    int(sum(np.isfinite(s.sure[s.before | s.after]).sum() for s in told)),
+                    healthy[0],
+                    _range(*healthy[1:], "{:.2f}"),
+                    changed[0],
+                    _range(*changed[1:], "{:.2f}"),
+                )
+            )
     return Table(
         "parameter_intervals",
         "Parameters inside their own 90 % intervals",
@@ -168,7 +192,7 @@ def parameter_intervals(results: Results) -> Table:
 
 
 def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> Table:
-    """Coverage and width of 90 % intervals."""
+    """Return coverage and width of 90 % intervals."""
     rows: list[tuple[Cell, ...]] = []
     for rig in rigs:
         for name, scores in _of(results, rig).items():
@@ -196,7 +220,7 @@ def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> 
 
 
 def _share(widths: np.ndarray, *, own: bool = False) -> Callable[[list[Score]], float]:
-    """Share inside of a list of scores; each is counted once, however often it is drawn again."""
+    """Return the share inside of a list of scores; each is counted once, also in a bootstrap."""
     counted: dict[int, tuple[float, float, int]] = {}
 
     def share(scores: list[Score]) -> float:
@@ -210,7 +234,7 @@ def _share(widths: np.ndarray, *, own: bool = False) -> Callable[[list[Score]], 
 
 
 def lost(found: Everything) -> Table:
-    """Errors with channels hidden."""
+    """Return errors with channels hidden."""
     rows: list[tuple[Cell, ...]] = []
     shares = sorted(found.lost)
     for rig in ("simulated", "virtual"):
@@ -235,7 +259,7 @@ def _all(s: Score) -> np.ndarray:
 
 
 def false_flags(found: Everything) -> Table:
-    """How often `calibrated` was said in vain."""
+    """Return the share of false `calibrated` flags."""
     rows: list[tuple[Cell, ...]] = []
     for name, scores in found.whole.items():
         said = np.concatenate([s.calibrated for s in scores])
@@ -246,7 +270,7 @@ def false_flags(found: Everything) -> Table:
     return Table(
         "flags",
         f"Said to be calibrated, and the next ten minutes missed by more than {found.threshold_K:g} K",
-        ("by", "said", "in vain", "from to"),
+        ("by", "said", "false", "from to"),
         tuple(rows),
         (BETWEEN,),
     )
@@ -258,11 +282,11 @@ RIVALS = {
     "hiera unet": "least squares",
     "hiera ls": "least squares",
 }
-"""Who a contestant must not be worse than: the same fit without the network."""
+"""Rival that a contestant must not be worse than: the same fit without the network."""
 
 
 def goals(found: Everything) -> tuple[Table, ...]:
-    """What the network set out to reach, beside what it did; no table without a network."""
+    """Return the network's goals and results; no table without a network."""
     rows: list[tuple[Cell, ...]] = []
     for name in (n for n in RIVALS if n in found.whole):
         scores = [s for s in found.whole[name] if s.rig != "stranger"]
@@ -284,7 +308,7 @@ def goals(found: Everything) -> tuple[Table, ...]:
             ),
             (name, "changes of tracked parameters recovered by 2", ">= 0.95", judge.share_recovered(moved, 2.0)),
         ]
-        rows += simulated if scores else []  # of a stranger's rig neither truth nor bound is known
+        rows += simulated if scores else []  # Neither truth nor bound of a stranger's rig is known.
         rows.append((name, "changes recovered by 2", ">= 0.95", judge.share_recovered(found.whole[name], 2.0)))
         if rival is not None:
             rows.append(
@@ -297,17 +321,17 @@ def goals(found: Everything) -> tuple[Table, ...]:
 
 
 def cost(results: Results) -> Table:
-    """CPU time of one window."""
+    """Return the CPU time of one window."""
     rows = tuple((name, 1e3 * float(np.median([s.cpu_s for s in scores]))) for name, scores in results.items())
     return Table("cost", "CPU time, ms a window of ten minutes (one thread)", ("by", "ms"), rows)
 
 
 LIMITS_MS = {"small": 10.0, "full": 50.0}
-"""What one causal forward may take."""
+"""Longest time of one causal forward pass, ms."""
 
 
 def forwards(timed: Iterable[Latency]) -> tuple[Table, ...]:
-    """One causal forward of each configuration, on one thread."""
+    """Return the time of one causal forward pass of each configuration, on one thread."""
     rows = tuple((t.config, t.weights, t.minimum_ms, t.median_ms, LIMITS_MS[t.config]) for t in timed)
     notes = ("Of random weights; the least of many says what it costs where nothing else runs.",)
     columns = ("configuration", "weights", "least", "median", "goal <=")

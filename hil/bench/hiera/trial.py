@@ -1,4 +1,4 @@
-"""`hil bench hiera`: who keeps a twin true, on rigs that no network has seen: swarm, least squares, filter, network."""
+"""Benchmark `hil bench hiera`: calibrators on rigs that no network has seen: swarm, least squares, filter, network."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ from twin.calibrators.hiera_unet.plants import Family
 LOST = (0.10, 0.25)
 """Shares of the channels that are hidden from all contestants."""
 CALIBRATING = 900_001
-"""Added to seeds for the cases that constant intervals are calibrated on."""
+"""Offset of seeds for the cases that calibrate constant intervals."""
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Seeds; simulated and virtual cases a seed; which rigs; trackers by name, all that are here if empty.
+    """Size of the benchmark: seeds; simulated and virtual cases for each seed; rigs; trackers by name, all if empty.
+    `lost_every`: number of cases for each one with lost channels. `calibrating`: simulated cases that set constant
+    intervals; of virtual ones a third as many, as in the score.
 
     `lost_every`: of so many cases one is given with channels lost too. `calibrating`: simulated cases that set constant
     intervals; of virtual ones a third as many, as in what is scored.
@@ -44,17 +46,18 @@ class Size:
 
 
 FORWARDS = ("small", "full")
-"""Configurations whose causal forward is timed."""
+"""Configurations whose causal forward pass is timed."""
 FULL = Size(simulated=16, virtual=6, lost_every=7, calibrating=12)
 QUICK = Size(seeds=(0,), simulated=3, virtual=2, rigs=("simulated", "virtual"), lost=(0.25,))
 
 Results = dict[str, list[Score]]
-"""Contestant -> its scores, a case each."""
+"""Contestant -> its scores, one for each case."""
 
 
 @dataclass(frozen=True)
 class Everything:
-    """What was measured: on all cases, with channels lost, and on the cases that set constant intervals.
+    """Results on all cases, with channels lost, and on the cases that set constant intervals. `lost`: by share; 0 has
+    the same cases whole.
 
     `lost`: by share; 0 has the same cases whole.
     """
@@ -68,10 +71,10 @@ class Everything:
 def measure(
     size: Size, seed: int, data: Path, say: Callable[[float, str], None], network: Path | None = None
 ) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """The tables, and a line for everything that was left out.
+    """Return the tables, and a line for everything left out.
 
     Args:
-        seed: added to those of `size`. data: folder with the stranger rigs. say: told what is under way.
+        seed: added to those of `size`. data: folder with the stranger rigs. say: called with each stage.
         network: card of a trained ensemble; without, the network takes no part.
     """
     features = features_of()

@@ -1,4 +1,4 @@
-"""`hil bench twin`: what one window costs, ours against everyone else's, and how near that is to the goals."""
+"""Benchmark `hil bench twin`: cost of one window, ours and that of peers, and the distance to the goals."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from twin.twinfile import load
 
 TWINS = Path(__file__).resolve().parents[3] / "profiles" / "twins"
 MATCHED_K = 1e-6
-"""A solver counts as matched in accuracy when it errs by no more than this, K."""
+"""Largest error of a solver of matched accuracy, K."""
 FINE = 200
 """Steps a second of the slow simulation that judges networks with pipes."""
 JUDGED = 20
@@ -31,7 +31,7 @@ JUDGED = 20
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How much to measure. `samples` of one second make a window; `whole_h` is the long forward run."""
+    """Size of the benchmark. `samples` of one second make a window; `whole_h` is the long forward run."""
 
     samples: int = 600
     counts: tuple[int, ...] = (1, 100, 1_000, 10_000, 100_000)
@@ -59,7 +59,7 @@ class _Found:
 
 
 def measure(size: Size, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """All tables, and a line for everything that could not take part."""
+    """Return all tables, and a line for every absent contestant."""
     network = load(TWINS / "loop.toml")
     found = _Found({}, {}, {}, {}, {})
     extra = _other_networks(found)
@@ -103,7 +103,9 @@ def measure(size: Size, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
 
 
 def _other_networks(found: _Found) -> list[tuple[str, Network]]:
-    """Networks beside the four-volume loop that this version can simulate: a nonlinear one, one of more volumes."""
+    """Measure other networks than the four-volume loop that this version can simulate: a nonlinear one, one of more
+    volumes.
+    """
     from hil.bench.kernel.variants import nine_volumes, nonlinear
 
     out = []
@@ -209,7 +211,7 @@ def _single_table(found: _Found, size: Size) -> Table:
 
 
 def _per_window(found: _Found, name: str, schedule: str) -> float:
-    """CPU seconds of a window in the best swarm."""
+    """Return the CPU seconds of a window in the best swarm."""
     return 1.0 / max(found.swarm.get((name, schedule), {}).values(), default=float("nan"))
 
 
@@ -236,7 +238,7 @@ def _swarm_table(found: _Found, size: Size) -> Table:
 
 
 def _short(count: int) -> str:
-    """`10k` for ten thousand."""
+    """Format ten thousand as `10k`."""
     return f"{count // 1000}k" if count >= 1000 else str(count)
 
 

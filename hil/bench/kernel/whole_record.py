@@ -1,4 +1,4 @@
-"""Forty hours tracked window by window: what the calibrators cost when they go on from the window before."""
+"""Forty hours tracked window by window: cost of calibrators that continue from the window before."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEVEL_S = 900
 
 @dataclass(slots=True)
 class Clocked:
-    """A calibrator whose CPU seconds are counted; satisfies `Calibrator`."""
+    """Calibrator whose CPU seconds are counted; satisfies `Calibrator`."""
 
     inner: Calibrator
     cpu_s: list[float] = field(default_factory=list)
@@ -47,7 +47,7 @@ class Clocked:
 
 
 def drifting(network: Network, hours: float, seed: int) -> tuple[Array, Array, Array]:
-    """Time (n,), inputs (n, c) and noisy readings (n, m) of a loop whose radiator loses a fifth on the way."""
+    """Return time (n,), inputs (n, c) and noisy readings (n, m) of a loop whose radiator loses a fifth on the way."""
     samples = int(hours * 3600)
     time_s = np.arange(samples, dtype=np.float64)
     inputs = np.repeat(drive(network, "each s", -(-samples // LEVEL_S), seed)[1], LEVEL_S, axis=0)[:samples]
@@ -65,7 +65,7 @@ def drifting(network: Network, hours: float, seed: int) -> tuple[Array, Array, A
 
 
 def whole_table(network: Network, hours: float, seed: int) -> Table:
-    """Every calibrator with every set of tunables over one drifting record."""
+    """Measure every calibrator with every set of tunables over one drifting record."""
     time_s, inputs, readings = drifting(network, hours, seed)
     plan = [
         (name, tunables)

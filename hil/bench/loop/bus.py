@@ -1,4 +1,4 @@
-"""`hil bench bus`: round trips of the Modbus driver beside other people's clients, on the same server in the same run.
+"""Benchmark `hil bench bus`: round trips of the Modbus driver and of other clients, on the same server in the same run.
 
 The server is the virtual rig in a process of its own. A round trip reads its twelve input registers; contestants take
 turns, a slice each, so that whatever else the machine does falls on all of them. What each library does by itself to
@@ -37,7 +37,9 @@ AIM_S = 15.0
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """`slices` of `trips` round trips for each contestant; `steps` in lockstep; `pipelined` requests in one segment."""
+    """Size of the benchmark: `slices` of `trips` round trips for each contestant; `steps` in lockstep; `pipelined`
+    requests in one segment.
+    """
 
     slices: int
     trips: int
@@ -53,7 +55,7 @@ Progress = Callable[[float], None]
 
 @dataclass
 class _Contestant:
-    """A client; `ask` makes one round trip and returns its registers."""
+    """Client; `ask` makes one round trip and returns its registers."""
 
     name: str
     ask: Callable[[], object] | Callable[[], Awaitable[object]]
@@ -67,7 +69,7 @@ class _Contestant:
 def measure(
     size: Size, seed: int, progress: Progress = lambda share: None
 ) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """Tables, and what was left out."""
+    """Return the tables, and everything left out."""
     return asyncio.run(_measure(size, seed, progress))
 
 
@@ -95,7 +97,7 @@ async def _round_trips(rig: VirtualRig, size: Size, skipped: list[str], progress
 
 
 async def _slice(one: _Contestant, trips: int) -> None:
-    """One slice; each trip is timed by itself."""
+    """Run one slice; each trip is timed by itself."""
     now, kept, ask = time.perf_counter, one.latencies_s, one.ask
     began = before = now()
     for _ in range(trips):
@@ -163,10 +165,15 @@ def _rates_table(contestants: list[_Contestant], size: Size) -> Table:
     for one in contestants:
         ordered = sorted(one.latencies_s)
         share = statistics.median(a / b for a, b in zip(one.rates, fastest.rates, strict=True))
-        rows.append((
-            one.name, medians[one.name], share, 1e6 * ordered[len(ordered) // 2],
-            1e6 * ordered[int(0.99 * len(ordered))],
-        ))  # fmt: skip
+        rows.append(
+            (
+                one.name,
+                medians[one.name],
+                share,
+                1e6 * ordered[len(ordered) // 2],
+                1e6 * ordered[int(0.99 * len(ordered))],
+            )
+        )
     return Table(
         "round_trips",
         f"Round trips of {COUNT} registers, one after the other, on the virtual rig's server",
@@ -181,7 +188,7 @@ def _rates_table(contestants: list[_Contestant], size: Size) -> Table:
 
 
 def _pipelined(rig: VirtualRig, count: int) -> Table:
-    """Requests in one segment, answered in order and each with its own transaction."""
+    """Send requests in one segment, answered in order and each with its own transaction."""
     with socket.create_connection((rig.host, rig.modbus_port), timeout=5.0) as wire:
         wire.sendall(b"".join(struct.pack(">HHHBBHH", n, 0, 6, 1, 4, n % COUNT, 1) for n in range(count)))
         got = b""
@@ -206,7 +213,9 @@ def _pipelined(rig: VirtualRig, count: int) -> Table:
 
 
 async def _lockstep(rig: VirtualRig, size: Size, progress: Progress) -> Table:
-    """What the bus alone costs of a replay in lockstep: a read of all points and a write of four registers a step."""
+    """Measure the cost of the bus alone in a replay in lockstep: a read of all points and a write of four registers a
+    step.
+    """
     bus = ModbusBus("plc", ModbusTcpBus(transport="modbus_tcp", port=rig.modbus_port), _points(), time.monotonic)
     await bus.connect()
     part = max(1, size.steps // LOCKSTEP_PARTS)
@@ -249,7 +258,7 @@ async def _lockstep(rig: VirtualRig, size: Size, progress: Progress) -> Table:
 
 @contextlib.contextmanager
 def _raw_step(rig: VirtualRig) -> Iterator[Callable[[], None]]:
-    """A read and a write on a plain blocking socket."""
+    """Run a read and a write on a plain blocking socket."""
     write = struct.pack(">HHHBBHHB4H", 1, 0, 15, 1, 16, 0, 4, 8, 100, 800, 500, 1)
     with socket.create_connection((rig.host, rig.modbus_port)) as wire:
         wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

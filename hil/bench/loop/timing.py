@@ -1,4 +1,4 @@
-"""`hil bench loop`: how evenly the loop ticks, whether its memory stays flat, and what a run that is killed lost."""
+"""Benchmark `hil bench loop`: jitter of the loop, its memory, and the losses of a killed run."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ RIG = PROFILES / "rigs" / "virtual.toml"
 PERIOD_S = 0.1
 GOAL_MS = 5.0
 BEGUN = 0.05
-"""Memory counts from this part of the profile on: before, libraries are still being loaded."""
+"""Part of the profile from which memory counts: before, libraries are still being loaded."""
 SETTLED_S = 7200.0
-"""So long after the cut a kelvin that the soak left has gone."""
+"""Time after the interruption at which an error of a kelvin after the thermal restore has decayed, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How much to measure: seconds of real time, and the profile that is run in lockstep."""
+    """Size of the benchmark: seconds of real time, and the profile that is run in lockstep."""
 
     real_s: float = 60.0
     profile: Path = PROFILES / "loads" / "battle_40h.csv"
@@ -55,7 +55,7 @@ QUICK = Size(real_s=10.0, profile=PROFILES / "loads" / "battle_10h.csv", hours=1
 def measure(
     size: Size, seed: int, work: Path, progress: Callable[[float, str], None]
 ) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """All tables; the runs' folders are kept in a new folder of `work`. Raises RuntimeError where one goes wrong."""
+    """Return all tables; the runs' folders are kept in a new folder of `work`. Raise RuntimeError if a run fails."""
     work = work / datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
     work.mkdir(parents=True)
     progress(0.0, "10 Hz in real time")
@@ -80,7 +80,7 @@ def measure(
 
 
 async def _real_time(size: Size, seed: int, path: Path) -> tuple[Outcome, NDArray[np.float64]]:
-    """A run of the engine at 10 Hz; per tick (n, 3) its number, when its work began, s, and how long that took, s."""
+    """Run the engine at 10 Hz; return per tick (n, 3) its number, the start of its work, s, and its duration, s."""
     rig = load_rig(RIG).model_copy(update={"period_s": PERIOD_S})
     async with await start_virtual_rig(seed=seed, period_s=PERIOD_S) as virtual:
         rig = rig.with_ports({"plc": virtual.modbus_port, "thermocouples": virtual.can_port})
@@ -139,7 +139,9 @@ class _Memory:
 
 
 def _watched(size: Size, seed: int, runs: Path, kill_s: float | None) -> tuple[Path, list[_Memory], float]:
-    """Folder, memory over time and wall time of a run as a user starts it; `kill_s`: SIGKILL at that profile time."""
+    """Return folder, memory over time and wall time of a run as a user starts it; `kill_s`: SIGKILL at that profile
+    time.
+    """
     began = time.monotonic()
     command = ["run", str(size.profile), "--virtual", "--lockstep", "--no-viewer", "--seed", str(seed)]
     process = subprocess.Popen(
@@ -209,7 +211,7 @@ def _hil(*arguments: object) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class _Journal:
-    """A run's rows (n, k) by tick, profile time, and what the static twin makes of them (n, m)."""
+    """Rows (n, k) of a run by tick, profile time, and the static twin's predictions (n, m)."""
 
     header: Header
     tick: NDArray[np.int64]
@@ -229,7 +231,7 @@ class _Journal:
             reader.close()
 
     def moving(self) -> NDArray[np.int64]:
-        """Rows on which the profile's clock went."""
+        """Return the rows with a running clock of the profile."""
         return np.flatnonzero(np.diff(self.profile_s, prepend=-1.0) > 0)
 
     def column(self, name: str) -> int:
@@ -248,7 +250,7 @@ def _resume_tables(whole: _Journal, before: _Journal, after: _Journal, manifest:
     facts: tuple[tuple[Cell, ...], ...] = (
         ("killed at, h of the profile", segment["profile_s"] / 3600.0),
         ("gap, s", segment["gap_s"]),
-        ("soaked, min", segment["soaked_s"] / 60.0),
+        ("thermal restore, min", segment["soaked_s"] / 60.0),
         ("rows that were acknowledged", count),
         ("of these lost or changed", 0 if kept else "some"),
         ("every second of the profile once", "yes" if same_grid else "no"),

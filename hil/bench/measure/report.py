@@ -1,4 +1,4 @@
-"""Tables as a person reads them (terminal, Markdown) and as a program does (JSON), with a manifest beside them."""
+"""Tables for a person (terminal, Markdown) and a program (JSON), with their manifest."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from hil.run.session.terminal import console
 
 Cell = str | float | int | None
 WIDTH = 100
-"""Columns that every table fits into."""
+"""Most columns of a printed table's width."""
 LONG_FIGURE = 14
-"""A longer cell is prose, and stands to the left."""
+"""Length from which a cell is prose, aligned to the left."""
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One table: `rows` hold numbers in the units that `columns` name, None where there is no figure."""
+    """Table: `rows` hold numbers in the units that `columns` name, None without a figure."""
 
     key: str
     title: str
@@ -35,7 +35,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a benchmark found: its tables, and a plain line for everything that was left out."""
+    """Report of a benchmark: its tables, and a plain line for everything left out."""
 
     name: str
     tables: tuple[Table, ...]
@@ -44,7 +44,7 @@ class Report:
 
 
 def number(value: Cell) -> str:
-    """Three significant digits, thousands as k and M; text as it is, `-` where there is nothing."""
+    """Format three significant digits, thousands as k and M; text unchanged, `-` for None."""
     if value is None:
         return "-"
     if isinstance(value, str):
@@ -97,13 +97,13 @@ def show(report: Report, to: Console | None = None) -> None:
 
 
 def _is_prose(table: Table, position: int) -> bool:
-    """Whether a column holds words rather than figures; the first always does."""
+    """Return True if a column holds words; the first always does."""
     words = [row[position] for row in table.rows if isinstance(row[position], str)]
     return position == 0 or any(len(str(word)) > LONG_FIGURE for word in words)
 
 
 def as_json(report: Report) -> str:
-    """All figures unrounded."""
+    """Return all figures unrounded."""
     tables = {
         t.key: {
             "title": t.title,
@@ -117,7 +117,7 @@ def as_json(report: Report) -> str:
 
 
 def as_markdown(report: Report) -> str:
-    """The tables as a person reads them, for `docs/results`."""
+    """Return the tables as Markdown, for `docs/results`."""
     machine, manifest = report.manifest["machine"], report.manifest
     lines = [f"# hil bench {report.name}", "", f"`{manifest['command']}`", ""]
     of = f", commit {manifest['commit']}" if manifest.get("commit") else ""
@@ -134,7 +134,7 @@ def as_markdown(report: Report) -> str:
 
 
 def write(report: Report, folder: Path) -> list[Path]:
-    """`<name>.json`, `<name>.md` and `<name>.manifest.json` in `folder`, each in one step."""
+    """Write `<name>.json`, `<name>.md` and `<name>.manifest.json` into `folder`, each atomically."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = {
         f"{report.name}.json": as_json(report),
