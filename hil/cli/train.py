@@ -102,7 +102,7 @@ def loop_command(
     from hil.training.data import least_windows, read
     from hil.training.generate import begun as simulated
     from hil.training.generate import complete, features_of, generate
-    from hil.training.session import Outcome, begun, train
+    from hil.training.session import TrainingProgress, begun, train
     from hil.training.stopping import Stop
     from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.plan import Plan
@@ -122,7 +122,7 @@ def loop_command(
             with Steps("simulating", 1.0, quiet=as_json, begun=simulated(data, count)) as bar:
                 bar.cut = generate(data_seed, count, data, bar.update, stop) is None
         if not complete(data, data_seed, count):
-            done = Outcome(begun(out / stem), steps, 0, 0.0, simulated=simulated(data, count))
+            done = TrainingProgress(begun(out / stem), steps, 0, 0.0, simulated=simulated(data, count))
         else:
             windows = read(data, features_of())
             typed = again(name, plan, device, threads, less, anywhere(data), data_seed, count)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.training.data import Data
+from hil.training.data import TrainingData
 from twin.calibrators.hiera_unet import evidence
 from twin.calibrators.hiera_unet.windows import Windows
 
@@ -23,7 +23,7 @@ PIECES = {
 }
 
 
-def without(pieces: tuple[str, ...], config: Any, plan: Any, data: Data) -> tuple[Any, Any, Data]:
+def without(pieces: tuple[str, ...], config: Any, plan: Any, data: TrainingData) -> tuple[Any, Any, TrainingData]:
     """Return configuration, plan and data without the named `PIECES`."""
     if "hierarchy" in pieces:
         config = replace(config, merges=(1,) * len(config.merges))
@@ -44,7 +44,7 @@ def without(pieces: tuple[str, ...], config: Any, plan: Any, data: Data) -> tupl
     return config, plan, data
 
 
-def _every(data: Data, change: Callable[[Windows], Windows]) -> Data:
+def _every(data: TrainingData, change: Callable[[Windows], Windows]) -> TrainingData:
     return replace(
         data,
         train=change(data.train),

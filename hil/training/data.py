@@ -20,7 +20,7 @@ FEWEST = 6
 
 
 @dataclass(frozen=True)
-class Data:
+class TrainingData:
     """Data of one training.
 
     Attributes:
@@ -39,7 +39,7 @@ class Data:
     digest: str
 
 
-def read(folder: Path, features: Features, *, most: int | None = None) -> Data:
+def read(folder: Path, features: Features, *, most: int | None = None) -> TrainingData:
     """Read the data of a folder.
 
     Args:
@@ -56,7 +56,7 @@ def read(folder: Path, features: Features, *, most: int | None = None) -> Data:
             f"{folder} holds {len(unseen)} campaigns to set intervals with, which are of too few rigs; give `hil train "
             f"loop` --windows {least_windows()} or more"
         )
-    return Data(
+    return TrainingData(
         network=features.network,
         table=features.table,
         deviations=features.deviations,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.training.data import Data
+from hil.training.data import TrainingData
 
 MODES = {"blind": (False, True), "online": (True, False)}
 """Modes: symmetric with the target hidden, as a report may use it; causal with the target as input, as the service
@@ -21,7 +21,7 @@ runs.
 RESAMPLES = 200
 
 
-def assemble(data: Data, folder: Path, name: str) -> Path | None:
+def assemble(data: TrainingData, folder: Path, name: str) -> Path | None:
     """Write the card of the ensemble of all members `<name>_<seed>` in `folder`; return None if there is none.
 
     Members of other data or another leakage than is allowed are left out, and the card says so.
@@ -78,7 +78,7 @@ def assemble(data: Data, folder: Path, name: str) -> Path | None:
     return card
 
 
-def _rivals(networks: list[Any], data: Data, physics: Any, blind: Any) -> dict[str, Any]:
+def _rivals(networks: list[Any], data: TrainingData, physics: Any, blind: Any) -> dict[str, Any]:
     """Return parameters and outputs of the evidence, its baselines, and the networks with and without channels.
 
     On the test split, target hidden; outputs: mean absolute error, K.

@@ -17,7 +17,7 @@ import numpy as np
 
 from hil import __version__
 from hil.training.ablation import without as leave_out
-from hil.training.data import Data
+from hil.training.data import TrainingData
 from hil.training.ensemble import assemble
 from hil.training.learning_curve import draw
 from hil.training.stopping import Stop
@@ -36,7 +36,7 @@ Say = Callable[[int, str], None]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TrainingProgress:
     """Progress of a training: `done` of `steps`, `made` of them now in `seconds`; `simulated`, the share of its data.
 
     At its end `card` and `picture` are what was written, and `lines` say how good it is.
@@ -53,7 +53,7 @@ class Outcome:
 
 
 def train(
-    data: Data,
+    data: TrainingData,
     name: str,
     plan: Any,
     folder: Path,
@@ -64,7 +64,7 @@ def train(
     say: Say,
     device: str = "cpu",
     without: tuple[str, ...] = (),
-) -> Outcome:
+) -> TrainingProgress:
     """Continue the training in `folder` until it is stopped, or to its end; then write the network to `out`.
 
     Args:
@@ -104,15 +104,15 @@ def train(
     keep(trainer.state(), at)
     came = (trainer.done, plan.steps, trainer.done - first, time.monotonic() - began)
     if trainer.done < plan.steps:
-        return Outcome(*came)
+        return TrainingProgress(*came)
     identity = identity_of(data.network, data.table, data.deviations)
     card, metrics = _finish(trainer, data, identity, curves, out, command, without)
     assemble(data, out.parent, out.stem.rpartition("_")[0])
     drawn = draw(curves, out.with_suffix(".png"), f"{data.table.name} {name}, seed {plan.seed}: {plan.steps} steps")
-    return Outcome(*came, card, drawn, tuple(_sentence(mode, m) for mode, m in metrics.items()))
+    return TrainingProgress(*came, card, drawn, tuple(_sentence(mode, m) for mode, m in metrics.items()))
 
 
-def _look(trainer: Any, data: Data, gathered: list[dict[str, float]]) -> dict[str, Any]:
+def _look(trainer: Any, data: TrainingData, gathered: list[dict[str, float]]) -> dict[str, Any]:
     """Return one entry of the curves: means of the losses since the last entry, and scores on held-out windows."""
     from twin.calibrators.hiera_unet.score import outcome
 
@@ -150,7 +150,7 @@ def _figures(metrics: dict[str, Any]) -> tuple[float, ...]:
 
 def _finish(
     trainer: Any,
-    data: Data,
+    data: TrainingData,
     identity: Any,
     curves: list[dict[str, Any]],
     out: Path,

@@ -21,7 +21,7 @@ from hil.bench.chaos.verdict import LIMIT_S, ROUGH_S, ChaosResult, as_document
 from hil.bench.faults.campaign import fingerprint
 from hil.bench.faults.case import STALL_S
 from hil.bench.faults.rig import WATCHDOG_S
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.files.atomic import replacing
 
 RESUME_EVERY = 5
@@ -65,7 +65,7 @@ def measure(
     *,
     kinds: Sequence[str] = (),
     jobs: int = 2,
-) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...], bool]:
     """Return the campaign's tables, a line for everything left out, and True if no requirement was broken."""
     keep = work / f"chaos_{fingerprint()}_{seed}"
     keep.mkdir(parents=True, exist_ok=True)
@@ -88,13 +88,13 @@ def measure(
     return chaos_tables(results), tuple(skipped), not any(result.failures for result in results)
 
 
-def chaos_tables(results: Sequence[ChaosResult]) -> tuple[Table, ...]:
+def chaos_tables(results: Sequence[ChaosResult]) -> tuple[ReportTable, ...]:
     """Return the requirements, the outcomes by kind, the kinds themselves, and every case that broke a requirement."""
     tried = [result for result in results if not result.left_out]
     names = [name for name in CHAOS_KINDS if any(name in result.names for result in tried)]
     rows = [_row(name, [result for result in tried if name in result.names]) for name in names]
     rows.append(_row("all", tried))
-    kinds = Table(
+    kinds = ReportTable(
         "kinds",
         "Outcomes by kind",
         ("kind", "runs", "in pairs", "safe s", "worst", "in time", "lost", "wrong", "readable", "resumed"),
@@ -112,14 +112,14 @@ def chaos_tables(results: Sequence[ChaosResult]) -> tuple[Table, ...]:
             f"Resumed: `hil resume` restores the thermal state, or refuses in a sentence; one case of {RESUME_EVERY}.",
         ),
     )
-    about = Table(
+    about = ReportTable(
         "about",
         "The kinds",
         ("kind", "outcome", "attack"),
         tuple((name, CHAOS_KINDS[name].ending, CHAOS_KINDS[name].about) for name in names),
     )
     broken = tuple((_title(r), "; ".join(r.failures), r.reason[-200:]) for r in tried if r.failures)
-    found = Table("broken", "Cases that broke a must", ("case", "must", "last words"), broken)
+    found = ReportTable("broken", "Cases that broke a must", ("case", "must", "last words"), broken)
     return (_musts(tried), kinds, about, *((found,) if broken else ()))
 
 
@@ -145,7 +145,7 @@ def _row(name: str, results: Sequence[ChaosResult]) -> tuple[Cell, ...]:
     )
 
 
-def _musts(results: Sequence[ChaosResult]) -> Table:
+def _musts(results: Sequence[ChaosResult]) -> ReportTable:
     """Return each requirement with the count of the cases that met it."""
     heated = [r for r in results if r.heated and r.ending not in _BY_WATCHDOG]
     rows: list[tuple[Cell, ...]] = []
@@ -181,7 +181,7 @@ def _musts(results: Sequence[ChaosResult]) -> Table:
         f"{again} cases were repeated: a must was broken while rig, harness or relays waited {STALL_S:g} s or longer "
         "for a processor, or no heater was on when the attack came."
     )
-    return Table("musts", f"Musts of {len(results)} cases", ("must", "found"), tuple(rows), (note,))
+    return ReportTable("musts", f"Musts of {len(results)} cases", ("must", "found"), tuple(rows), (note,))
 
 
 def _kept(path: Path) -> ChaosResult | None:

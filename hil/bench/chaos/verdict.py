@@ -89,7 +89,7 @@ def as_document(result: ChaosResult) -> dict[str, Any]:
     return asdict(result)
 
 
-def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: list[Strike]) -> judge.Journal:
+def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: list[Strike]) -> judge.JournalContent:
     """Complete `result` from the rig's log and the run's files; return the journal in this machine's time."""
     truth, path = stage.moments(), stage.look()
     raw = judge.read_journal(path)
@@ -137,7 +137,7 @@ def traceback_in(said: str) -> str:
     return " / ".join(line.strip() for line in lines[max(end - 3, 0) : end + 1])[-400:]
 
 
-def event_of(strikes: list[Strike], stage: ChaosStage, journal: judge.Journal) -> tuple[Ending, float]:
+def event_of(strikes: list[Strike], stage: ChaosStage, journal: judge.JournalContent) -> tuple[Ending, float]:
     """Return the required ending of the attacks, and the wall time by which the heater must be cut, s.
 
     That is the attack, where it ends the run; the signal at the end, where the run has to go on; the last sample, where
@@ -157,7 +157,7 @@ def event_of(strikes: list[Strike], stage: ChaosStage, journal: judge.Journal) -
     return ending, max([began, *journal.wall_s[-1:]])
 
 
-def _on_our_clock(journal: judge.Journal, stage: ChaosStage) -> judge.Journal:
+def _on_our_clock(journal: judge.JournalContent, stage: ChaosStage) -> judge.JournalContent:
     if stage.clock is None:
         return journal
     return replace(
@@ -198,7 +198,7 @@ def read_manifest(stage: ChaosStage) -> dict[str, Any] | None:
 
 
 def _unreadable(
-    case: ChaosCase, stage: ChaosStage, ending: Ending, journal: judge.Journal, manifest: dict[str, Any] | None
+    case: ChaosCase, stage: ChaosStage, ending: Ending, journal: judge.JournalContent, manifest: dict[str, Any] | None
 ) -> list[str]:
     """Return the defects of the run folder."""
     if not journal.sound and not stage.destroyed:
@@ -288,7 +288,7 @@ def _harness_gone(case: ChaosCase) -> bool:
     return any("harness" in kind.disables for kind in case.kinds)
 
 
-def _records(result: ChaosResult, strikes: list[Strike], journal: judge.Journal, asked_s: float) -> list[str]:
+def _records(result: ChaosResult, strikes: list[Strike], journal: judge.JournalContent, asked_s: float) -> list[str]:
     """Return the defects of samples, values and events."""
     broken = []
     if result.lost:

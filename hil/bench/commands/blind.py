@@ -166,7 +166,7 @@ def discovery_command(
     numbers = only if alone else tuple(range(12 if quick else cases))
     further = only_healthy if alone else tuple(range(healthy))
     pairs = only_doubles if alone else tuple(range(doubles))
-    size = discovery.Size(numbers, further, hours, direct, twin, not no_ablations, pairs, not no_healthy)
+    size = discovery.TrialSize(numbers, further, hours, direct, twin, not no_ablations, pairs, not no_healthy)
     with Steps("diagnosing", 1.0, quiet=as_json) as steps:
         done = discovery.measure(size, seed, work, steps.update)
     finish("discovery", seed, tables(done, size), discovery.left_out(), out, as_json)

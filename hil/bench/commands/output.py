@@ -12,7 +12,7 @@ import click
 from hil.cli.options.paths import PROJECT
 
 if TYPE_CHECKING:
-    from hil.bench.measure.report import Table
+    from hil.bench.measure.report import ReportTable
 
 OUT = click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for JSON, Markdown and manifest."
@@ -28,14 +28,14 @@ def data_folder() -> Path:
 
 
 def finish(
-    name: str, seed: int, tables: tuple[Table, ...], skipped: tuple[str, ...], out: Path | None, as_json: bool
+    name: str, seed: int, tables: tuple[ReportTable, ...], skipped: tuple[str, ...], out: Path | None, as_json: bool
 ) -> None:
     """Print the report, and write it if requested."""
     from hil.bench.measure.machine import manifest
-    from hil.bench.measure.report import Report, show, write
+    from hil.bench.measure.report import BenchReport, show, write
     from hil.bench.measure.report import as_json as json_of
 
-    report = Report(name, tables, skipped, manifest(_typed(name), seed))
+    report = BenchReport(name, tables, skipped, manifest(_typed(name), seed))
     if as_json:
         click.echo(json_of(report), nl=False)
     else:

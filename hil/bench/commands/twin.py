@@ -57,7 +57,7 @@ def fit_command(
         file = twin or record / "twin.toml"
         if not file.is_file():
             raise click.UsageError(f"{record} has no twin.toml; name a twin with --twin")
-        source = fit.Record(path, load(file))
+        source = fit.MeasuredRecord(path, load(file))
     tables, skipped = fit.measure(fit.QUICK if quick else fit.FULL, seed, source)
     finish("fit", seed, tables, skipped, out, as_json)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.bench.experiments.public_records import FITTED_TEST, TWINS
-from hil.bench.measure.report import Cell, Table, number
+from hil.bench.measure.report import Cell, ReportTable, number
 from hil.record.public import PIPE_TESTS, Columns, dry_cooler, heated_pipe, tclab, wet_tower
 from hil.run.session.terminal import Steps
 from twin.discovery.growing.growth import Added, Growth, grow, grow_at_rest
@@ -36,7 +36,7 @@ GAIN = (
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class EvaluationRecord:
     """Record with a simulation of every rung, and its published figure."""
 
     column: str
@@ -44,7 +44,7 @@ class Judged:
     published: float | None = None
 
 
-def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+def measure(data: Path, seed: int) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     """Return a ladder for each record, the effects not added, and a line if there is no record.
 
     Raises:
@@ -54,7 +54,7 @@ def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
     real = data / "real"
     if not real.is_dir():
         return (), (f"records: no {real}; set HIL_DATA to the folder that holds 'real'",)
-    tables: list[Table] = []
+    tables: list[ReportTable] = []
     refused: list[tuple[Cell, ...]] = []
     with Steps("growing twins", float(len(PARTS))) as steps:
         for done, (name, part) in enumerate(PARTS.items()):
@@ -65,11 +65,11 @@ def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
             growth, table = part(real, say)
             tables.append(table)
             refused += [(name, r.kind, r.where, r.driver, r.why) for r in growth.refused]
-    tables.append(Table("refused", "Not added", ("record", "effect", "at", "driver", "why"), tuple(refused)))
+    tables.append(ReportTable("refused", "Not added", ("record", "effect", "at", "driver", "why"), tuple(refused)))
     return tuple(tables), LEFT_OUT
 
 
-def _tclab(real: Path, say: Say) -> tuple[Growth, Table]:
+def _tclab(real: Path, say: Say) -> tuple[Growth, ReportTable]:
     network = load(TWINS / "tclab_bare.toml")
     train, validation = (tclab(real, f"mimo_{part}") for part in ("train", "validation"))
     single = tclab(real, "siso_train")
@@ -84,7 +84,10 @@ def _tclab(real: Path, say: Say) -> tuple[Growth, Table]:
     def summed(record: Columns) -> Callable[[Network], float]:
         return lambda net: float(np.nansum(np.abs(_free_run(net, record))))
 
-    judged = (Judged("train", summed(train), 270.26), Judged("validation", summed(validation), 840.95))
+    judged = (
+        EvaluationRecord("train", summed(train), 270.26),
+        EvaluationRecord("validation", summed(validation), 840.95),
+    )
     notes = (
         "train, validation: sum over all samples and both sensors of |simulated - measured|, K, free run from the "
         "first reading, of mimo_train and mimo_validation; published: the balance with radiation, exchange and lag of "
@@ -95,7 +98,7 @@ def _tclab(real: Path, say: Say) -> tuple[Growth, Table]:
     return growth, ladder("tclab", "Temperature Control Lab, from a balance of two heaters", growth, judged, notes)
 
 
-def _heated_pipe(real: Path, say: Say) -> tuple[Growth, Table]:
+def _heated_pipe(real: Path, say: Say) -> tuple[Growth, ReportTable]:
     network = load(TWINS / "heated_pipe_mixed.toml")
     tests = {test: heated_pipe(real, test) for test in PIPE_TESTS}
     own = tests[FITTED_TEST]
@@ -105,7 +108,7 @@ def _heated_pipe(real: Path, say: Say) -> tuple[Growth, Table]:
     def rmse(record: Columns) -> Callable[[Network], float]:
         return lambda net: float(np.sqrt(np.nanmean(_free_run(net, record) ** 2)))
 
-    judged = tuple(Judged(name.removeprefix("ulg_"), rmse(test)) for name, test in tests.items())
+    judged = tuple(EvaluationRecord(name.removeprefix("ulg_"), rmse(test)) for name, test in tests.items())
     notes = (
         "columns by test: RMSE of the outlet's water, K, free run from the first reading, flow and inlet as measured",
         f"fitted on {FITTED_TEST} alone; the others, at other flows, only choose between sets of effects that it "
@@ -114,11 +117,14 @@ def _heated_pipe(real: Path, say: Say) -> tuple[Growth, Table]:
     return growth, ladder("heated_pipe", "Heated pipe, from one mixed volume", growth, judged, notes)
 
 
-def _dry_cooler(real: Path, say: Say) -> tuple[Growth, Table]:
+def _dry_cooler(real: Path, say: Say) -> tuple[Growth, ReportTable]:
     network = load(TWINS / "dry_cooler_constant.toml")
     calibration, validation = (dry_cooler(real, f"dc_{part}") for part in ("exp1", "exp3"))
     growth = grow_at_rest(network, *network.select(calibration.columns), say=say)
-    judged = (Judged("dc_exp1", _at_rest(calibration)), Judged("dc_exp3", _at_rest(validation), 0.50))
+    judged = (
+        EvaluationRecord("dc_exp1", _at_rest(calibration)),
+        EvaluationRecord("dc_exp3", _at_rest(validation), 0.50),
+    )
     notes = (
         "dc_exp1, dc_exp3: RMSE of the outlet over steady states, K; grown and fitted on dc_exp1 alone",
         "published for dc_exp3: 0.50 K by its authors' physical model, 0.32 K by their Gaussian process",
@@ -126,11 +132,14 @@ def _dry_cooler(real: Path, say: Say) -> tuple[Growth, Table]:
     return growth, ladder("dry_cooler", "Dry cooler, steady states, from a constant conductance", growth, judged, notes)
 
 
-def _wet_tower(real: Path, say: Say) -> tuple[Growth, Table]:
+def _wet_tower(real: Path, say: Say) -> tuple[Growth, ReportTable]:
     network = load(TWINS / "wet_tower_constant.toml")
     calibration, validation = (wet_tower(real, f"wct_{part}") for part in ("exp1", "exp3"))
     growth = grow_at_rest(network, *network.select(calibration.columns), say=say)
-    judged = (Judged("wct_exp1", _at_rest(calibration)), Judged("wct_exp3", _at_rest(validation), 0.33))
+    judged = (
+        EvaluationRecord("wct_exp1", _at_rest(calibration)),
+        EvaluationRecord("wct_exp3", _at_rest(validation), 0.33),
+    )
     notes = (
         "wct_exp1, wct_exp3: RMSE of the outlet over steady states, K; grown and fitted on wct_exp1 alone; flow ratio: "
         "that of air to water",
@@ -139,7 +148,9 @@ def _wet_tower(real: Path, say: Say) -> tuple[Growth, Table]:
     return growth, ladder("wet_tower", "Wet tower, steady states, from a constant Merkel number", growth, judged, notes)
 
 
-def ladder(key: str, title: str, growth: Growth, judged: tuple[Judged, ...], notes: tuple[str, ...]) -> Table:
+def ladder(
+    key: str, title: str, growth: Growth, judged: tuple[EvaluationRecord, ...], notes: tuple[str, ...]
+) -> ReportTable:
     """Return one row for each rung: the effect, its evidence, and the error of the twin so far on each record."""
     rows = []
     for rung in growth.rungs:
@@ -151,7 +162,7 @@ def ladder(key: str, title: str, growth: Growth, judged: tuple[Judged, ...], not
         for rung in growth.rungs
         if (a := rung.added) is not None and a.others
     )
-    return Table(
+    return ReportTable(
         key, title, (*LADDER, *(one.column for one in judged)), tuple(rows), (growth.summary, *same, GAIN, *notes)
     )
 
@@ -191,7 +202,7 @@ def _at_rest(states: Columns) -> Callable[[Network], float]:
     return error
 
 
-PARTS: dict[str, Callable[[Path, Say], tuple[Growth, Table]]] = {
+PARTS: dict[str, Callable[[Path, Say], tuple[Growth, ReportTable]]] = {
     "tclab": _tclab,
     "heated_pipe": _heated_pipe,
     "dry_cooler": _dry_cooler,

@@ -28,7 +28,7 @@ SECONDS_PER_MINUTE = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class AnswerScore:
     """Score of one opened case; None if a question does not apply.
 
     Attributes:
@@ -104,7 +104,7 @@ def judge(
     z_truth: float | None = None,
     sizes: Sequence[tuple[float, str] | None] = (),
     z_beside: Sequence[float] = (),
-) -> Outcome:
+) -> AnswerScore:
     """Score an answer, `diagnosis.json`, against a sealed truth.
 
     Args:
@@ -139,7 +139,7 @@ def judge(
         if true is not None and true[1] == first["unit"] and true[0]:
             size = abs(first["value"] - true[0]) / abs(true[0])
             size_held = _held(first["interval90"], true[0])
-    return Outcome(
+    return AnswerScore(
         case=case,
         group=group,
         what=str(hidden["what"]),
@@ -246,7 +246,7 @@ def wilson(hits: int, of: int, z: float = 1.6449) -> tuple[float, float]:
     return max((middle - half) / scale, 0.0), min((middle + half) / scale, 1.0)
 
 
-def risk_at_coverage(outcomes: Iterable[Outcome], shares: Sequence[float]) -> list[tuple[float, int, int, float]]:
+def risk_at_coverage(outcomes: Iterable[AnswerScore], shares: Sequence[float]) -> list[tuple[float, int, int, float]]:
     """Return for shares of the cases with a named cause, highest confidence first: share, cases, wrong ones, least
     confidence.
     """

@@ -22,7 +22,7 @@ from typing import Any
 
 from hil.bench.discovery.injector import RIG, opened
 from hil.bench.discovery.ledger import Ledger, sha256_of
-from hil.bench.discovery.score import Outcome, judge
+from hil.bench.discovery.score import AnswerScore, judge
 from hil.bench.discovery.worker import PROJECT, Worker, WorkerError
 from hil.files.atomic import replacing
 from hil.synthetic.hidden_effects import Setting, profile, profile_text, setting
@@ -34,7 +34,7 @@ COMMISSIONING_SEED = 77
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
+class TrialSize:
     """Size of a trial: numbers of cases, of further healthy records and of further ones with two effects, length in h,
     use of the wires, and use of healthy records.
     """
@@ -56,18 +56,18 @@ class Size:
 
 
 @dataclass(frozen=True, slots=True)
-class Finished:
+class FinishedCase:
     """Finished case with its answers and scores; `ablation` is None if it was not run."""
 
-    outcome: Outcome
+    outcome: AnswerScore
     answer: dict[str, Any]
     ablation: dict[str, Any] | None
 
 
-class Trial:
+class BlindTrial:
     """Trial that runs cases in the folder `work`, one after the other."""
 
-    def __init__(self, size: Size, seed: int, work: Path) -> None:
+    def __init__(self, size: TrialSize, seed: int, work: Path) -> None:
         self.size, self.seed = size, seed
         how = "direct" if size.direct else "wire"
         rig_key = sources(PROJECT / "drivers", [PROJECT / "hil" / "synthetic" / "hidden_effects.py", COMMISSIONING])
@@ -88,7 +88,7 @@ class Trial:
         for worker in (self._injector, self._answerer, self._ablation):
             worker.close()
 
-    def run(self, kind: str, number: int) -> Finished:
+    def run(self, kind: str, number: int) -> FinishedCase:
         """Run one record of a kind, unless it is finished already."""
         name = f"{kind}_{number}"
         kept = self._base / f"{name}.json"
@@ -139,7 +139,7 @@ class Trial:
             z = max((v for v in told.get("z_truth", []) if v is not None), default=None)
             beside = [v for v in told.get("z_beside", []) if v is not None]
             outcome = judge(name, case.load, hidden, answer, took, z, told.get("sizes", ()), beside)
-            done = Finished(outcome, answer, ablation)
+            done = FinishedCase(outcome, answer, ablation)
             _write(done, kept)
             return done
         finally:
@@ -199,9 +199,9 @@ def commissioned(folder: Path, unit: int, twin: str) -> tuple[Path, Path]:
     return good, own
 
 
-def measure(size: Size, seed: int, work: Path, progress: Callable[[float, str], None]) -> list[Finished]:
+def measure(size: TrialSize, seed: int, work: Path, progress: Callable[[float, str], None]) -> list[FinishedCase]:
     """Run all records. `progress` is called with the share done and the last result."""
-    trial = Trial(size, seed, work)
+    trial = BlindTrial(size, seed, work)
     done = []
     try:
         for k, (kind, number) in enumerate(size.jobs):
@@ -252,14 +252,14 @@ def _no_answer(error: str) -> dict[str, Any]:
     }
 
 
-def _write(done: Finished, path: Path) -> None:
+def _write(done: FinishedCase, path: Path) -> None:
     with replacing(path) as unfinished:
         unfinished.write_text(json.dumps(dataclasses.asdict(done), indent=1) + "\n", encoding="utf-8")
 
 
-def _read(path: Path) -> Finished:
+def _read(path: Path) -> FinishedCase:
     data = json.loads(path.read_text(encoding="utf-8"))
     outcome = data["outcome"]
     if outcome["errors_K"] is not None:
         outcome["errors_K"] = tuple(outcome["errors_K"])
-    return Finished(Outcome(**outcome), data["answer"], data["ablation"])
+    return FinishedCase(AnswerScore(**outcome), data["answer"], data["ablation"])

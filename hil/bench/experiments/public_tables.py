@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.run.session.terminal import Steps
 
 
-def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+def measure(data: Path, seed: int) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     """Return tables of the public records under `data`, and a line if there are none."""
     if not (data / "real").is_dir():
         return (), (f"records: no {data / 'real'}; set HIL_DATA to the folder that holds 'real'",)
@@ -26,14 +26,14 @@ def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
     return tuple(tables), ()
 
 
-def tables_of(key: str, title: str, found: Any) -> Iterable[Table]:
+def tables_of(key: str, title: str, found: Any) -> Iterable[ReportTable]:
     """Return a table for every list of equal dataclasses, and one of all single values."""
-    if isinstance(found, Table):
+    if isinstance(found, ReportTable):
         yield found
         return
     items = [found] if dataclasses.is_dataclass(found) else list(found)
-    if any(isinstance(item, Table) for item in items):
-        yield from (item for item in items if isinstance(item, Table))
+    if any(isinstance(item, ReportTable) for item in items):
+        yield from (item for item in items if isinstance(item, ReportTable))
         return
     nested = [_nested(item) for item in items]
     if any(nested):
@@ -41,7 +41,7 @@ def tables_of(key: str, title: str, found: Any) -> Iterable[Table]:
             name = str(getattr(item, "name", getattr(item, "title", title)))
             alone = {k: v for k, v in _fields(item).items() if k not in inner and k != "messages"}
             if alone:
-                yield Table(_key(name), name, ("what", "value"), tuple((k, _cell(v)) for k, v in alone.items()))
+                yield ReportTable(_key(name), name, ("what", "value"), tuple((k, _cell(v)) for k, v in alone.items()))
             for field, rows in inner.items():
                 yield from tables_of(f"{_key(name)}_{field}", f"{name}: {field.replace('_', ' ')}", rows)
         return
@@ -51,7 +51,7 @@ def tables_of(key: str, title: str, found: Any) -> Iterable[Table]:
     for kind, rows in groups.items():
         columns = tuple(field.name.replace("_", " ") for field in dataclasses.fields(kind))
         cells = tuple(tuple(_cell(v) for v in _fields(row).values()) for row in rows)
-        yield Table(key if len(groups) == 1 else f"{key}_{_key(kind.__name__)}", title, columns, cells)
+        yield ReportTable(key if len(groups) == 1 else f"{key}_{_key(kind.__name__)}", title, columns, cells)
 
 
 def _fields(item: Any) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.experiments.campaigns import PROFILES
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.record.reader import read_record
 from hil.run.session.terminal import Steps
 from twin.commissioning import CommissionOptions, commission
@@ -36,7 +36,7 @@ PROTOTYPE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class ModelError:
     """Model error of one twin on one rig: RMSE in K per sensor (m,).
 
     Attributes:
@@ -56,14 +56,14 @@ class Left:
     forward_s: float
 
 
-def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+def measure(data: Path, seed: int) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     """Return a summary and a table for each rig, or a line if there are no rigs."""
     rigs = healthy_rigs(data / "stranger")
     if not rigs:
         return (), (
             f"structure: no {data / 'stranger' / 'KEY.json'}; set HIL_DATA to the folder that holds 'stranger'",
         )
-    found: list[Left] = []
+    found: list[ModelError] = []
     with Steps("commissioning", len(rigs) * len(TEMPLATES)) as bar:
         for rig in rigs:
             for name, template in TEMPLATES.items():
@@ -81,7 +81,7 @@ def healthy_rigs(folder: Path) -> list[Path]:
     return [folder / rig for rig, entry in answers.items() if entry["answer"]["kind"] == "none"]
 
 
-def judge(rig: Path, name: str, template: Path, seed: int) -> Left:
+def judge(rig: Path, name: str, template: Path, seed: int) -> ModelError:
     """Commission the twin of `template` on `rig` and return its model error."""
     sheet = from_datasheet(rig / "datasheet.json", template)
     healthy = read_record(rig / "commissioning.parquet")
@@ -104,7 +104,7 @@ def judge(rig: Path, name: str, template: Path, seed: int) -> Left:
     forward_s = time.process_time() - began
     both = [(healthy.time_s[late], residual[late]), (record.time_s, readings - measured)]
     (held_out, campaign), (held_out_10s, campaign_10s) = ([f(t, r) for t, r in both] for f in (_rmse, _rmse_of_means))
-    return Left(
+    return ModelError(
         rig.name,
         name,
         network.sensor_names,
@@ -134,7 +134,7 @@ def _rmse_of_means(time_s: Array, residual: Array) -> Array:
     return found
 
 
-def _summary(found: list[Left]) -> Table:
+def _summary(found: list[ModelError]) -> ReportTable:
     def spread(values: Array) -> str:
         return f"{1e3 * values.min():.0f} to {1e3 * values.max():.0f}"
 
@@ -157,17 +157,17 @@ def _summary(found: list[Left]) -> Table:
         PROTOTYPE,
     )
     title = "Two structures, commissioned on ten hours: error of free runs"
-    return Table("structure", title, columns, tuple(rows), notes)
+    return ReportTable("structure", title, columns, tuple(rows), notes)
 
 
-def _table(rig: str, found: list[Left]) -> Table:
+def _table(rig: str, found: list[ModelError]) -> ReportTable:
     rows = [row for left in found if left.rig == rig for row in _rows(left)]
     columns = ("twin", "sensor", "noise mK", "held out", "40 h", "noise of 10 s", "held out, 10 s", "40 h, 10 s")
     title = f"Rig {rig}, every sensor: RMSE in mK of readings and of means over 10 s"
-    return Table(f"structure_{rig}", title, columns, tuple(rows))
+    return ReportTable(f"structure_{rig}", title, columns, tuple(rows))
 
 
-def _rows(left: Left) -> list[tuple[Cell, ...]]:
+def _rows(left: ModelError) -> list[tuple[Cell, ...]]:
     of_means = left.noise / np.sqrt(MEAN_S)
     figures = (left.noise, left.held_out, left.campaign, of_means, left.held_out_10s, left.campaign_10s)
     table = 1e3 * np.column_stack(figures)

@@ -20,8 +20,8 @@ from hil.bench.faults.kinds import KINDS
 from hil.bench.faults.plan import AND, case_of, pairs, singles
 from hil.bench.faults.rig import PERIOD_S, STALE_LIMIT_S, WATCHDOG_S
 from hil.bench.faults.tls import NoOpenSSLError
-from hil.bench.faults.verdict import REACT_S, Result, as_document
-from hil.bench.measure.report import Cell, Table
+from hil.bench.faults.verdict import REACT_S, FaultResult, as_document
+from hil.bench.measure.report import Cell, ReportTable
 from hil.files.atomic import replacing
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -42,8 +42,8 @@ async def campaign(
     jobs: int = 2,
     keep: Path | None = None,
     resume: bool = True,
-    done: Callable[[Result], None] = lambda result: None,
-) -> list[Result]:
+    done: Callable[[FaultResult], None] = lambda result: None,
+) -> list[FaultResult]:
     """Run `cases`, `jobs` at a time; with `keep`, cases with a result in that folder are not run again.
 
     With `resume` the first of each kind, and each that a signal struck, goes on once its fault is over, which takes it
@@ -51,7 +51,7 @@ async def campaign(
     """
     room = asyncio.Semaphore(jobs)
 
-    async def one(kind: str, number: int) -> Result:
+    async def one(kind: str, number: int) -> FaultResult:
         path = None if keep is None else keep / f"{kind.replace(', ', '_').replace(' ', '_')}_{number}.json"
         async with room:
             result = None if path is None else _kept(path)
@@ -77,7 +77,7 @@ def measure(
     kinds: Sequence[str] = (),
     jobs: int = 2,
     two: bool = False,
-) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...], bool]:
     """Return the campaign's tables, everything left out, and True if no requirement was broken. `progress`: share done,
     last case. `two`: `runs` pairs of faults.
 
@@ -93,9 +93,9 @@ def measure(
         names = [name for name in names if KINDS[name].place != "tls"]
         skipped.append(f"faults beneath TLS: {error}")
     cases = pairs(runs, seed, names) if two else singles(runs, names)
-    finished: list[Result] = []
+    finished: list[FaultResult] = []
 
-    def done(result: Result) -> None:
+    def done(result: FaultResult) -> None:
         finished.append(result)
         said = "; ".join(result.failures) or result.ended
         progress(len(finished) / len(cases), f"{result.kind}: {said}")
@@ -107,12 +107,12 @@ def measure(
     return found, tuple(skipped), not any(result.failures for result in results)
 
 
-def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
+def tables(results: list[FaultResult], cpu_s: float) -> tuple[ReportTable, ...]:
     """Return the outcomes by kind, the requirements, the kinds themselves, and every case that broke a requirement."""
     names = [name for name in KINDS if any(result.kind == name for result in results)]
     rows = [_row(name, [result for result in results if result.kind == name]) for name in names]
     rows.append(_row("all", results))
-    happened = Table(
+    happened = ReportTable(
         "kinds",
         f"{len(results)} faults on the virtual rig",
         (
@@ -143,7 +143,7 @@ def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
             f"{cpu_s:.1f} CPU seconds a run, those kept from before not counted.",
         ),
     )
-    about = Table(
+    about = ReportTable(
         "about",
         "Kinds of fault",
         ("kind", "what happens"),
@@ -153,7 +153,7 @@ def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
     return (happened, _musts(results), about, *_broken(results))
 
 
-def pair_tables(results: list[Result], seed: int) -> tuple[Table, ...]:
+def pair_tables(results: list[FaultResult], seed: int) -> tuple[ReportTable, ...]:
     """Return the outcomes by pair, the requirements, and every pair that broke one."""
     rows: list[tuple[Cell, ...]] = []
     for r in results:
@@ -173,7 +173,7 @@ def pair_tables(results: list[Result], seed: int) -> tuple[Table, ...]:
                 resumed,
             )
         )
-    happened = Table(
+    happened = ReportTable(
         "pairs",
         f"{len(results)} pairs of faults on the virtual rig",
         (
@@ -200,12 +200,12 @@ def pair_tables(results: list[Result], seed: int) -> tuple[Table, ...]:
     return (happened, _musts(results), *_broken(results))
 
 
-def _broken(results: list[Result]) -> tuple[Table, ...]:
+def _broken(results: list[FaultResult]) -> tuple[ReportTable, ...]:
     broken = tuple((f"{r.kind} {r.number}", "; ".join(r.failures)) for r in results if r.failures)
-    return (Table("broken", "Cases that broke a must", ("case", "what"), broken),) if broken else ()
+    return (ReportTable("broken", "Cases that broke a must", ("case", "what"), broken),) if broken else ()
 
 
-def _row(name: str, results: list[Result]) -> tuple[Cell, ...]:
+def _row(name: str, results: list[FaultResult]) -> tuple[Cell, ...]:
     ended = [result for result in results if result.heated and result.safe is not None]
     reacted = [max(r.safe - r.detected, 0.0) for r in ended if r.safe is not None and r.detected is not None]
     after = [r.safe for r in ended if r.safe is not None]
@@ -227,7 +227,7 @@ def _row(name: str, results: list[Result]) -> tuple[Cell, ...]:
     )
 
 
-def _musts(results: list[Result]) -> Table:
+def _musts(results: list[FaultResult]) -> ReportTable:
     """Return each requirement with its result."""
     heated = [r for r in results if r.heated and r.ended != "rode through"]
     # No agent was left to detect the watchdog's cut on a rig that restarted.
@@ -275,12 +275,12 @@ def _musts(results: list[Result]) -> Table:
         f"{again} cases were repeated: a limit was missed while rig, harness or relays waited {STALL_S:g} s or "
         "longer for a processor, or the fault came before the run."
     )
-    return Table("musts", "Musts", ("must", "found"), tuple(rows), (note,))
+    return ReportTable("musts", "Musts", ("must", "found"), tuple(rows), (note,))
 
 
-def _kept(path: Path) -> Result | None:
+def _kept(path: Path) -> FaultResult | None:
     try:
-        return Result(**json.loads(path.read_text(encoding="utf-8")))
+        return FaultResult(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
         return None
 

@@ -13,12 +13,12 @@ import time
 from pathlib import Path
 
 from hil.bench.faults import judge
-from hil.bench.faults.kinds import MENDED_AFTER_S, Kind
+from hil.bench.faults.kinds import MENDED_AFTER_S, FaultKind
 from hil.bench.faults.places import take_places_out
-from hil.bench.faults.plan import Case, case_of
+from hil.bench.faults.plan import FaultCase, case_of
 from hil.bench.faults.rig import STALE_LIMIT_S
 from hil.bench.faults.stage import Stage, last_line, last_words, set_stage, spawn
-from hil.bench.faults.verdict import REACT_S, Result, Strike, judged
+from hil.bench.faults.verdict import REACT_S, FaultResult, Strike, judged
 from hil.bench.measure import processes
 
 START_S = 40.0
@@ -39,7 +39,7 @@ own log shows its wait, the kernel that of the harness (/proc/PID/schedstat), ou
 
 async def run_case(
     kind_name: str, number: int, seed: int, *, thorough: bool = False, resume: bool = True, retries: int = 2
-) -> Result:
+) -> FaultResult:
     """Run one case; repeat it if the fault preceded the run, or if the machine stood still and a requirement broke.
 
     A case whose run was not resumed is not repeated. `thorough` waits for record and report. With `resume` such a case,
@@ -51,7 +51,7 @@ async def run_case(
             try:
                 result = await _attempt(kind_name, number, seed, generator, Path(folder), thorough, resume, attempt)
             except Exception as error:  # A case that fails to run is no reason to skip the others.
-                result = Result(kind_name, number, failures=[f"not carried out: {type(error).__name__}: {error}"])
+                result = FaultResult(kind_name, number, failures=[f"not carried out: {type(error).__name__}: {error}"])
         result.attempts = attempt
         take_places_out(result)
         if result.struck and (not result.failures or result.stall_s < STALL_S or result.resumed is False):
@@ -61,8 +61,8 @@ async def run_case(
 
 async def _attempt(
     name: str, number: int, seed: int, generator: random.Random, place: Path, thorough: bool, resume: bool, attempt: int
-) -> Result:
-    case, result = case_of(name, number, seed), Result(name, number)
+) -> FaultResult:
+    case, result = case_of(name, number, seed), FaultResult(name, number)
     onset_s = generator.uniform(9.0, 12.0) + 8.0 * (attempt - 1)
     async with set_stage(case, generator, place, onset_s) as stage:
         strikes = await _strike(stage, case, onset_s, result)
@@ -78,7 +78,7 @@ async def _attempt(
     return result
 
 
-async def _strike(stage: Stage, case: Case, onset_s: float, result: Result) -> list[Strike]:
+async def _strike(stage: Stage, case: FaultCase, onset_s: float, result: FaultResult) -> list[Strike]:
     """Let the faults occur; return each with its wall time, or nothing if there was no run."""
     if case.early:
         await stage.until(lambda: not stage.harness.running, stage.generator.uniform(*EARLY_S))
@@ -100,7 +100,7 @@ async def _strike(stage: Stage, case: Case, onset_s: float, result: Result) -> l
     return await _occur(stage, case, onset_s)
 
 
-async def _occur(stage: Stage, case: Case, onset_s: float) -> list[Strike]:
+async def _occur(stage: Stage, case: FaultCase, onset_s: float) -> list[Strike]:
     """Let the first fault occur now and the second `apart_s` later, if the run still exists."""
     strikes: list[Strike] = []
     acting: list[asyncio.Task[None]] = []
@@ -120,7 +120,7 @@ async def _occur(stage: Stage, case: Case, onset_s: float) -> list[Strike]:
     return strikes
 
 
-async def _act(kind: Kind, stage: Stage) -> None:
+async def _act(kind: FaultKind, stage: Stage) -> None:
     assert kind.act is not None
     with contextlib.suppress(ProcessLookupError):  # The other fault has ended it meanwhile.
         await kind.act(stage)
@@ -130,7 +130,7 @@ def _after(stage: Stage, rig_s: float) -> float | None:
     return next((moment.wall_s for moment in stage.moments() if moment.rig_s >= rig_s - 1e-6), None)
 
 
-async def _follow(stage: Stage, case: Case, result: Result, thorough: bool) -> None:
+async def _follow(stage: Stage, case: FaultCase, result: FaultResult, thorough: bool) -> None:
     """Wait until the heater is off and the run has ended; end a run that goes on by SIGTERM."""
     harness, began, ending = stage.harness, time.monotonic(), case.ending
 
@@ -164,7 +164,7 @@ async def _follow(stage: Stage, case: Case, result: Result, thorough: bool) -> N
     await _leave(stage, thorough and ending != "killed", result)
 
 
-async def _ended(stage: Stage, result: Result) -> None:
+async def _ended(stage: Stage, result: FaultResult) -> None:
     harness, asked_s = stage.harness, stage.asked_s
     if not await stage.until(lambda: not harness.running or harness.ended_as() != "", END_S):
         result.failures.append(f"the run did not end within {END_S:g} s of SIGTERM")
@@ -175,7 +175,7 @@ async def _ended(stage: Stage, result: Result) -> None:
         result.failures.append(f"the heater was off {after} after SIGTERM")
 
 
-async def _go_on(stage: Stage, result: Result, begun: bool, mended_s: float) -> None:
+async def _go_on(stage: Stage, result: FaultResult, begun: bool, mended_s: float) -> None:
     """Try `hil resume` after the fault: it continues, or refuses with a reason."""
     folder = stage.harness.folder()
     if folder is None:
@@ -199,7 +199,7 @@ async def _go_on(stage: Stage, result: Result, begun: bool, mended_s: float) -> 
     await stage.harness.finish()
 
 
-async def _resumed(stage: Stage, result: Result) -> bool:
+async def _resumed(stage: Stage, result: FaultResult) -> bool:
     """Return True if the run went on, with all acknowledged samples."""
     before, asked_s = dict(stage.seen.rows), time.time()
 
@@ -227,7 +227,7 @@ async def _resumed(stage: Stage, result: Result) -> bool:
     return went_on
 
 
-async def _leave(stage: Stage, thorough: bool, result: Result) -> None:
+async def _leave(stage: Stage, thorough: bool, result: FaultResult) -> None:
     """Let the run write its record and report if they are checked, otherwise end it at once."""
     harness = stage.harness
     if thorough and harness.running and not await stage.until(lambda: not harness.running, 60.0):

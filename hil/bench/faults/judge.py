@@ -38,7 +38,7 @@ _ENDINGS = ("finishing", "paused", "suspended", "faulted", "aborted", "done")
 
 
 @dataclass(slots=True)
-class Seen:
+class AcknowledgedSamples:
     """Samples in the live journal that a reader has read, and which are so acknowledged: tick -> (wall_s, quality)."""
 
     rows: dict[int, tuple[float, bytes]] = field(default_factory=dict)
@@ -60,7 +60,7 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True)
-class Journal:
+class JournalContent:
     """Content of a run's journal: samples as columns, states and events with their wall times."""
 
     ticks: tuple[int, ...] = ()
@@ -73,18 +73,18 @@ class Journal:
     sound: bool = True
 
 
-def read_journal(path: Path) -> Journal:
+def read_journal(path: Path) -> JournalContent:
     """Read a journal, complete or as a kill has left it; return an empty one if there is none."""
     if not path.is_file():
-        return Journal()
+        return JournalContent()
     database = connect_read_only(path)
     try:
         sound = database.execute("PRAGMA integrity_check").fetchone()[0] == "ok"
         if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'samples'").fetchone() is None:
-            return Journal(sound=sound)  # Interrupted at its creation, before anything moved.
+            return JournalContent(sound=sound)  # Interrupted at its creation, before anything moved.
         rows = database.execute("SELECT tick, wall_s, quality FROM samples ORDER BY tick").fetchall()
     except sqlite3.Error:
-        return Journal(sound=False)
+        return JournalContent(sound=False)
     finally:
         database.close()
     reader = JournalReader(path)
@@ -95,7 +95,7 @@ def read_journal(path: Path) -> Journal:
         events = tuple((row.wall_s, row.level, row.text) for row in reader.events())
     finally:
         reader.close()
-    return Journal(
+    return JournalContent(
         tuple(row[0] for row in rows),
         tuple(row[1] for row in rows),
         {name: samples.values[:, k].tolist() for k, name in enumerate(columns)},
@@ -121,7 +121,7 @@ def read_states(path: Path) -> list[tuple[float, str]]:
         database.close()
 
 
-def lost(seen: Seen, journal: Journal) -> int:
+def lost(seen: AcknowledgedSamples, journal: JournalContent) -> int:
     """Return the acknowledged samples that are missing in the journal, or different."""
     kept = dict(zip(journal.ticks, zip(journal.wall_s, journal.raw_quality, strict=True), strict=True))
     return sum(kept.get(tick) != row for tick, row in seen.rows.items())
@@ -168,12 +168,12 @@ def tries_on(pid: int) -> bool:
     return False
 
 
-def ended_at(journal: Journal, occurred_s: float) -> float | None:
+def ended_at(journal: JournalContent, occurred_s: float) -> float | None:
     """Return the time at which the harness left its running state, after `occurred_s`."""
     return next((row[0] for row in journal.states if row[0] >= occurred_s and row[2] in _ENDINGS), None)
 
 
-def noticed_at(journal: Journal, occurred_s: float, until_s: float) -> float | None:
+def noticed_at(journal: JournalContent, occurred_s: float, until_s: float) -> float | None:
     """Return the time of the first value that is not good, or of the first warning, between the two times."""
     samples = zip(journal.wall_s, journal.raw_quality, strict=True)
     bad = (wall_s for wall_s, quality in samples if occurred_s <= wall_s < until_s and any(quality))
@@ -185,7 +185,7 @@ def _first(times: Any) -> list[float]:
     return [time for time in [next(iter(times), None)] if time is not None]
 
 
-def wrong_values(journal: Journal, truth: list[Moment]) -> list[str]:
+def wrong_values(journal: JournalContent, truth: list[Moment]) -> list[str]:
     """Return the values recorded as good that were not true at any time within the staleness limit, a sentence each."""
     times = [moment.wall_s for moment in truth]
     found = []

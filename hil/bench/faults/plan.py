@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from hil.bench.faults.kinds import KINDS, Ending, Kind
+from hil.bench.faults.kinds import KINDS, Ending, FaultKind
 
 AND = " + "
 APART_S = 1.0
@@ -17,11 +17,11 @@ _SEVERITY: tuple[Ending, ...] = ("rides", "either", "stops", "killed")
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class FaultCase:
     """Case by its name, `a` or `a + b`: the first fault, and perhaps a second after `apart_s`."""
 
     name: str
-    kinds: tuple[Kind, ...]
+    kinds: tuple[FaultKind, ...]
     apart_s: float = 0.0
 
     @property
@@ -36,7 +36,7 @@ class Case:
 
     @property
     def places(self) -> frozenset[str]:
-        """Return its needs, see `Kind.place`."""
+        """Return its needs, see `FaultKind.place`."""
         return frozenset(kind.place for kind in self.kinds)
 
     @property
@@ -54,11 +54,11 @@ def worst(endings: Iterable[Ending]) -> Ending:
     return max(endings, key=_SEVERITY.index)
 
 
-def case_of(name: str, number: int, seed: int) -> Case:
+def case_of(name: str, number: int, seed: int) -> FaultCase:
     """Return the case called `name`; raise KeyError for an unknown kind."""
     kinds = tuple(KINDS[part] for part in name.split(AND))
     apart_s = random.Random(f"{seed} {name} {number} apart").uniform(0.0, APART_S) if len(kinds) > 1 else 0.0
-    return Case(name, kinds, apart_s)
+    return FaultCase(name, kinds, apart_s)
 
 
 def singles(runs: int, kinds: Sequence[str] = ()) -> list[tuple[str, int]]:

@@ -22,7 +22,7 @@ from drivers.virtual.rig import VirtualRig, start_virtual_rig
 from hil.bench.faults import judge
 from hil.bench.faults.disk import OwnDisk
 from hil.bench.faults.kinds import effect_text
-from hil.bench.faults.plan import Case
+from hil.bench.faults.plan import FaultCase
 from hil.bench.faults.rig import LOAD, PERIOD_S, prepare, rig_text
 from hil.bench.faults.tls import Certificates, make_certificates
 from hil.bench.measure import processes
@@ -101,7 +101,7 @@ class Stage:
     """
     told_s: float | None = None
     """Time at which the harness reported its end on its terminal."""
-    seen: judge.Seen = field(default_factory=judge.Seen)
+    seen: judge.AcknowledgedSamples = field(default_factory=judge.AcknowledgedSamples)
 
     @property
     def pid(self) -> int:
@@ -187,7 +187,7 @@ class Stage:
 
 
 @contextlib.asynccontextmanager
-async def set_stage(case: Case, generator: random.Random, place: Path, onset_s: float) -> AsyncIterator[Stage]:
+async def set_stage(case: FaultCase, generator: random.Random, place: Path, onset_s: float) -> AsyncIterator[Stage]:
     """Start rig, wires and a run in `place`; a first fault of the rig itself begins at `onset_s` of its time."""
     async with contextlib.AsyncExitStack() as stack:
         # Long work goes to a thread: the relays of parallel cases must not wait for it.
@@ -229,7 +229,7 @@ async def set_stage(case: Case, generator: random.Random, place: Path, onset_s: 
         yield Stage(generator, rig, plc, can, harness, truth, disk)
 
 
-async def _start(case: Case, place: Path, disk: OwnDisk | None) -> Harness:
+async def _start(case: FaultCase, place: Path, disk: OwnDisk | None) -> Harness:
     command = [sys.executable, "-m", "hil", "run", str(place / "load.csv"), "--rig", str(place / "rig.toml")]
     command += ["--calibrator", "least_squares"] if "twin" in case.places else ["--no-twin"]
     command += ["--viewer"] if "viewer" in case.places else ["--no-viewer"]

@@ -8,12 +8,12 @@ from typing import Any
 
 from drivers.virtual.devices.truth import Moment
 from hil.bench.faults import judge
-from hil.bench.faults.kinds import Ending, Kind
-from hil.bench.faults.plan import Case, worst
+from hil.bench.faults.kinds import Ending, FaultKind
+from hil.bench.faults.plan import FaultCase, worst
 from hil.bench.faults.rig import PERIOD_S, STALE_LIMIT_S, WATCHDOG_S
 from hil.bench.faults.stage import Stage
 
-Strike = tuple[Kind, float]
+Strike = tuple[FaultKind, float]
 """Fault and the wall time of its occurrence, s."""
 REACT_S = 1.0
 """Time from detection to safe, s."""
@@ -22,7 +22,7 @@ TRUTH_STEP_S = 2.0 * PERIOD_S
 
 
 @dataclass(slots=True)
-class Result:
+class FaultResult:
     """Result of one case. Times in s after the occurrence; `detected` and `safe` are None if that never happened. `by`
     is the detecting agent: the harness, its guardian or the rig's watchdog. `acknowledged` and `lost` count samples.
 
@@ -56,19 +56,21 @@ class Result:
     """True if the fault came while something heated, for kinds that require it."""
 
 
-def as_document(result: Result) -> dict[str, Any]:
+def as_document(result: FaultResult) -> dict[str, Any]:
     """Return the result as JSON data."""
     return asdict(result)
 
 
-def judged(result: Result, case: Case, stage: Stage, strikes: list[Strike]) -> judge.Journal:
+def judged(result: FaultResult, case: FaultCase, stage: Stage, strikes: list[Strike]) -> judge.JournalContent:
     """Complete `result` from the files of rig and harness; return the journal."""
     truth, journal = stage.moments(), judge.read_journal(stage.look())
     _judge(result, case, stage, journal, truth, strikes)
     return journal
 
 
-def _blamed(case: Case, stage: Stage, journal: judge.Journal, strikes: list[Strike]) -> tuple[Ending, float]:
+def _blamed(
+    case: FaultCase, stage: Stage, journal: judge.JournalContent, strikes: list[Strike]
+) -> tuple[Ending, float]:
     """Return the required outcome of the faults on a run that went on, and its time: the gravest one's occurrence."""
     left = judge.ended_at(journal, strikes[0][1])
     if left is None and "tmpfs" in case.places:
@@ -79,7 +81,12 @@ def _blamed(case: Case, stage: Stage, journal: judge.Journal, strikes: list[Stri
 
 
 def _judge(
-    result: Result, case: Case, stage: Stage, journal: judge.Journal, truth: list[Moment], strikes: list[Strike]
+    result: FaultResult,
+    case: FaultCase,
+    stage: Stage,
+    journal: judge.JournalContent,
+    truth: list[Moment],
+    strikes: list[Strike],
 ) -> None:
     harness = stage.harness
     ending, occurred_s = _blamed(case, stage, journal, strikes)
@@ -114,7 +121,7 @@ def _judge(
     result.failures += _broken(result, ending, case.early, journal, rode)
 
 
-def _broken(result: Result, ending: Ending, early: bool, journal: judge.Journal, rode: bool) -> list[str]:
+def _broken(result: FaultResult, ending: Ending, early: bool, journal: judge.JournalContent, rode: bool) -> list[str]:
     """Return the requirements that this case broke."""
     broken = []
     if ending == "rides" and not rode:

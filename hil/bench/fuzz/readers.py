@@ -40,7 +40,7 @@ _MOST_EXAMPLES = 20
 
 
 @dataclass
-class Fuzzed:
+class ReaderOutcomes:
     """Outcomes of one reader: counts by outcome, and the first files with a failure."""
 
     counts: Counter[str] = field(default_factory=Counter)
@@ -53,7 +53,7 @@ class Fuzzed:
 
 
 @dataclass(frozen=True)
-class Reader:
+class FuzzedReader:
     """Reader under test: `make` writes a mutated file to a path, `read` reads it."""
 
     suffix: str
@@ -61,7 +61,7 @@ class Reader:
     read: Callable[[Path], object]
 
 
-def readers(folder: Path) -> dict[str, Reader]:
+def readers(folder: Path) -> dict[str, FuzzedReader]:
     """Return every reader by the kind of its files; `folder` holds the journal that is copied."""
     from hil.bench.fuzz.journal import damaged, read_all, sound_journal
     from hil.diagnosis.store import CURVES, Curves, Unknown, write_curves
@@ -91,18 +91,18 @@ def readers(folder: Path) -> dict[str, Reader]:
         "model card": _json(_card, fuzz_texts.CARD),
         "run.json": _json(_run, fuzz_texts.RUN),
         "diagnosis.json": _json(_diagnosis, {"format": 1, "findings": [{"label": "a", "p": 0.1}], "sensors": {}}),
-        "journal": Reader("sqlite", lambda path, pick: damaged(journal, path, pick), read_all),
+        "journal": FuzzedReader("sqlite", lambda path, pick: damaged(journal, path, pick), read_all),
     }
 
 
 def fuzz_files(
     count: int, seed: int, *, kinds: tuple[str, ...] = (), progress: Callable[[float], None] = lambda share: None
-) -> dict[str, Fuzzed]:
+) -> dict[str, ReaderOutcomes]:
     """Return by kind of file the outcomes of `count` mutated ones of each kind (all where `kinds` is empty).
 
     Kinds whose reader needs a library that is not installed are left out.
     """
-    found: dict[str, Fuzzed] = {}
+    found: dict[str, ReaderOutcomes] = {}
     with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as name, warnings.catch_warnings():
         warnings.simplefilter("error")  # A library's warning is an unhandled fault.
         folder = Path(name)
@@ -112,7 +112,7 @@ def fuzz_files(
         for at, (kind, reader) in enumerate(chosen.items()):
             pick = random.Random(f"{seed} {kind}")
             path = folder / f"fuzzed.{reader.suffix}"
-            outcomes = found[kind] = Fuzzed()
+            outcomes = found[kind] = ReaderOutcomes()
             reader.make(path, random.Random(0))
             with contextlib.suppress(Exception):
                 reader.read(path)  # Imports of large libraries do not count as time of a file.
@@ -168,12 +168,12 @@ def _limited() -> Iterator[None]:
         signal.signal(signal.SIGVTALRM, before)
 
 
-def _text(suffix: str, read: Callable[[Path], object], *texts: str) -> Reader:
-    return Reader(suffix, lambda path, pick: path.write_bytes(mutated(pick.choice(texts), pick)), read)
+def _text(suffix: str, read: Callable[[Path], object], *texts: str) -> FuzzedReader:
+    return FuzzedReader(suffix, lambda path, pick: path.write_bytes(mutated(pick.choice(texts), pick)), read)
 
 
-def _json(read: Callable[[Path], object], document: Any) -> Reader:
-    return Reader("json", lambda path, pick: path.write_bytes(mutated_json(document, pick)), read)
+def _json(read: Callable[[Path], object], document: Any) -> FuzzedReader:
+    return FuzzedReader("json", lambda path, pick: path.write_bytes(mutated_json(document, pick)), read)
 
 
 def _has_yaml() -> bool:

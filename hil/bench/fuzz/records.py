@@ -43,7 +43,7 @@ LINES = (
 
 
 @dataclass
-class Fuzzed:
+class RecordOutcomes:
     """Outcomes of one reader: counts by outcome, and the first few files with a failure."""
 
     counts: Counter[str] = field(default_factory=Counter)
@@ -57,7 +57,7 @@ class Fuzzed:
 
 def fuzz_records(
     count: int, seed: int, *, kinds: tuple[str, ...] = KINDS, progress: Callable[[float], None] = lambda share: None
-) -> dict[str, Fuzzed]:
+) -> dict[str, RecordOutcomes]:
     """Return by kind of file the outcomes of `count` mutated files of each kind."""
     pick = random.Random(seed)
     found = {}
@@ -71,7 +71,7 @@ def fuzz_records(
         for at, kind in enumerate(kinds):
             make, suffix, read = makers[kind]
             path = Path(folder) / f"fuzzed.{suffix}"
-            found[kind] = Fuzzed()
+            found[kind] = RecordOutcomes()
             for number in range(count):
                 content = make(pick)
                 path.write_bytes(content)

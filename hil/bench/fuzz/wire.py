@@ -23,7 +23,7 @@ from drivers.signals.points import Quality
 from hil.bench.fuzz.can_frames import mutate_can
 from hil.bench.fuzz.j1939_frames import mutate_j1939
 from hil.bench.fuzz.rtu_replies import mutate_rtu
-from hil.bench.measure.report import Table
+from hil.bench.measure.report import ReportTable
 
 QUICK, FULL = 1_700, 100_000
 REGISTERS = 12
@@ -44,7 +44,7 @@ Found = dict[str, tuple[int, int, int, int]]
 
 def measure(
     count: int, seed: int, progress: Callable[[float], None]
-) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...], bool]:
     """Return tables of `count` mutations each, everything left out, and True if no wrong value was accepted as good."""
     modbus = asyncio.run(mutate_modbus(count, seed, progress=lambda share: progress(0.8 * share)))
     rtu = mutate_rtu(count, seed)
@@ -83,10 +83,10 @@ def measure(
     return tables, (), not any(wrong for found in (modbus, rtu, frames) for *_, wrong in found.values())
 
 
-def _table(key: str, what: str, unit: str, of: str, found: Found, note: str) -> Table:
+def _table(key: str, what: str, unit: str, of: str, found: Found, note: str) -> ReportTable:
     rows = tuple((kind, *numbers) for kind, numbers in found.items())
     columns = ("mutation", unit, f"{of} used", f"{of} not used", "wrong")
-    return Table(key, f"{sum(row[1] for row in rows):,} {what}", columns, rows, (note,))
+    return ReportTable(key, f"{sum(row[1] for row in rows):,} {what}", columns, rows, (note,))
 
 
 class _MemoryWire:

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.training.ablation import PIECES, without
-from hil.training.data import Data
+from hil.training.data import TrainingData
 from twin.network import Array
 
 LEFT_OUT = ("hierarchy", "residuals", "gates", "evidence", "hiding")
@@ -26,7 +26,7 @@ RESAMPLES = 400
 
 
 @dataclass(frozen=True)
-class Trial:
+class TrainedVariant:
     """Variant trained without one part, on N held-out windows.
 
     Attributes:
@@ -51,8 +51,8 @@ class Trial:
 
 
 def measure(
-    data: Data, name: str, seed: int, minutes: float, say: Callable[[float, str], None]
-) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+    data: TrainingData, name: str, seed: int, minutes: float, say: Callable[[float, str], None]
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     """Return the table, and everything left out.
 
     Args:
@@ -67,7 +67,7 @@ def measure(
     return (table(trials, rigs(data.test.nominal), minutes, len(data.train)), meanings()), ()
 
 
-def trial(data: Data, name: str, seed: int, budget_s: float, less: tuple[str, ...]) -> Trial:
+def trial(data: TrainingData, name: str, seed: int, budget_s: float, less: tuple[str, ...]) -> TrainedVariant:
     """Train a variant without the parts `less` for this CPU time and score it on the test windows."""
     from twin.calibrators.hiera_unet.binding import config_for, physics_of
     from twin.calibrators.hiera_unet.plan import Plan
@@ -77,7 +77,7 @@ def trial(data: Data, name: str, seed: int, budget_s: float, less: tuple[str, ..
     parts = (data.network, data.table, data.deviations)
     physics = physics_of(*parts)
 
-    def trainer(steps: int) -> tuple[Any, Data]:
+    def trainer(steps: int) -> tuple[Any, TrainingData]:
         config, plan, own = without(less, config_for(name, *parts), Plan(steps=steps, seed=seed), data)
         return Trainer(config, own.train, physics, plan, digest=data.digest), own
 
@@ -93,7 +93,7 @@ def trial(data: Data, name: str, seed: int, budget_s: float, less: tuple[str, ..
     moved = np.where(np.abs(blind.theta - blind.theta_error) > MOVED, 1.0, np.nan)
     wrong, fitted = np.abs(blind.theta_error), np.abs(blind.evidence_error)
     known = np.isfinite(blind.error)
-    return Trial(
+    return TrainedVariant(
         less[0] if less else "nothing",
         sum(p.numel() for p in work.network.parameters()),
         work.plan.steps,
@@ -130,7 +130,7 @@ def rigs(nominal: Array) -> np.ndarray:
     return found
 
 
-def table(trials: list[Trial], rig: np.ndarray, minutes: float, seen: int) -> Table:
+def table(trials: list[TrainedVariant], rig: np.ndarray, minutes: float, seen: int) -> ReportTable:
     """Compare all variants with the first, which is complete."""
     whole = trials[0]
     rows: list[tuple[Cell, ...]] = []
@@ -144,7 +144,7 @@ def table(trials: list[Trial], rig: np.ndarray, minutes: float, seen: int) -> Ta
     error = [float(np.nanmean(values)) for values in whole.fit]
     rows.append(("the network", 0, error[0], error[0], error[1], more[0], error[2], more[1], None, None))
     weights = ", ".join(f"{t.name} {t.weights}" for t in trials if t is whole or t.weights != whole.weights)
-    return Table(
+    return ReportTable(
         "ablations",
         f"Trained for {minutes:g} CPU minutes each, then on {len(rig)} unseen windows",
         (
@@ -184,7 +184,7 @@ def _span(more: Array, rig: np.ndarray) -> Cell:
     return f"{low:+.3f} to {high:+.3f}"
 
 
-def meanings() -> Table:
+def meanings() -> ReportTable:
     """Describe the parts that are left out."""
     rows = tuple((piece, PIECES[piece]) for piece in LEFT_OUT)
-    return Table("meanings", "What is left out", ("without", "meaning"), rows)
+    return ReportTable("meanings", "What is left out", ("without", "meaning"), rows)

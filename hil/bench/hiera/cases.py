@@ -47,7 +47,7 @@ BENCH = 7_000_000
 
 
 @dataclass(frozen=True)
-class Case:
+class HieraCase:
     """Record of the benchmark.
 
     Attributes:
@@ -85,7 +85,7 @@ def _targets() -> tuple[int, ...]:
     return tuple(range(FIRST, FIRST + BEFORE + 1 + AFTER))
 
 
-def simulated(family: Family, seed: int, count: int) -> Iterator[Case]:
+def simulated(family: Family, seed: int, count: int) -> Iterator[HieraCase]:
     """Return cases of simulated rigs: healthy, tracked and other in turn."""
     for number in range(count):
         rng = np.random.default_rng([seed + BENCH, number, 23])
@@ -104,7 +104,7 @@ def simulated(family: Family, seed: int, count: int) -> Iterator[Case]:
             found, onset = _other(family, rig.plant, rng, inputs, hour)
         campaign = logged(family, rig, rng, inputs, hour, found, gaps=False)
         name = "; ".join(c.what for c in found) or "healthy"
-        yield Case(name, "simulated", kind, seed, campaign, _targets(), onset)
+        yield HieraCase(name, "simulated", kind, seed, campaign, _targets(), onset)
 
 
 def _other(
@@ -119,7 +119,7 @@ def _other(
             return (drawn,), onset
 
 
-def virtual(features: Features, seed: int, count: int) -> Iterator[Case]:
+def virtual(features: Features, seed: int, count: int) -> Iterator[HieraCase]:
     """Return cases of the virtual rig's plant: every other one healthy, the rest with a shipped effect at its onset."""
     for number in range(count):
         rng = np.random.default_rng([seed + BENCH, number, 29])
@@ -135,10 +135,10 @@ def virtual(features: Features, seed: int, count: int) -> Iterator[Case]:
         theta, amiss = told(features, moved, made.time)
         campaign = Campaign(made, clean, theta, amiss, specimen.nominal, "plant", (effect,) if effect else ())
         kind = "healthy" if not effect else "tracked" if effect in EFFECTS[:2] else "other"
-        yield Case(effect.replace("_", " ") or "healthy", "virtual", kind, seed, campaign, _targets(), onset)
+        yield HieraCase(effect.replace("_", " ") or "healthy", "virtual", kind, seed, campaign, _targets(), onset)
 
 
-def strangers(features: Features, data: Path, names: tuple[str, ...] = STRANGERS) -> Iterator[Case]:
+def strangers(features: Features, data: Path, names: tuple[str, ...] = STRANGERS) -> Iterator[HieraCase]:
     """Return rigs of another maker, each commissioned on its own healthy record.
 
     Raises:
@@ -169,10 +169,10 @@ def strangers(features: Features, data: Path, names: tuple[str, ...] = STRANGERS
             () if quiet else (answer,),
         )
         targets = tuple(range(start, min(start + STRANGER_TARGETS, len(made) // TARGET)))
-        yield Case(name, "stranger", "healthy" if quiet else "other", 0, campaign, targets, onset)
+        yield HieraCase(name, "stranger", "healthy" if quiet else "other", 0, campaign, targets, onset)
 
 
-def hidden(case: Case, share: float, seed: int) -> Case:
+def hidden(case: HieraCase, share: float, seed: int) -> HieraCase:
     """Return the same case with a share of its channels lost, half an hour into the record."""
     s = case.campaign.series
     rng = np.random.default_rng([seed, 31])

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.bench.hiera.cases import Case
+from hil.bench.hiera.cases import HieraCase
 from twin.calibrators import CALIBRATOR_NAMES, make_calibrator
 from twin.calibrators.base import Calibration, Calibrator
 from twin.calibrators.hiera_unet.campaigns import Label
@@ -31,7 +31,7 @@ SAME = 0.03
 
 
 @dataclass(frozen=True)
-class Sheet:
+class CaseInputs:
     """Input of all contestants for one case, and data for the scorer alone.
 
     Attributes:
@@ -40,7 +40,7 @@ class Sheet:
         cpu_s: for one frame, and for one evidence.
     """
 
-    case: Case
+    case: HieraCase
     frames: tuple[Frame, ...]
     evidence: tuple[Evidence, ...]
     known: np.ndarray
@@ -51,7 +51,7 @@ class Sheet:
 
 
 @dataclass(frozen=True)
-class Answer:
+class BlindPredictions:
     """Predictions of one case's n targets.
 
     Attributes:
@@ -68,10 +68,10 @@ class Answer:
     theta_half: Array | None = None
 
 
-Contestant = Callable[[Features, Sheet], Answer]
+Contestant = Callable[[Features, CaseInputs], BlindPredictions]
 
 
-def sheet(features: Features, case: Case) -> Sheet:
+def sheet(features: Features, case: HieraCase) -> CaseInputs:
     """Compute everything about a case that is needed once."""
     nominal, series = case.campaign.nominal, case.campaign.series
     ends = [TARGET * (k + 1) for k in case.targets]
@@ -87,10 +87,10 @@ def sheet(features: Features, case: Case) -> Sheet:
         for end, t, k, e in zip(ends, theta, known, evidence, strict=True)
     )
     n = max(len(frames), 1)
-    return Sheet(case, frames, evidence, known, floor, theta, labels, ((middle - began) / n, (done - middle) / n))
+    return CaseInputs(case, frames, evidence, known, floor, theta, labels, ((middle - began) / n, (done - middle) / n))
 
 
-def _labelled(features: Features, case: Case, frame: Frame, end: int) -> tuple[Array, np.ndarray, Array]:
+def _labelled(features: Features, case: HieraCase, frame: Frame, end: int) -> tuple[Array, np.ndarray, Array]:
     """Return true deviations (P,), a mask of those that count, and their Cramer-Rao bounds."""
     campaign = case.campaign
     rows = campaign.theta[end - TARGET : end]
@@ -105,28 +105,28 @@ def _labelled(features: Features, case: Case, frame: Frame, end: int) -> tuple[A
     return theta, known, least_error(features, frame, campaign.nominal, theta, since)
 
 
-def commissioned(features: Features, given: Sheet) -> Answer:
+def commissioned(features: Features, given: CaseInputs) -> BlindPredictions:
     """Return the predictions of the commissioned twin, begun at the state of the last readings."""
     readings = np.stack([frame.base for frame in given.frames])
     none = np.zeros((len(readings), len(features.deviations)))
-    return Answer(readings, none, np.zeros(len(readings), dtype=bool), given.cpu_s[0])
+    return BlindPredictions(readings, none, np.zeros(len(readings), dtype=bool), given.cpu_s[0])
 
 
-def fitted(features: Features, given: Sheet) -> Answer:
+def fitted(features: Features, given: CaseInputs) -> BlindPredictions:
     """Return the predictions of least squares over the last minutes to two hours: the evidence."""
     return refit(features, given, given.evidence, sum(given.cpu_s))
 
 
-def refit(features: Features, given: Sheet, found: tuple[Evidence, ...], cpu_s: float) -> Answer:
+def refit(features: Features, given: CaseInputs, found: tuple[Evidence, ...], cpu_s: float) -> BlindPredictions:
     """Return the predictions of fits of every target's context."""
     readings = np.stack([free_run(features, given, i, e.theta, e.state) for i, e in enumerate(found)])
     noise = float(np.sqrt(np.mean(step_noise(features) ** 2)))
     calibrated = np.array([np.sqrt(e.chi) * noise < features.network.rules.calibrated_K for e in found])
     half = np.stack([np.where(e.told, SE90 * e.sd, np.nan) for e in found])
-    return Answer(readings, np.stack([e.theta for e in found]), calibrated, cpu_s, theta_half=half)
+    return BlindPredictions(readings, np.stack([e.theta for e in found]), calibrated, cpu_s, theta_half=half)
 
 
-def free_run(features: Features, given: Sheet, i: int, theta: Array, state: Array) -> Array:
+def free_run(features: Features, given: CaseInputs, i: int, theta: Array, state: Array) -> Array:
     """Return readings (120, Y) over target `i`."""
     frame, nominal = given.frames[i], given.case.campaign.nominal
     full = features.deviations.full(theta, nominal)
@@ -136,7 +136,7 @@ def free_run(features: Features, given: Sheet, i: int, theta: Array, state: Arra
 def tracked(name: str) -> Contestant:
     """Return the predictions of a calibrator of `hil track` over the whole record, always ahead."""
 
-    def contestant(features: Features, given: Sheet) -> Answer:
+    def contestant(features: Features, given: CaseInputs) -> BlindPredictions:
         campaign, targets = given.case.campaign, given.case.targets
         values = dict(zip(features.network.ids, campaign.nominal.tolist(), strict=True))
         own = {k: v for k, v in values.items() if not features.network.parameters[k].same_as}
@@ -150,7 +150,7 @@ def tracked(name: str) -> Contestant:
         done = {_number(c, part.time[0]): c for c in update.calibrations}
         readings = np.stack([update.tracked[TARGET * k : TARGET * (k + 1)] for k in targets])
         theta, half, calibrated = zip(*(_before(features, campaign.nominal, done, k) for k in targets), strict=True)
-        return Answer(readings, np.stack(theta), np.array(calibrated), spent, theta_half=np.stack(half))
+        return BlindPredictions(readings, np.stack(theta), np.array(calibrated), spent, theta_half=np.stack(half))
 
     return contestant
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.bench.hiera.contestants import Answer, Contestant, Sheet, refit
+from hil.bench.hiera.contestants import BlindPredictions, CaseInputs, Contestant, refit
 from twin.calibrators.hiera_unet.binding import identity_of, physics_of
 from twin.calibrators.hiera_unet.ensemble import together
 from twin.calibrators.hiera_unet.evidence import Belief, estimate
@@ -40,9 +40,9 @@ class _Network:
 
     def __init__(self, ensemble: Ensemble, physics: Physics) -> None:
         self._ensemble, self._physics = ensemble, physics
-        self._latest: tuple[Sheet, Outcome, float] | None = None
+        self._latest: tuple[CaseInputs, Outcome, float] | None = None
 
-    def _ask(self, features: Features, given: Sheet) -> tuple[Outcome, float]:
+    def _ask(self, features: Features, given: CaseInputs) -> tuple[Outcome, float]:
         if self._latest is None or self._latest[0] is not given:
             windows = _windows(features, given)
             began = time.process_time()
@@ -56,7 +56,7 @@ class _Network:
             self._latest = (given, said, (time.process_time() - began) / len(windows))
         return self._latest[1], self._latest[2]
 
-    def alone(self, features: Features, given: Sheet) -> Answer:
+    def alone(self, features: Features, given: CaseInputs) -> BlindPredictions:
         """Return deviations and corrections of the network, target hidden, causal branch."""
         said, spent = self._ask(features, given)
         # Against a truth of zero, the errors are the predictions.
@@ -66,9 +66,9 @@ class _Network:
         if not np.isfinite(given.case.campaign.truth).any():
             # Intervals are for the rig; here only readings with their noise are known.
             half = np.hypot(half, Z90 * features.network.sigma / np.sqrt(STEP_S))
-        return Answer(said.error, said.theta, calm, sum(given.cpu_s) + spent, half, Z90 * said.theta_sd)
+        return BlindPredictions(said.error, said.theta, calm, sum(given.cpu_s) + spent, half, Z90 * said.theta_sd)
 
-    def then_fit(self, features: Features, given: Sheet) -> Answer:
+    def then_fit(self, features: Features, given: CaseInputs) -> BlindPredictions:
         """Return least squares with the network's deviations and their spread as the prior."""
         said, spent = self._ask(features, given)
         least = NARROWEST * features.deviations.prior_sd
@@ -81,7 +81,7 @@ class _Network:
         return refit(features, given, found, sum(given.cpu_s) + spent)
 
 
-def _windows(features: Features, given: Sheet) -> Windows:
+def _windows(features: Features, given: CaseInputs) -> Windows:
     nominal = given.case.campaign.nominal
     rows = [
         one(features, features.explained(frame, nominal, found.theta, found.steps), found, nominal)

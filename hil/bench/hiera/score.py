@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.bench.hiera.contestants import Answer, Sheet
+from hil.bench.hiera.contestants import BlindPredictions, CaseInputs
 from twin.network import Array
 
 IN_A_ROW = 2
@@ -19,7 +19,7 @@ CONFIDENCE = 0.90
 
 
 @dataclass(frozen=True)
-class Score:
+class HieraScore:
     """Score of one contestant on one case.
 
     Attributes:
@@ -49,7 +49,7 @@ class Score:
     cpu_s: float
 
 
-def score(given: Sheet, answer: Answer, plain: Answer, threshold_K: float) -> Score:
+def score(given: CaseInputs, answer: BlindPredictions, plain: BlindPredictions, threshold_K: float) -> HieraScore:
     """Score predictions; `plain` is that of the commissioned twin, which shows if there is anything to recover from."""
     case = given.case
     truth = case.truth()
@@ -66,7 +66,7 @@ def score(given: Sheet, answer: Answer, plain: Answer, threshold_K: float) -> Sc
         wrong = np.where(given.known, answer.theta - given.theta, np.nan)
         off = np.where(np.isfinite(given.floor), wrong / given.floor, np.nan)
         sure = np.full(wrong.shape, np.nan) if answer.theta_half is None else wrong / answer.theta_half
-    return Score(
+    return HieraScore(
         case.rig,
         case.kind,
         case.seed,
@@ -99,7 +99,7 @@ def _recovered(rmse: Array, threshold_K: float) -> float:
     return float("inf")
 
 
-def pooled(scores: Iterable[Score], which: Callable[[Score], np.ndarray]) -> float:
+def pooled(scores: Iterable[HieraScore], which: Callable[[HieraScore], np.ndarray]) -> float:
     """Return the RMSE over the chosen targets of all cases, K."""
     chosen = [s.rmse[which(s)] for s in scores]
     squares = np.concatenate(chosen) ** 2 if chosen else np.zeros(0)
@@ -107,7 +107,7 @@ def pooled(scores: Iterable[Score], which: Callable[[Score], np.ndarray]) -> flo
     return float(np.sqrt(squares.mean())) if squares.size else float("nan")
 
 
-def typical(scores: Iterable[Score], which: Callable[[Score], np.ndarray]) -> float:
+def typical(scores: Iterable[HieraScore], which: Callable[[HieraScore], np.ndarray]) -> float:
     """Return the median of the targets' RMSE, K."""
     chosen = [s.rmse[which(s)] for s in scores]
     values = np.concatenate(chosen) if chosen else np.zeros(0)
@@ -115,14 +115,14 @@ def typical(scores: Iterable[Score], which: Callable[[Score], np.ndarray]) -> fl
     return float(np.median(values)) if values.size else float("nan")
 
 
-def share_recovered(scores: Iterable[Score], within: float) -> float:
+def share_recovered(scores: Iterable[HieraScore], within: float) -> float:
     """Return the share of changes that were recovered from within this number of targets; NaN without any change."""
     needed = np.array([s.recovered for s in scores])
     needed = needed[~np.isnan(needed)]
     return float((needed <= within).mean()) if needed.size else float("nan")
 
 
-def worse(scores: list[Score], rival: list[Score]) -> float:
+def worse(scores: list[HieraScore], rival: list[HieraScore]) -> float:
     """Return the share of changes after which the error is clearly larger than the rival's on the same case."""
     lost = []
     for own, other in zip(scores, rival, strict=True):
@@ -133,7 +133,7 @@ def worse(scores: list[Score], rival: list[Score]) -> float:
     return float(np.mean(lost)) if lost else float("nan")
 
 
-def over_bound(scores: Iterable[Score], *, accepted: bool = False, told: bool = False) -> float:
+def over_bound(scores: Iterable[HieraScore], *, accepted: bool = False, told: bool = False) -> float:
     """Return the root mean square of parameter errors over their Cramer-Rao bounds: 1 is the optimum.
 
     Args:
@@ -144,13 +144,13 @@ def over_bound(scores: Iterable[Score], *, accepted: bool = False, told: bool = 
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
-def median_over_bound(scores: Iterable[Score], *, accepted: bool = False) -> float:
+def median_over_bound(scores: Iterable[HieraScore], *, accepted: bool = False) -> float:
     """Return the median of |error| over bound; 0.67 for an efficient estimate. Arguments are as of `over_bound`."""
     values = np.abs(_over_bound(scores, accepted, told=False))
     return float(np.median(values)) if values.size else float("nan")
 
 
-def _over_bound(scores: Iterable[Score], accepted: bool, told: bool) -> Array:
+def _over_bound(scores: Iterable[HieraScore], accepted: bool, told: bool) -> Array:
     chosen = []
     for s in scores:
         rows = (s.after | s.before) & (s.calibrated | (not accepted))
@@ -159,21 +159,21 @@ def _over_bound(scores: Iterable[Score], accepted: bool, told: bool) -> Array:
     return values[np.isfinite(values)]
 
 
-def sure(scores: Iterable[Score], which: Callable[[Score], np.ndarray]) -> float:
+def sure(scores: Iterable[HieraScore], which: Callable[[HieraScore], np.ndarray]) -> float:
     """Return the share of parameters inside their own 90 % intervals, over the chosen targets; NaN without any."""
     values = np.concatenate([s.sure[which(s)].ravel() for s in scores] or [np.zeros(0)])
     values = np.abs(values[~np.isnan(values)])
     return float((values <= 1.0).mean()) if values.size else float("nan")
 
 
-def falsely_calibrated(scores: Iterable[Score], threshold_K: float) -> float:
+def falsely_calibrated(scores: Iterable[HieraScore], threshold_K: float) -> float:
     """Return the share of targets with a calibrated flag before them that the contestant then missed."""
     missed = [s.rmse[s.calibrated] > threshold_K for s in scores]
     values = np.concatenate(missed) if missed else np.zeros(0)
     return float(values.mean()) if values.size else float("nan")
 
 
-def constant_widths(scores: Iterable[Score], seed: int) -> Array:
+def constant_widths(scores: Iterable[HieraScore], seed: int) -> Array:
     """Return half widths (Y,), K, of split conformal prediction from other cases: one score for each target and sensor.
 
     Shafer & Vovk, J. Mach. Learn. Res. 9 (2008) 371; the step within a target is drawn at random, since errors within
@@ -194,13 +194,13 @@ def constant_widths(scores: Iterable[Score], seed: int) -> Array:
     return np.array(widths)
 
 
-def own_factors(scores: Iterable[Score], seed: int) -> Array:
+def own_factors(scores: Iterable[HieraScore], seed: int) -> Array:
     """Return factors (Y,) that calibrate a contestant's own half widths: normalised split conformal."""
     relative = [replace(s, error=s.error / s.half) for s in scores if s.half is not None]
     return constant_widths(relative, seed)
 
 
-def tally(s: Score, widths: Array, *, own: bool = False) -> tuple[float, float, int]:
+def tally(s: HieraScore, widths: Array, *, own: bool = False) -> tuple[float, float, int]:
     """Return the number of errors inside half widths (Y,), K, the sum of full widths, and the number of errors.
 
     Args:
@@ -213,13 +213,15 @@ def tally(s: Score, widths: Array, *, own: bool = False) -> tuple[float, float, 
     return float((np.abs(s.error) <= half)[good].sum()), float(2.0 * half[good].sum()), int(good.sum())
 
 
-def coverage(scores: Iterable[Score], widths: Array, *, own: bool = False) -> tuple[float, float]:
+def coverage(scores: Iterable[HieraScore], widths: Array, *, own: bool = False) -> tuple[float, float]:
     """Return coverage and mean full width, K; the arguments are those of `tally`."""
     inside, total, known = np.sum([(0.0, 0.0, 0), *(tally(s, widths, own=own) for s in scores)], axis=0).tolist()
     return (inside / known, total / known) if known else (float("nan"), float("nan"))
 
 
-def interval(scores: list[Score], figure: Callable[[list[Score]], float], seed: int = 0) -> tuple[float, float, float]:
+def interval(
+    scores: list[HieraScore], figure: Callable[[list[HieraScore]], float], seed: int = 0
+) -> tuple[float, float, float]:
     """Return a figure and its middle 90 % in a bootstrap over cases."""
     value = figure(scores)
     if len(scores) < 2:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.bench.hiera import score as judge
-from hil.bench.hiera.score import Score
-from hil.bench.measure.report import Cell, Table
+from hil.bench.hiera.score import HieraScore
+from hil.bench.measure.report import Cell, ReportTable
 
 if TYPE_CHECKING:
     from hil.bench.hiera.latency import Latency
-    from hil.bench.hiera.trial import Everything, Results
+    from hil.bench.hiera.trial import HieraResults, Results
 
 BETWEEN = "Middle 90 % when cases are drawn again (bootstrap over cases)."
 AHEAD = (
@@ -22,7 +22,7 @@ AHEAD = (
 )
 
 
-def tables(found: Everything, rigs: tuple[str, ...]) -> tuple[Table, ...]:
+def tables(found: HieraResults, rigs: tuple[str, ...]) -> tuple[ReportTable, ...]:
     """Return all tables, in reading order."""
     return (
         errors(found.whole, rigs),
@@ -37,7 +37,7 @@ def tables(found: Everything, rigs: tuple[str, ...]) -> tuple[Table, ...]:
     )
 
 
-def _of(results: Results, rig: str) -> dict[str, list[Score]]:
+def _of(results: Results, rig: str) -> dict[str, list[HieraScore]]:
     return {name: [s for s in scores if s.rig == rig] for name, scores in results.items()}
 
 
@@ -45,7 +45,7 @@ def _range(low: float, high: float, form: str = "{:.3f}") -> Cell:
     return None if not np.isfinite([low, high]).all() else f"{form.format(low)} to {form.format(high)}"
 
 
-def errors(results: Results, rigs: tuple[str, ...]) -> Table:
+def errors(results: Results, rigs: tuple[str, ...]) -> ReportTable:
     """Return errors of blind predictions, healthy and changed."""
     rows: list[tuple[Cell, ...]] = []
     for rig in rigs:
@@ -66,7 +66,7 @@ def errors(results: Results, rigs: tuple[str, ...]) -> Table:
                     judge.typical(scores, lambda s: s.after),
                 )
             )
-    return Table(
+    return ReportTable(
         "errors",
         "RMSE of predictions ten minutes ahead, K",
         ("rig", "by", "healthy", "from to", "median", "changed", "from to ", "median "),
@@ -79,7 +79,7 @@ def errors(results: Results, rigs: tuple[str, ...]) -> Table:
     )
 
 
-def recovery(results: Results, rigs: tuple[str, ...]) -> Table:
+def recovery(results: Results, rigs: tuple[str, ...]) -> ReportTable:
     """Return the delay until predictions are right again after a change."""
     rows: list[tuple[Cell, ...]] = []
     for rig in rigs:
@@ -104,7 +104,7 @@ def recovery(results: Results, rigs: tuple[str, ...]) -> Table:
                     judge.share_recovered(tracked, 2.0) if count else None,
                 )
             )
-    return Table(
+    return ReportTable(
         "recovery",
         "Targets until predictions are below 0.1 K again, the first whole one after the change being 1",
         ("rig", "by", "changes", "median", "at 1", "by 2", "from to", "never", "tracked", "by 2 "),
@@ -123,12 +123,12 @@ def _count(value: float) -> Cell:
     return "never" if np.isinf(value) else value
 
 
-def _sound(scores: list[Score]) -> list[Score]:
+def _sound(scores: list[HieraScore]) -> list[HieraScore]:
     """Return cases of rigs without physics that the twin lacks: elsewhere no value of its parameters is right."""
     return [s for s in scores if s.kind in ("healthy", "tracked")]
 
 
-def parameters(results: Results) -> Table:
+def parameters(results: Results) -> ReportTable:
     """Return errors of deviations over their Cramer-Rao bounds."""
     rows: list[tuple[Cell, ...]] = []
     for rig in ("simulated", "virtual"):
@@ -145,7 +145,7 @@ def parameters(results: Results) -> Table:
                 judge.over_bound(_sound(told), accepted=True),
             )
             rows.append((rig, name, count, value, _range(low, high, "{:.2f}"), *figures))
-    return Table(
+    return ReportTable(
         "parameters",
         "Parameter errors over their Cramer-Rao bounds, where the data tells them",
         ("rig", "by", "numbers", "median", "from to", "RMS", "accepted", "not held", "as the twin"),
@@ -161,7 +161,7 @@ def parameters(results: Results) -> Table:
     )
 
 
-def parameter_intervals(results: Results) -> Table:
+def parameter_intervals(results: Results) -> ReportTable:
     """Return the coverage of parameters by the intervals of their calibrators."""
     rows: list[tuple[Cell, ...]] = []
     for rig in ("simulated", "virtual"):
@@ -182,7 +182,7 @@ def parameter_intervals(results: Results) -> Table:
                     _range(*changed[1:], "{:.2f}"),
                 )
             )
-    return Table(
+    return ReportTable(
         "parameter_intervals",
         "Parameters inside their own 90 % intervals",
         ("rig", "by", "numbers", "healthy", "from to", "changed", "from to "),
@@ -191,7 +191,7 @@ def parameter_intervals(results: Results) -> Table:
     )
 
 
-def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> Table:
+def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> ReportTable:
     """Return coverage and width of 90 % intervals."""
     rows: list[tuple[Cell, ...]] = []
     for rig in rigs:
@@ -206,7 +206,7 @@ def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> 
                 value, low, high = judge.interval(scores, _share(factors, own=True))
                 width = judge.coverage(scores, factors, own=True)[1]
                 rows.append((rig, name, "its own", value, _range(low, high, "{:.2f}"), width))
-    return Table(
+    return ReportTable(
         "intervals",
         "Intervals that promise 90 %",
         ("rig", "by", "width is", "inside", "from to", "mean width K"),
@@ -219,11 +219,11 @@ def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> 
     )
 
 
-def _share(widths: np.ndarray, *, own: bool = False) -> Callable[[list[Score]], float]:
+def _share(widths: np.ndarray, *, own: bool = False) -> Callable[[list[HieraScore]], float]:
     """Return the share inside of a list of scores; each is counted once, also in a bootstrap."""
     counted: dict[int, tuple[float, float, int]] = {}
 
-    def share(scores: list[Score]) -> float:
+    def share(scores: list[HieraScore]) -> float:
         for s in scores:
             if id(s) not in counted:
                 counted[id(s)] = judge.tally(s, widths, own=own)
@@ -233,7 +233,7 @@ def _share(widths: np.ndarray, *, own: bool = False) -> Callable[[list[Score]], 
     return share
 
 
-def lost(found: Everything) -> Table:
+def lost(found: HieraResults) -> ReportTable:
     """Return errors with channels hidden."""
     rows: list[tuple[Cell, ...]] = []
     shares = sorted(found.lost)
@@ -251,14 +251,14 @@ def lost(found: Everything) -> Table:
         columns += ["RMSE", "median"] if share == 0.0 else [f"RMSE -{share:.0%}", f"median -{share:.0%}"]
     count = max((len(scores) for scores in found.lost[0.0].values()), default=0)
     notes = (f"Sensors and inputs alike, from half an hour on, in {count} cases. A lost input holds its last value.",)
-    return Table("lost", "With a share of the channels lost, K", tuple(columns), tuple(rows), notes)
+    return ReportTable("lost", "With a share of the channels lost, K", tuple(columns), tuple(rows), notes)
 
 
-def _all(s: Score) -> np.ndarray:
+def _all(s: HieraScore) -> np.ndarray:
     return np.ones(len(s.rmse), dtype=bool)
 
 
-def false_flags(found: Everything) -> Table:
+def false_flags(found: HieraResults) -> ReportTable:
     """Return the share of false `calibrated` flags."""
     rows: list[tuple[Cell, ...]] = []
     for name, scores in found.whole.items():
@@ -267,7 +267,7 @@ def false_flags(found: Everything) -> Table:
             continue
         value, low, high = judge.interval(scores, lambda x: judge.falsely_calibrated(x, found.threshold_K))
         rows.append((name, float(said.mean()), value, _range(low, high, "{:.2f}")))
-    return Table(
+    return ReportTable(
         "flags",
         f"Said to be calibrated, and the next ten minutes missed by more than {found.threshold_K:g} K",
         ("by", "said", "false", "from to"),
@@ -285,7 +285,7 @@ RIVALS = {
 """Rival that a contestant must not be worse than: the same fit without the network."""
 
 
-def goals(found: Everything) -> tuple[Table, ...]:
+def goals(found: HieraResults) -> tuple[ReportTable, ...]:
     """Return the network's goals and results; no table without a network."""
     rows: list[tuple[Cell, ...]] = []
     for name in (n for n in RIVALS if n in found.whole):
@@ -317,22 +317,22 @@ def goals(found: Everything) -> tuple[Table, ...]:
     if not rows:
         return ()
     notes = (f"Worse: RMSE after the change larger by more than {judge.WORSE - 1.0:.0%} and by {judge.WORSE_K:g} K.",)
-    return (Table("goals", "Against the goals", ("by", "what", "goal", "found"), tuple(rows), notes),)
+    return (ReportTable("goals", "Against the goals", ("by", "what", "goal", "found"), tuple(rows), notes),)
 
 
-def cost(results: Results) -> Table:
+def cost(results: Results) -> ReportTable:
     """Return the CPU time of one window."""
     rows = tuple((name, 1e3 * float(np.median([s.cpu_s for s in scores]))) for name, scores in results.items())
-    return Table("cost", "CPU time, ms a window of ten minutes (one thread)", ("by", "ms"), rows)
+    return ReportTable("cost", "CPU time, ms a window of ten minutes (one thread)", ("by", "ms"), rows)
 
 
 LIMITS_MS = {"small": 10.0, "full": 50.0}
 """Longest time of one causal forward pass, ms."""
 
 
-def forwards(timed: Iterable[Latency]) -> tuple[Table, ...]:
+def forwards(timed: Iterable[Latency]) -> tuple[ReportTable, ...]:
     """Return the time of one causal forward pass of each configuration, on one thread."""
     rows = tuple((t.config, t.weights, t.minimum_ms, t.median_ms, LIMITS_MS[t.config]) for t in timed)
     notes = ("Of random weights; the least of many says what it costs where nothing else runs.",)
     columns = ("configuration", "weights", "least", "median", "goal <=")
-    return (Table("forwards", "One causal forward, ms (one thread)", columns, rows, notes),)
+    return (ReportTable("forwards", "One causal forward, ms (one thread)", columns, rows, notes),)

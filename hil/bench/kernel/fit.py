@@ -12,7 +12,7 @@ import numpy as np
 from hil.bench.kernel.problems import Problem, box, made_up, measured
 from hil.bench.kernel.whole_record import whole_table
 from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.bench.peers import Absent, filter_peer, optimisers
 from hil.run.session.terminal import Steps
 from twin.calibrators import UNTRAINED_CALIBRATORS, make_calibrator
@@ -45,7 +45,7 @@ PEERS: tuple[tuple[str, Peer], ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
+class FitSize:
     """Size of the benchmark: windows, samples of each, sets of tunables; hours of the tracked record."""
 
     windows: int = 20
@@ -54,12 +54,12 @@ class Size:
     whole_h: float = 40.0
 
 
-FULL = Size()
-QUICK = Size(windows=3, sets=("paper4", "nine"), whole_h=2.0)
+FULL = FitSize()
+QUICK = FitSize(windows=3, sets=("paper4", "nine"), whole_h=2.0)
 
 
 @dataclass(slots=True)
-class _Score:
+class _MethodScore:
     """Results of one method over the windows: RMSE in K, ratio to the best known, simulations, CPU ms."""
 
     rmse: list[float] = field(default_factory=list)
@@ -70,14 +70,16 @@ class _Score:
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class MeasuredRecord:
     """Measured record to cut windows from, and the twin that is fitted to them."""
 
     path: Path
     twin: Network
 
 
-def measure(size: Size, seed: int, record: Record | None = None) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+def measure(
+    size: FitSize, seed: int, record: MeasuredRecord | None = None
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     """Return a table for each set of tunables (and one of measured windows), and one of a whole record."""
     network = load(TWINS / "loop.toml")
     absent: dict[str, None] = {}
@@ -92,7 +94,7 @@ def measure(size: Size, seed: int, record: Record | None = None) -> tuple[tuple[
     with Steps("fitting", sum(len(problems) for _, _, problems in groups)) as bar:
         done = 0
         for key, title, problems in groups:
-            scores: dict[str, _Score] = {}
+            scores: dict[str, _MethodScore] = {}
             for number, problem in enumerate(problems):
                 bar.update(done, title)
                 _one_window(problem, seed + number, scores, absent)
@@ -103,7 +105,7 @@ def measure(size: Size, seed: int, record: Record | None = None) -> tuple[tuple[
     return tuple(tables), tuple(absent)
 
 
-def _one_window(problem: Problem, seed: int, scores: dict[str, _Score], absent: dict[str, None]) -> None:
+def _one_window(problem: Problem, seed: int, scores: dict[str, _MethodScore], absent: dict[str, None]) -> None:
     """Fit one window with every method; then compare all with the best fit of any method."""
     found: dict[str, tuple[float, bool]] = {}
     for name in UNTRAINED_CALIBRATORS:
@@ -162,8 +164,8 @@ def _descent(problem: Problem, seed: int) -> Array:
     return problem.positions(fit.values)
 
 
-def _note(scores: dict[str, _Score], name: str, rmse: float, evaluations: int, took: float, free: bool) -> None:
-    score = scores.setdefault(name, _Score())
+def _note(scores: dict[str, _MethodScore], name: str, rmse: float, evaluations: int, took: float, free: bool) -> None:
+    score = scores.setdefault(name, _MethodScore())
     score.rmse.append(rmse)
     score.evaluations.append(float(evaluations))
     score.cpu_ms.append(1e3 * took)
@@ -188,7 +190,7 @@ def _best_known(problem: Problem, found: dict[str, tuple[float, bool]]) -> dict[
     return best
 
 
-def _table(key: str, title: str, scores: dict[str, _Score]) -> Table:
+def _table(key: str, title: str, scores: dict[str, _MethodScore]) -> ReportTable:
     rows: list[tuple[Cell, ...]] = []
     for name, score in scores.items():
         there = 100.0 * float(np.mean([r <= 1.0 + AT_OPTIMUM for r in score.ratio]))
@@ -212,10 +214,10 @@ def _table(key: str, title: str, scores: dict[str, _Score]) -> Table:
         f"{DESCENT.removeprefix('ours: ')}: the calibrators' descent with neither their prior nor their holding of "
         "parameters that the window does not identify; the excess of least_squares over its best is the cost of both.",
     )
-    return Table(key, title, columns, tuple(rows), notes)
+    return ReportTable(key, title, columns, tuple(rows), notes)
 
 
-def _goals(tables: list[Table], *, full: bool) -> Table:
+def _goals(tables: list[ReportTable], *, full: bool) -> ReportTable:
     """Compare our calibrator, and its descent alone, with the goals."""
     by_key = {table.key: table for table in tables}
     rows: list[tuple[Cell, ...]] = []
@@ -232,4 +234,4 @@ def _goals(tables: list[Table], *, full: bool) -> Table:
             here = [row for row in by_key["whole"].rows if row[1] == tunables]
             ours = min(here, key=lambda row: float(row[3] or 0.0))
             rows.append((f"{ours[0]}, {tunables} tunables: CPU s for 240 windows", ours[3], f"<= {most_s:g}"))
-    return Table("goals", "Against the goals", ("what", "measured", "goal"), tuple(rows))
+    return ReportTable("goals", "Against the goals", ("what", "measured", "goal"), tuple(rows))

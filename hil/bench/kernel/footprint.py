@@ -11,12 +11,12 @@ import numpy as np
 from hil.bench.kernel import contestants
 from hil.bench.kernel.windows import Job, drive, job
 from hil.bench.measure.machine import cpu_s, in_new_process
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.bench.peers.formulas import sensor_rows
 from twin.network import Network
 
 if TYPE_CHECKING:
-    from hil.bench.kernel.speed import Size
+    from hil.bench.kernel.speed import SpeedSize
 
 LEVEL_S = 600
 """Time in s for which inputs keep a level in the long run."""
@@ -73,7 +73,7 @@ def process_steps(count: int, facts: dict[str, float]) -> Iterable[tuple[str, Ca
 
 
 def whole_steps(
-    network: Network, size: Size, seed: int, rows: list[tuple[Cell, ...]]
+    network: Network, size: SpeedSize, seed: int, rows: list[tuple[Cell, ...]]
 ) -> Iterable[tuple[str, Callable[[], None]]]:
     """Return rows (method, CPU ms, error K, ratio) of one vector over `size.whole_h` hours."""
     from hil.bench.peers import scipy_ode
@@ -127,9 +127,9 @@ def whole_steps(
         yield f"{size.whole_h:g} h, {name}", step(name, prepare, states=states)
 
 
-def whole_table(rows: list[tuple[Cell, ...]], hours: float) -> Table:
+def whole_table(rows: list[tuple[Cell, ...]], hours: float) -> ReportTable:
     """Return the table of the long run."""
-    return Table(
+    return ReportTable(
         "whole",
         f"{hours:g} h at 1 Hz in one go, one parameter vector",
         ("method", "CPU ms", "error K", "x ours"),

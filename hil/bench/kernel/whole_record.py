@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.bench.kernel.windows import drive, steady_start
 from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.run.session.terminal import Steps
 from twin.calibrators import UNTRAINED_CALIBRATORS, Calibration, Calibrator, Window, make_calibrator
 from twin.kernel import simulate
@@ -64,7 +64,7 @@ def drifting(network: Network, hours: float, seed: int) -> tuple[Array, Array, A
     return time_s, inputs, np.vstack(readings) + network.sigma * noise
 
 
-def whole_table(network: Network, hours: float, seed: int) -> Table:
+def whole_table(network: Network, hours: float, seed: int) -> ReportTable:
     """Measure every calibrator with every set of tunables over one drifting record."""
     time_s, inputs, readings = drifting(network, hours, seed)
     plan = [
@@ -95,7 +95,7 @@ def whole_table(network: Network, hours: float, seed: int) -> Table:
                 )
             )
     noise = float(np.sqrt(np.mean(network.sigma**2)))
-    return Table(
+    return ReportTable(
         "whole",
         f"{hours:g} h in sequence, radiator slowly fouling: CPU time of all windows",
         ("calibrator", "tunables", "windows", "fits s", "all s", "a fit ms", "RMSE K", "worst K"),

@@ -21,7 +21,7 @@ from drivers.rig.connection import RigConnection
 from drivers.rig_file.reader import load_rig
 from drivers.virtual.rig import start_virtual_rig
 from hil.bench.measure import processes
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.journal.profile_clock import profile_times
 from hil.journal.writer import Header, JournalReader, JournalWriter
 from hil.profile.load_profile import Profile
@@ -40,7 +40,7 @@ SETTLED_S = 7200.0
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
+class TimingSize:
     """Size of the benchmark: seconds of real time, and the profile that is run in lockstep."""
 
     real_s: float = 60.0
@@ -48,13 +48,13 @@ class Size:
     hours: float = 40.0
 
 
-FULL = Size()
-QUICK = Size(real_s=10.0, profile=PROFILES / "loads" / "battle_10h.csv", hours=10.0)
+FULL = TimingSize()
+QUICK = TimingSize(real_s=10.0, profile=PROFILES / "loads" / "battle_10h.csv", hours=10.0)
 
 
 def measure(
-    size: Size, seed: int, work: Path, progress: Callable[[float, str], None]
-) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+    size: TimingSize, seed: int, work: Path, progress: Callable[[float, str], None]
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     """Return all tables; the runs' folders are kept in a new folder of `work`. Raise RuntimeError if a run fails."""
     work = work / datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
     work.mkdir(parents=True)
@@ -65,13 +65,13 @@ def measure(
     cut_s = random.Random(seed).uniform(0.2, 0.8) * size.hours * 3600.0
     progress(0.5, "the same, killed")
     killed, _, _ = _watched(size, seed, work / "cut", cut_s)
-    before = _Journal.read(killed)
+    before = _RunRows.read(killed)
     progress(0.65, "resumed")
     manifest = _hil("resume", killed, "--no-viewer", "--json")
     tables = (
         _timing_table(outcome, samples),
         _memory_table(memory, size, wall_s),
-        *_resume_tables(_Journal.read(whole), before, _Journal.read(killed), manifest),
+        *_resume_tables(_RunRows.read(whole), before, _RunRows.read(killed), manifest),
     )
     return tables, ()
 
@@ -79,7 +79,7 @@ def measure(
 # In real time ----------------------------------------------------------------------------------
 
 
-async def _real_time(size: Size, seed: int, path: Path) -> tuple[Outcome, NDArray[np.float64]]:
+async def _real_time(size: TimingSize, seed: int, path: Path) -> tuple[Outcome, NDArray[np.float64]]:
     """Run the engine at 10 Hz; return per tick (n, 3) its number, the start of its work, s, and its duration, s."""
     rig = load_rig(RIG).model_copy(update={"period_s": PERIOD_S})
     async with await start_virtual_rig(seed=seed, period_s=PERIOD_S) as virtual:
@@ -104,7 +104,7 @@ async def _real_time(size: Size, seed: int, path: Path) -> tuple[Outcome, NDArra
         reader.close()
 
 
-def _timing_table(outcome: Outcome, timing: NDArray[np.float64]) -> Table:
+def _timing_table(outcome: Outcome, timing: NDArray[np.float64]) -> ReportTable:
     tick, began, took = timing.T
     late = began - tick * PERIOD_S
     off_ms = 1e3 * np.abs(late - np.median(late))
@@ -123,7 +123,7 @@ def _timing_table(outcome: Outcome, timing: NDArray[np.float64]) -> Table:
         f"Goal: 99 % within {GOAL_MS:g} ms of the grid on a quiet machine of two cores: "
         f"{'met' if np.percentile(off_ms, 99) < GOAL_MS else 'not met'} here. The manifest has the machine's load.",
     )
-    return Table("timing", "10 Hz in real time", ("what", "median", "99 %", "longest"), rows, notes)
+    return ReportTable("timing", "10 Hz in real time", ("what", "median", "99 %", "longest"), rows, notes)
 
 
 # In lockstep -----------------------------------------------------------------------------------
@@ -138,7 +138,7 @@ class _Memory:
     calibrators_MB: float
 
 
-def _watched(size: Size, seed: int, runs: Path, kill_s: float | None) -> tuple[Path, list[_Memory], float]:
+def _watched(size: TimingSize, seed: int, runs: Path, kill_s: float | None) -> tuple[Path, list[_Memory], float]:
     """Return folder, memory over time and wall time of a run as a user starts it; `kill_s`: SIGKILL at that profile
     time.
     """
@@ -181,7 +181,7 @@ def _calibrators_MB(pid: int) -> float:
     return sum(processes.resident_MB(child) for child in named)
 
 
-def _memory_table(memory: list[_Memory], size: Size, wall_s: float) -> Table:
+def _memory_table(memory: list[_Memory], size: TimingSize, wall_s: float) -> ReportTable:
     first = next(m for m in memory if m.profile_s >= BEGUN * size.hours * 3600.0)
     last = memory[-1]
     rows: tuple[tuple[Cell, ...], ...] = tuple(
@@ -193,7 +193,7 @@ def _memory_table(memory: list[_Memory], size: Size, wall_s: float) -> Table:
     )
     columns = ("process", f"at {first.profile_s / 3600:.1f} h", f"at {last.profile_s / 3600:.1f} h", "grown")
     note = f"{size.hours:g} h in {wall_s:.0f} s with record, review and report: {3600 * size.hours / wall_s:.0f} times."
-    return Table("memory", f"Resident memory over {size.hours:g} h in lockstep, MB", columns, rows, (note,))
+    return ReportTable("memory", f"Resident memory over {size.hours:g} h in lockstep, MB", columns, rows, (note,))
 
 
 # Killed and resumed ----------------------------------------------------------------------------
@@ -210,7 +210,7 @@ def _hil(*arguments: object) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Journal:
+class _RunRows:
     """Rows (n, k) of a run by tick, profile time, and the static twin's predictions (n, m)."""
 
     header: Header
@@ -220,7 +220,7 @@ class _Journal:
     static: NDArray[np.float64]
 
     @classmethod
-    def read(cls, folder: Path) -> _Journal:
+    def read(cls, folder: Path) -> _RunRows:
         reader = JournalReader(folder / "journal.sqlite")
         try:
             samples = reader.samples()
@@ -238,7 +238,9 @@ class _Journal:
         return [signal.column for signal in self.header.signals].index(name)
 
 
-def _resume_tables(whole: _Journal, before: _Journal, after: _Journal, manifest: dict[str, Any]) -> tuple[Table, ...]:
+def _resume_tables(
+    whole: _RunRows, before: _RunRows, after: _RunRows, manifest: dict[str, Any]
+) -> tuple[ReportTable, ...]:
     segment, count = manifest["segments"][0], len(before.tick)
     kept = np.array_equal(after.tick[:count], before.tick) and np.array_equal(
         after.values[:count], before.values, equal_nan=True
@@ -257,7 +259,7 @@ def _resume_tables(whole: _Journal, before: _Journal, after: _Journal, manifest:
         ("seconds with another set-point", int(away.sum())),
         ("windows calibrated after it", sum(1 for _ in _later_windows(manifest))),
     )
-    story = Table("resumed", "Killed at a random instant and resumed", ("what", "found"), facts)
+    story = ReportTable("resumed", "Killed at a random instant and resumed", ("what", "found"), facts)
     if not same_grid:
         return (story,)
     at = whole.profile_s[theirs]
@@ -283,7 +285,9 @@ def _resume_tables(whole: _Journal, before: _Journal, after: _Journal, manifest:
         "noise: of the difference of two readings. within: room out is at most 1.25 times that.",
     )
     columns_ = ("sensor", *parts, "later, room out", "noise", "within")
-    return story, Table("difference", "RMS difference to a run that nothing disturbed, K", columns_, tuple(rows), notes)
+    return story, ReportTable(
+        "difference", "RMS difference to a run that nothing disturbed, K", columns_, tuple(rows), notes
+    )
 
 
 def _later_windows(manifest: dict[str, Any]) -> list[float]:

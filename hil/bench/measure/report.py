@@ -23,7 +23,7 @@ LONG_FIGURE = 14
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ReportTable:
     """Table: `rows` hold numbers in the units that `columns` name, None without a figure."""
 
     key: str
@@ -34,11 +34,11 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class BenchReport:
     """Report of a benchmark: its tables, and a plain line for everything left out."""
 
     name: str
-    tables: tuple[Table, ...]
+    tables: tuple[ReportTable, ...]
     skipped: tuple[str, ...]
     manifest: dict[str, Any]
 
@@ -73,7 +73,7 @@ def number(value: Cell) -> str:
     return f"{value:.0e}" if size >= 1e-12 else "0"
 
 
-def show(report: Report, to: Console | None = None) -> None:
+def show(report: BenchReport, to: Console | None = None) -> None:
     """Print every table, at most `WIDTH` columns wide."""
     out = to or console()
     for table in report.tables:
@@ -96,13 +96,13 @@ def show(report: Report, to: Console | None = None) -> None:
     out.print(f"{machine['cpu']}, {machine['cores']} cores; {report.manifest['date']}", markup=False)
 
 
-def _is_prose(table: Table, position: int) -> bool:
+def _is_prose(table: ReportTable, position: int) -> bool:
     """Return True if a column holds words; the first always does."""
     words = [row[position] for row in table.rows if isinstance(row[position], str)]
     return position == 0 or any(len(str(word)) > LONG_FIGURE for word in words)
 
 
-def as_json(report: Report) -> str:
+def as_json(report: BenchReport) -> str:
     """Return all figures unrounded."""
     tables = {
         t.key: {
@@ -116,7 +116,7 @@ def as_json(report: Report) -> str:
     return json.dumps({"name": report.name, "tables": tables, "skipped": list(report.skipped)}, indent=1) + "\n"
 
 
-def as_markdown(report: Report) -> str:
+def as_markdown(report: BenchReport) -> str:
     """Return the tables as Markdown, for `docs/results`."""
     machine, manifest = report.manifest["machine"], report.manifest
     lines = [f"# hil bench {report.name}", "", f"`{manifest['command']}`", ""]
@@ -133,7 +133,7 @@ def as_markdown(report: Report) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def write(report: Report, folder: Path) -> list[Path]:
+def write(report: BenchReport, folder: Path) -> list[Path]:
     """Write `<name>.json`, `<name>.md` and `<name>.manifest.json` into `folder`, each atomically."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = {
