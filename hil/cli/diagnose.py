@@ -82,7 +82,7 @@ def command(
 ) -> None:
     """Find the residual of RUN or RECORD, trace it to an effect that the twin lacks, and add that effect.
 
-    Writes diagnosis.json, a page with figures, and a new revision of the twin beside the old one. The exit code is 0 if
+    Writes diagnosis.json, a page with figures, and a new revision of the twin in its folder. The exit code is 0 if
     the twin is adequate, 1 if an effect was found.
 
     The healthy reference is the record that `hil commission` stored beside the twin, or --healthy. Without either, a

@@ -132,7 +132,7 @@ def command(
             rig = ask(name or out.stem, period)
         else:
             raise click.UsageError(
-                "say what is on the rig (--heater, --pump, --thermocouple ...), give a file with --from, or call it "
+                "describe the rig (--heater, --pump, --thermocouple ...), give a file with --from, or call it "
                 "in a terminal to be asked; `hil init --help` has examples"
             )
         draft, name, period = draft_of(rig, out), rig.name, rig.period_s

@@ -74,7 +74,7 @@ def command(
     check_only: bool,
     as_json: bool,
 ) -> None:
-    """Replay PROFILE on a rig while a static twin and tracked ones run beside it.
+    """Replay PROFILE on a rig while a static twin and tracked ones predict it.
 
     Ctrl-C ends the run with the heater at its safe value; a second Ctrl-C shortens the waits. `hil ctl` holds, pauses,
     resumes and aborts it from a second terminal.

@@ -25,7 +25,7 @@ JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as
 
 @click.group()
 def command() -> None:
-    """Revisions of a twin: history, differences and revert.
+    """Show the history of a twin, compare revisions, and revert one.
 
     \b
     Example:

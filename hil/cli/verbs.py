@@ -22,7 +22,7 @@ VERBS = {
     "ctl": "Hold, pause, resume, abort or query a live run",
     "diagnose": "Trace the error of a twin to the effect that it lacks",
     "init": "Write a rig file from options, a register table, Telegraf, DBC ...",
-    "profile": "Build and picture load profiles",
+    "profile": "Build and draw load profiles",
     "report": "Make the record, review and report of a run, if missing",
     "resume": "Continue a run that a crash or a fault interrupted",
     "review": "Show a run in Rerun: measured against twin",

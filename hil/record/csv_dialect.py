@@ -33,7 +33,7 @@ _MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d
 
 @dataclass(frozen=True)
 class Line:
-    """A line of the file: its number, from 1, and its text."""
+    """Line of the file: its number, from 1, and its text."""
 
     number: int
     text: str
@@ -59,7 +59,7 @@ class Dialect:
 
 
 class DialectError(ValueError):
-    """The layout cannot be found; the message lacks only the file."""
+    """Error of a layout that cannot be found; the message lacks only the file."""
 
 
 def find_dialect(text: str) -> Dialect:

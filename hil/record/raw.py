@@ -18,7 +18,7 @@ class RecordError(ValueError):
 class RawRecord:
     """Columns as stored: `cells` are Arrow arrays of any type, all of one length, named by `names`.
 
-    `units` is what the file itself says of a column's unit; `header_line` and `skipped_lines` map rows to lines of a
+    `units` are those that the file itself gives; `header_line` and `skipped_lines` map rows to lines of a
     CSV (0 and empty for Parquet); `lines`, where it is not empty, are the rows' lines one by one. `delimiter` separates
     its columns. `plausible` are ranges that the file itself declares for a column.
     """

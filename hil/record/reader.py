@@ -1,10 +1,10 @@
 """Records of a rig, one row for each sample, as Parquet or CSV.
 
 The first column is `time_s`, the others are signals with the unit as suffix (`heater_power_W`, `T_tank_C`). Real
-records have gaps, missing values, repeated and out-of-order stamps, irregular rates and columns that nobody asked
-for: `read_record` copes with all of them and says what it met, in `Record.messages`.
+records have gaps, missing values, repeated and out-of-order stamps, irregular rates and extra columns:
+`read_record` handles all of them and reports them in `Record.messages`.
 
-`<column>_quality` beside a column tells why its values are missing (`signals.points.Quality`); `export_record` writes
+`<column>_quality` gives the reason for missing values of a column (`signals.points.Quality`); `export_record` writes
 such columns only for signals that were ever not good.
 """
 
@@ -57,8 +57,8 @@ _STANDARD_UNITS = {"heater_power": "W", "pump_speed": "%", "fan_speed": "%"}
 class Record:
     """Samples at `time_s (n,)`, strictly increasing: `columns` by name, each `(n,)` float64, NaN if missing.
 
-    `quality` holds, for columns that come with one, the reason `(n,)` of what is missing. `start` is the UTC time of
-    0 s where the record tells it. `messages` is what reading met, a sentence each.
+    `quality` holds, for columns that come with one, the reason `(n,)` of missing values. `start` is the UTC time of
+    0 s if the record states it. `messages` are the notes of the reader, a sentence each.
     """
 
     time_s: NDArray[np.float64]
@@ -95,11 +95,11 @@ class Record:
 def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = None) -> Record:
     """Return the record in the Parquet or CSV file at `path`, cleaned.
 
-    With `at_rest` each row is a steady state of its own: all are kept in the order of the file, and their times, where
-    there are any, are left aside for their numbers. `choice` is what the user says of the file.
+    With `at_rest` each row is a steady state of its own: all are kept in the order of the file, and their times, if
+    any, are replaced by their numbers. `choice` are the user's choices for the file.
 
     Rows are sorted by time. Of rows with the same stamp one is kept, with each column's last value that is not
-    missing: a logger sends a correction after the original, or one row a device. Readings that cannot be are missing
+    missing: a logger sends a correction after the original, or one row a device. Impossible readings become missing
     (`hil.record.plausibility`).
 
     Raises:

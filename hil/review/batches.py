@@ -23,7 +23,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
-    """A parameter's `values (n,)` and `variances (n,)` (NaN where unknown), in `unit`, from `time_s (n,)` on."""
+    """Values (n,) of a parameter with `variances (n,)` (NaN where unknown), in `unit`, from `time_s (n,)` on."""
 
     entity: str
     name: str

@@ -38,7 +38,7 @@ class Recording:
         self._header = plan.header
         self._live = url is not None
         self._colours: dict[str, Colour] = {}
-        self._looks(plan)
+        self._send_styles(plan)
         self._plan: Plan | None = None
         self._units: set[str] = set()
 
@@ -54,23 +54,23 @@ class Recording:
 
     def extend(self, plan: Plan) -> None:
         """Add the styles of new entities of a plan; `layout` shows them."""
-        self._looks(plan)
+        self._send_styles(plan)
 
     def note(self, entity: str, markdown: str) -> None:
         """Send a text that holds at all times."""
         self._stream.log(entity, rr.TextDocument(printable(markdown), media_type=rr.MediaType.MARKDOWN), static=True)
 
-    def _looks(self, plan: Plan) -> None:
+    def _send_styles(self, plan: Plan) -> None:
         self._colours |= plan.colours
         for lines in plan.lines:
-            looks = rr.SeriesLines(
+            style = rr.SeriesLines(
                 names=lines.names,
                 colors=lines.colours or None,
                 widths=(lines.widths * len(lines.names))[: len(lines.names)],
                 aggregation_policy="MinMax" if lines.extremes else "Average",
                 interpolation_mode="StepAfter" if lines.steps else "Linear",
             )
-            self._stream.log(lines.entity, looks, static=True)
+            self._stream.log(lines.entity, style, static=True)
         for entity, text in plan.notes.items():
             self._stream.log(entity, rr.TextDocument(printable(text)), static=True)
         for lane in plan.lanes:
@@ -88,8 +88,8 @@ class Recording:
             case Estimates(entity, name, unit, _, values, variances):
                 if entity not in self._units:
                     colour = self._colours.get(entity) or twin_colours(self._header.twin_names).get(name, NEUTRAL)
-                    looks = rr.Measurements.from_fields(names=[name], units=[symbol(unit)], colors=[colour])
-                    self._stream.log(entity, looks, static=True)
+                    style = rr.Measurements.from_fields(names=[name], units=[symbol(unit)], colors=[colour])
+                    self._stream.log(entity, style, static=True)
                     self._units.add(entity)
                 self._stream.send_columns(entity, times, rr.Measurements.columns(values=values, variances=variances))
             case States(entity, _, states):

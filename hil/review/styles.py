@@ -127,8 +127,10 @@ class Stack:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All looks and the tabs; `columns_of` says which columns of a sample row go to which entity, `colours` how
-    estimates that belong to no twin are drawn, `notes` are texts by entity that hold at all times."""
+    """Styles and tabs of a review.
+
+    `columns_of` maps entities to columns of a sample row, `colours` are those of estimates without a twin, `notes` are
+    texts by entity that hold at all times."""
 
     header: Header
     lines: tuple[Lines, ...]

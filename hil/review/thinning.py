@@ -1,8 +1,8 @@
 """Thinning of smooth curves in a file: a viewer draws straight lines between the rows that are stored.
 
-Rows are looked at in groups of `GROUP` counted from the curve's first, so the answer does not depend on how the rows
-were cut into batches. Of a group that one line explains the first row is kept, of any other the first row of each
-quarter that one line explains, and everything of the rest.
+Rows are processed in groups of `GROUP` counted from the curve's first, so the result does not depend on the batches. A
+group that one line fits keeps its first row. Any other group keeps the first row of each quarter that one line fits,
+and all rows of the other quarters.
 """
 
 from __future__ import annotations

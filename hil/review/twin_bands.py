@@ -59,8 +59,9 @@ def proposal_text(proposed: Proposed) -> str:
 
 
 class Proposals:
-    """Turns proposals into lanes, parameters with bands, and a line whenever other gates are closed than before, the
-    live twin has come to be far off or other thermometers are left aside."""
+    """Converter of proposals to lanes, parameters with bands, and log lines.
+
+    A line reports a change of the closed gates, of the excluded sensors, or a live twin that has become far off."""
 
     def __init__(self) -> None:
         self._told: dict[str, tuple[dict[str, str], bool, list[str]]] = {}

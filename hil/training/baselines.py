@@ -1,9 +1,9 @@
 """Baselines without a network, on the windows of the network's score.
 
-The cheapest is the evidence itself, shrunk: each deviation of the fit is what remains of it if most parameters have not
-moved. How much to shrink is learned from the training windows, a law a parameter. The nearest is what the network
-starts from, untrained (`sparse`). And a network that gains nothing from a record would be as good with the record of
-another rig, or with none.
+The cheapest baseline is the evidence with shrinkage: each deviation of the fit under the prior that most parameters
+have not moved. The amount of shrinkage is learned from the training windows, one law for each parameter. The nearest
+baseline is the untrained start of the network (`sparse`). A network that gains nothing from a record would be as good
+with the record of another rig, or with none.
 """
 
 from __future__ import annotations

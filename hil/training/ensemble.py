@@ -1,7 +1,7 @@
 """Ensemble of the members of a folder: calibrated intervals, and scores on held-out windows.
 
-`<name>.json` names the members with their checksums, the conformal factors, and what they do on the test split, beside
-what can be had there without them.
+`<name>.json` names the members with their checksums, the conformal factors, and the scores on the test split, with
+those of the baselines.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ RESAMPLES = 200
 def assemble(data: TrainingData, folder: Path, name: str) -> Path | None:
     """Write the card of the ensemble of all members `<name>_<seed>` in `folder`; return None if there is none.
 
-    Members of other data or another leakage than is allowed are left out, and the card says so.
+    Members of other data or another leakage than is allowed are left out, and the card reports it.
     """
     from twin.calibrators.hiera_unet import conformal
     from twin.calibrators.hiera_unet.binding import identity_of, physics_of

@@ -2,8 +2,8 @@
 
     python -m hil.training.generate --out DIR [--count 3000] [--seed 0]
 
-Splits have seeds of their own, so that no rig, load or weather is in two of them. What is finished is kept: a run that
-was interrupted goes on where it was, and one that asks for more adds to what is there.
+Splits have seeds of their own, so that no rig, load or weather is in two of them. Finished files are kept: an
+interrupted run continues, and a larger count adds to the existing files.
 """
 
 from __future__ import annotations
@@ -65,10 +65,10 @@ def generate(
 ) -> Store | None:
     """Generate windows until the folder `out` has at least `count` in all; return None if interrupted.
 
-    What is complete has a manifest. What is not has `ASKED`, and is gone on with by the same call.
+    A complete folder has a manifest. An incomplete one has `ASKED`, and the same call continues it.
 
     Args:
-        say: told how much is done, 0 to 1, and what is under way. stop: when to leave off.
+        say: called with the share done, 0 to 1, and the stage. stop: ends the work in order.
 
     Raises:
         TwinFileError: the folder has windows of another seed, or more of them.
@@ -153,7 +153,7 @@ def asked_of(folder: Path) -> tuple[int, int] | None:
     """Return seed and windows that a folder was or is being filled with; None for a folder without any.
 
     Raises:
-        TwinFileError: what says so cannot be read.
+        TwinFileError: its file cannot be read.
     """
     for name in (ASKED, MANIFEST):
         try:

@@ -71,7 +71,7 @@ def campaign(features: Features, seed: int, number: int) -> Campaign:
     inputs, measured, gaps = damaged(rng, made.inputs, made.measured)
     extra = made.extra if rng.uniform() < 0.6 else {}
     kept = Series(made.time, inputs, measured, made.spread, extra, made.hour if rng.uniform() < 0.7 else float("nan"))
-    theta, amiss = told(features, effects, made.time)
+    theta, amiss = equivalent_deviations(features, effects, made.time)
     words = () if not hidden.effects else (hidden.what,)
     return Campaign(kept, clean, theta, amiss, specimen.nominal, "plant", (*words, *gaps))
 
@@ -172,7 +172,7 @@ def _loaded(text: str) -> tuple[Effect, ...]:
         return load_effects(Path(file.name))
 
 
-def told(features: Features, effects: tuple[Effect, ...], time: Array) -> tuple[Array, np.ndarray]:
+def equivalent_deviations(features: Features, effects: tuple[Effect, ...], time: Array) -> tuple[Array, np.ndarray]:
     """Return deviations (n, P) equivalent to the effects, NaN for approximate ones, and the presence of a fault."""
     deviations = features.deviations
     theta: Array = np.zeros((len(time), len(deviations)))

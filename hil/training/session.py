@@ -1,6 +1,7 @@
 """Session of one training from its data to its card, in as many parts as it takes.
 
-A folder holds what it goes on from: `training.pt`, `curves.jsonl`. A finished network is weights, card and picture.
+The folder holds the state to continue from: `training.pt`, `curves.jsonl`. A finished network has weights, card and
+figure.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ Say = Callable[[int, str], None]
 class TrainingProgress:
     """Progress of a training: `done` of `steps`, `made` of them now in `seconds`; `simulated`, the share of its data.
 
-    At its end `card` and `picture` are what was written, and `lines` say how good it is.
+    At its end `card` and `picture` are the written files, and `lines` report its scores.
     """
 
     done: int
@@ -69,7 +70,7 @@ def train(
 
     Args:
         name: of the configuration. plan: `twin.calibrators.hiera_unet.plan.Plan`. out: the weights' path.
-        stop: when to leave off. command: that makes this training again, for the card.
+        stop: ends the work in order. command: that makes this training again, for the card.
         without: pieces to leave out, see `hil.training.ablation`.
 
     Raises:
@@ -201,7 +202,7 @@ def begun(folder: Path) -> int:
     """Return the number of steps of the training in `folder` so far.
 
     Raises:
-        HieraError: what was kept of it cannot be read.
+        HieraError: its stored state cannot be read.
     """
     from twin.calibrators.hiera_unet.checkpoint import kept
 

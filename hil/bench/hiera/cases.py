@@ -18,7 +18,7 @@ from drivers.virtual.plant.effects import load_effects
 from hil.bench.peers import Absent
 from hil.record.reader import read_record
 from hil.synthetic.hidden_effects import Setting
-from hil.training.plant_windows import PROFILES, recorded, specimen_of, told
+from hil.training.plant_windows import PROFILES, equivalent_deviations, recorded, specimen_of
 from twin.calibrators.hiera_unet import changes
 from twin.calibrators.hiera_unet.campaigns import Campaign, rig_of
 from twin.calibrators.hiera_unet.campaigns import recorded as logged
@@ -132,7 +132,7 @@ def virtual(features: Features, seed: int, count: int) -> Iterator[HieraCase]:
         known = load_effects(PROFILES / "effects" / f"{effect}.toml") if effect else ()
         moved = tuple(replace(e, onset_s=5.0 * onset, ramp_s=min(e.ramp_s, 1.0)) for e in known)
         made, clean = recorded(features, setting, specimen, moved, start_C=float(rng.uniform(24.0, 32.0)))
-        theta, amiss = told(features, moved, made.time)
+        theta, amiss = equivalent_deviations(features, moved, made.time)
         campaign = Campaign(made, clean, theta, amiss, specimen.nominal, "plant", (effect,) if effect else ())
         kind = "healthy" if not effect else "tracked" if effect in EFFECTS[:2] else "other"
         yield HieraCase(effect.replace("_", " ") or "healthy", "virtual", kind, seed, campaign, _targets(), onset)
